@@ -1,0 +1,19 @@
+// Crops of proposals as the classifier reads them.
+#pragma once
+
+#include "foreglow/image.hpp"
+
+namespace foreglow {
+
+// Writes `num_boxes` crops of `size_px` x `size_px` floats in [0, 1] to `crops`, one after another.
+//
+// The region of a box of w x h around (cx, cy) = (x1 + w / 2, y1 + h / 2), integer division, spans
+// cx - support * w .. cx + support * w and cy - support * h .. cy + support * h, cut at the image's border. It is
+// resized bilinearly (half-pixel centres, no smoothing, rounded to whole grey levels) and stretched to [0, 1] by its
+// own minimum and maximum; a flat crop is all zero.
+//
+// A region that has no pixel inside the image gives a crop of zeros.
+void extract_crops(const ImageView& image, const Box* boxes, std::size_t num_boxes, std::int32_t support,
+                   std::int32_t size_px, float* crops);
+
+}  // namespace foreglow

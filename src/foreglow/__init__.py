@@ -1,0 +1,1 @@
+"""Foreglow: provident vehicle detection at night."""

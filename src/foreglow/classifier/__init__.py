@@ -1,0 +1,5 @@
+"""Stage 2: which proposals are light artifacts. Inference only; training lives in `foreglow.learning`."""
+
+from foreglow.classifier.onnx import OnnxClassifier
+
+__all__ = ["OnnxClassifier"]

@@ -1,0 +1,166 @@
+"""One frozen model per stage, and the `PipelineConfig` made of them; TOML in, and the used configuration out.
+
+Sizes are given for the paper's camera and scale with the image's width; `ProposalConfig` says how.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+Dispatch: TypeAlias = Literal["auto", "baseline", "avx2", "avx512"]
+"""Instruction set of the native core: `auto` takes the best one that the processor has."""
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class ProposalConfig(_Frozen):
+    """Parameters of the proposal stage; the defaults are the paper's optimum with the published code's unstated steps.
+
+    All sizes are pixels of the *working image*, for a frame of `reference_width_px` columns. A frame of W columns
+    is reduced by the whole factor f = max(1, round(reduction * W / reference_width_px)); what then remains of the
+    difference in width, r = (W // f) / (reference_width_px / reduction), scales the lengths by r and the areas by
+    r squared, so that a preset means the same angles in any resolution of the same camera. Set
+    `reference_width_px` to the width of your own frames to have sizes in plain pixels.
+
+    Attributes:
+        kappa: Weight of the contrast term in the threshold, no unit (paper: kappa).
+        window_px: Side of the square of the local mean; only `window_px // 2` is used (paper: w).
+        eps: Keeps the contrast term finite, no unit (published code only).
+        min_deviation: Boxes at or below this mean absolute deviation are dropped, in units of the frame's dynamic
+            range (paper: s).
+        gap_px: Pixels at most this far apart, in the L-infinity sense, join into one blob (paper: d).
+        min_area_px: Smallest area of a box (published code only).
+        max_area_px: Largest area of a box; infinity for no limit (published code only).
+        min_width_px: Smallest width of a box (published code only).
+        reduction: How many frame pixels make one working pixel along each axis at the reference width.
+        reference_width_px: Width of the frame that all sizes are relative to.
+        normalise: Stretch every frame to [0, 1] by its own minimum and maximum (published code only).
+        blur_width_px: Columns of the Gaussian kernel, 1, 3 or 5; 1 switches off. Does not scale.
+        blur_height_px: Rows of the Gaussian kernel, 1 or 3; 1 switches off. Does not scale.
+        blur_sigma_px: Standard deviation of the Gaussian, both axes.
+        window: `published` reads columns x-h+1..x+h and rows y-h+1..y+h without row 0 and column 0, h = window_px//2,
+            as the published code does; `centred` reads x-h..x+h, y-h..y+h.
+        region_xyxy_px: Part of the frame that is looked at, half-open, full-frame pixels of the actual frame; None
+            for all of it. A region larger than the frame is cut.
+
+    Source: Ewecker et al., arXiv 2107.11302, eq. for T and the parameter table; published code for the rest.
+    """
+
+    kappa: Annotated[float, Field(ge=0, le=10)] = 0.4
+    window_px: Annotated[int, Field(ge=2, le=512)] = 19
+    eps: Annotated[float, Field(gt=0, le=1)] = 1e-3
+    min_deviation: Annotated[float, Field(ge=0, le=1)] = 0.01
+    gap_px: Annotated[int, Field(ge=1, le=64)] = 4
+    min_area_px: Annotated[float, Field(ge=0)] = 11.0
+    max_area_px: Annotated[float, Field(gt=0, allow_inf_nan=True)] = 1999.0
+    min_width_px: Annotated[float, Field(ge=0)] = 6.0
+    reduction: Annotated[int, Field(ge=1, le=16)] = 2
+    reference_width_px: Annotated[int, Field(ge=64, le=16384)] = 1280
+    normalise: bool = True
+    blur_width_px: Literal[1, 3, 5] = 5
+    blur_height_px: Literal[1, 3] = 3
+    blur_sigma_px: Annotated[float, Field(gt=0, le=100)] = 2.0
+    window: Literal["published", "centred"] = "published"
+    region_xyxy_px: tuple[int, int, int, int] | None = None
+    backend: Literal["native", "reference"] = "native"
+    dispatch: Dispatch = "auto"
+
+    @model_validator(mode="after")
+    def _check(self) -> ProposalConfig:
+        if self.max_area_px != self.max_area_px:
+            raise ValueError("max_area_px: expected a number or inf, got nan")
+        if self.region_xyxy_px is not None:
+            x1, y1, x2, y2 = self.region_xyxy_px
+            if not (0 <= x1 < x2 and 0 <= y1 < y2):
+                raise ValueError(f"region_xyxy_px: expected 0 <= x1 < x2 and 0 <= y1 < y2, got {self.region_xyxy_px}")
+        return self
+
+
+class ClassifierConfig(_Frozen):
+    """Parameters of the classification stage.
+
+    Attributes:
+        model: Path of the ONNX model; None leaves the proposals unclassified.
+        support: The crop is this many times the box's width and height to either side of its centre (paper: M = 2).
+        score_threshold: A proposal is accepted when its score is above this.
+        num_threads: Threads of the inference.
+    """
+
+    model: Path | None = None
+    support: Annotated[int, Field(ge=1, le=16)] = 2
+    score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
+    num_threads: Annotated[int, Field(ge=1, le=256)] = 1
+
+
+class PipelineConfig(_Frozen):
+    """The configuration of the whole pipeline, one section a stage."""
+
+    proposals: ProposalConfig = ProposalConfig()
+    classifier: ClassifierConfig = ClassifierConfig()
+
+
+PRESETS: dict[str, PipelineConfig] = {
+    # Paper, table of the parameter search (kappa 0.4, w 19, s 0.01, d 4).
+    "paper": PipelineConfig(),
+    # Published code's hand-chosen baseline, run at 640x480.
+    "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
+}
+
+
+def preset(name: str) -> PipelineConfig:
+    """The configuration called `name`.
+
+    Raises:
+        ValueError: If there is no such preset; the message lists those that exist.
+
+    >>> preset("baseline").proposals.gap_px
+    13
+    """
+    if name not in PRESETS:
+        raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
+    return PRESETS[name]
+
+
+def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfig:
+    """The configuration in the TOML file `path`; what it does not mention comes from `base` (default: paper).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such configuration file")
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected TOML: {error}") from error
+    merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
+    for section, fields in given.items():
+        known = merged.get(section)
+        merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields
+    try:
+        return PipelineConfig.model_validate(merged)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{path}: {field or 'configuration'}: {first['msg']}, got {first['input']!r}") from error
+
+
+def config_to_toml(config: PipelineConfig) -> str:
+    """`config` as TOML text that `read_config` reads back equal; fields that are None are left out."""
+    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True) | _infinities(config))
+
+
+def _infinities(config: PipelineConfig) -> dict[str, Any]:
+    """The proposals section with infinite values kept as TOML's `inf`, which JSON mode would write as null."""
+    section = {key: value for key, value in config.proposals.model_dump().items() if value is not None}
+    if section.get("region_xyxy_px") is not None:
+        section["region_xyxy_px"] = list(section["region_xyxy_px"])
+    return {"proposals": section}

@@ -1,0 +1,65 @@
+"""The one place where stages meet: `Pipeline.step(frame) -> FrameResult`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.config import PipelineConfig
+from foreglow.proposals import make_proposer
+from foreglow.types import Detections, Frame, FrameResult
+
+
+class Pipeline:
+    """Runs the configured stages on one frame after another.
+
+    The same object serves a data set, a recording, the simulator and the car: it knows nothing of where frames come
+    from. Results depend on the frames alone; `FrameResult.stage_ms` is the only thing that a clock touches.
+    Not thread-safe: use one pipeline a thread.
+    """
+
+    def __init__(self, config: PipelineConfig | None = None) -> None:
+        """Builds the stages.
+
+        Raises:
+            FileNotFoundError: If the configured model does not exist.
+            ValueError: If the model cannot be used; the message names path, field and expectation.
+        """
+        self.config = config or PipelineConfig()
+        self._proposer = make_proposer(self.config.proposals)
+        model = self.config.classifier.model
+        self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
+
+    def step(self, frame: Frame | NDArray[Any]) -> FrameResult:
+        """What the stages make of `frame`.
+
+        Args:
+            frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
+
+        Raises:
+            ValueError: If a plain image is not grey uint8 or uint16.
+        """
+        if isinstance(frame, np.ndarray):
+            frame = Frame(frame, timestamp_ns=0)
+        started = time.perf_counter_ns()
+        proposals = self._proposer.propose(frame.image)
+        proposed = time.perf_counter_ns()
+        stage_ms = {"proposals": (proposed - started) / 1e6}
+        detections: Detections | None = None
+        if self._classifier is not None:
+            detections = self._classifier.classify(frame.image, proposals)
+            stage_ms["classifier"] = (time.perf_counter_ns() - proposed) / 1e6
+        return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, stage_ms)
+
+    def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
+        """The results of `frames`, one by one, in order."""
+        for frame in frames:
+            yield self.step(frame)
+
+    def reset(self) -> None:
+        """Forgets what earlier frames left behind; the stages so far keep nothing between frames."""

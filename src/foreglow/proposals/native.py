@@ -1,0 +1,32 @@
+"""The proposal stage on the C++ core: checks the array, calls, wraps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from foreglow import _native
+from foreglow.config import ProposalConfig
+from foreglow.types import Image, Proposals
+
+
+class NativeProposer:
+    """The proposal stage in C++; returns exactly the boxes of `ReferenceProposer`.
+
+    Scratch memory is kept between frames, so use one object a thread; the GIL is released while it computes.
+    """
+
+    def __init__(self, config: ProposalConfig) -> None:
+        self.config = config
+        parameters = config.model_dump(exclude={"backend", "dispatch"})
+        self._generator = _native.ProposalGenerator(parameters, config.dispatch)
+
+    @property
+    def dispatch(self) -> str:
+        """The instruction set in use: `baseline`, `avx2` or `avx512`."""
+        return self._generator.dispatch
+
+    def propose(self, image: Image) -> Proposals:
+        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
+        if image.strides[1] != image.itemsize:
+            image = np.ascontiguousarray(image)
+        return Proposals(self._generator.propose(image))
