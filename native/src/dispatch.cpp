@@ -11,7 +11,8 @@ std::vector<Dispatch> available_dispatch() {
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
         available.push_back(Dispatch::avx2);
         if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-            __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) {
+            __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+            __builtin_cpu_supports("avx512vnni")) {
             available.push_back(Dispatch::avx512);
         }
     }

@@ -17,15 +17,29 @@ struct AcrossTaps {
     std::int32_t bias = 0;  // darkest sum times the sum of all taps: taken off, so that it becomes an exact 0
 };
 
-// Vertical blur and change of unit: level = outer * (above + below) + centre * here.
-struct DownTaps {
-    float outer = 0.0F, centre = 0.0F;
+// Levels are whole numbers below 2^22 kept as the float `level_zero` + level: the addition rounds, the float's bits
+// are the whole number up to a constant, and no conversion is needed either way.
+constexpr float level_zero = 8388608.0F;
+
+// A row enters the window of the local mean and another leaves it. Rows of two planes hold the even columns, then,
+// `length` further on, the odd ones.
+struct WindowStep {
+    const float *above, *here, *below;  // rows blurred across
+    float outer = 0.0F, centre = 0.0F;  // vertical blur and change of unit: outer * (above + below) + centre * here
+    const float* leaving;               // levels; may be the row that `levels` replaces
+    std::int64_t length;                // of a plane
+    float* levels;                      // out: the levels of the row
+    std::uint32_t *even_sums, *odd_sums;  // of the window's rows, column by column
+    std::uint32_t* running;               // out: sums of even_sums[j] + odd_sums[j] over j <= i, modulo 2^32 ...
+    std::int64_t running_length;          // ... constant beyond `length`
 };
 
 // One plane of one row of the threshold test.
 struct ThresholdRow {
-    const std::int32_t* levels;         // blurred image, this plane
+    const float* levels;                // blurred image, this plane
     const float* inverse_areas;         // one over the window's number of pixels, this plane
+    const float* quick_areas;           // the same, times a factor that no pixel above the threshold stays below ...
+    float quick_slack, quick_most;      // ... in levels, unless it is above quick_most
     const std::uint32_t* pairs_stop;    // running sums of pairs at the window's end ...
     const std::uint32_t* pairs_start;   // ... and before its start
     const std::uint32_t* single_start;  // a column that belongs to the window without its partner, or nullptr
@@ -33,7 +47,8 @@ struct ThresholdRow {
     std::int64_t num_words;
     float unit_plus_eps;  // (1 + eps) in levels
     float kappa;
-    float tolerance, tolerance_slope;  // doubt below tolerance + tolerance_slope * mean
+    float tolerance, tolerance_slope;  // doubt below tolerance + tolerance_slope * mean ...
+    float surely_black;                // ... unless the level is at most this
     std::uint64_t* above;              // bit i: the pixel exceeds the threshold
     std::uint64_t* doubt;              // bit i: too close for single precision
 };
@@ -42,15 +57,9 @@ struct Kernels {
     // sums[x] = 2 x 2 block sum; widens extremes[0] and extremes[1], the smallest and largest sum so far.
     void (*halve)(const std::uint8_t* upper, const std::uint8_t* lower, std::int64_t num_sums, std::uint16_t* sums,
                   std::uint16_t* extremes);
-    // `sums` may be read from -2 to 2 * length + 64.
+    // Columns beyond the image's are the caller's to clear; `sums` may be read from -2 to 2 * length + 64.
     void (*blur_across)(const std::uint16_t* sums, const AcrossTaps& taps, std::int64_t length, float* even, float* odd);
-    // Writes the levels of a row and moves the window's column sums on: in with them, out with `leaving`.
-    void (*blur_down)(const float* above, const float* here, const float* below, DownTaps taps,
-                      const std::int32_t* leaving, std::int64_t length, std::int32_t* levels,
-                      std::uint32_t* column_sums);
-    // running[i] = sum of even[j] + odd[j] over j <= i, modulo 2^32.
-    void (*sum_pairs)(const std::uint32_t* even, const std::uint32_t* odd, std::int64_t length,
-                      std::uint32_t* running);
+    void (*step_window)(const WindowStep& step);
     // Returns whether any pixel is in doubt.
     bool (*exceed)(const ThresholdRow& row);
 };

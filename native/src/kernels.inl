@@ -38,59 +38,77 @@ void blur_across(const std::uint16_t* sums, const AcrossTaps& taps, std::int64_t
     // Column 2i reads 2i-2 .. 2i+2, column 2i+1 reads 2i-1 .. 2i+3: both lie in the same three pairs.
     const Shorts even_left = splat_pair(far, near), even_mid = splat_pair(centre, near), even_right = splat_pair(far, 0);
     const Shorts odd_left = splat_pair(0, far), odd_mid = splat_pair(near, centre), odd_right = splat_pair(near, far);
-    const Ints bias = Ints{} + taps.bias;
+    const Ints bias = Ints{} - taps.bias;
     for (std::int64_t i = 0; i < length; i += num_lanes) {
         const auto left = load<Shorts>(sums + 2 * i - 2);
         const auto mid = load<Shorts>(sums + 2 * i);
         const auto right = load<Shorts>(sums + 2 * i + 2);
-        store(even + i, to_floats(dot_pairs(left, even_left) + dot_pairs(mid, even_mid) +
-                                  (dot_pairs(right, even_right) - bias)));
-        store(odd + i, to_floats(dot_pairs(left, odd_left) + dot_pairs(mid, odd_mid) +
-                                 (dot_pairs(right, odd_right) - bias)));
+        store(even + i, to_floats(add_dot_pairs(
+                            add_dot_pairs(add_dot_pairs(bias, left, even_left), mid, even_mid), right, even_right)));
+        store(odd + i, to_floats(add_dot_pairs(
+                           add_dot_pairs(add_dot_pairs(bias, left, odd_left), mid, odd_mid), right, odd_right)));
     }
 }
 
-void blur_down(const float* above, const float* here, const float* below, DownTaps taps, const std::int32_t* leaving,
-               std::int64_t length, std::int32_t* levels, std::uint32_t* column_sums) {
-    const Floats outer = splat(taps.outer), centre = splat(taps.centre);
-    for (std::int64_t i = 0; i < length; i += num_lanes) {
-        const Ints level = to_ints(outer * (load<Floats>(above + i) + load<Floats>(below + i)) +
-                                   centre * load<Floats>(here + i));
-        // `leaving` may be the row that `levels` replaces.
-        const auto change = reinterpret_cast<Words>(level - load<Ints>(leaving + i));
-        store(levels + i, level);
-        store(column_sums + i, load<Words>(column_sums + i) + change);
-    }
+// Writes the levels of plane `parity` from element i on, and returns the moved column sums.
+inline Words step_plane(const WindowStep& step, std::int64_t parity, std::int64_t i, std::uint32_t* sums) {
+    const std::int64_t at = parity * step.length + i;
+    const Floats outer = splat(step.outer), centre = splat(step.centre), zero = splat(level_zero);
+    const Floats level = outer * (load<Floats>(step.above + at) + load<Floats>(step.below + at)) +
+                         (centre * load<Floats>(step.here + at) + zero);
+    // The constant in the levels' bits cancels.
+    const Words moved = load<Words>(sums + i) + (reinterpret_cast<Words>(level) - load<Words>(step.leaving + at));
+    store(step.levels + at, level);
+    store(sums + i, moved);
+    return moved;
 }
 
-void sum_pairs(const std::uint32_t* even, const std::uint32_t* odd, std::int64_t length, std::uint32_t* running) {
+void step_window(const WindowStep& arguments) {
+    const WindowStep step = arguments;  // a copy that no store through a pointer can be thought to change
     Words before = Words{};
-    for (std::int64_t i = 0; i < length; i += num_lanes) {
-        const Words sums = running_sum(load<Words>(even + i) + load<Words>(odd + i)) + before;
-        store(running + i, sums);
-        before = splat_last(sums);
+    std::int64_t i = 0;
+    for (; i < step.length; i += num_lanes) {
+        const Words even = step_plane(step, 0, i, step.even_sums);
+        const Words sums = running_sum(even + step_plane(step, 1, i, step.odd_sums));
+        store(step.running + i, sums + before);
+        before += splat_last(sums);
     }
+    for (; i < step.running_length; i += num_lanes) store(step.running + i, before);
 }
 
 template <bool has_single_start, bool has_single_stop>
 bool exceed_plane(const ThresholdRow& row) {
-    const Floats unit = splat(row.unit_plus_eps), kappa = splat(row.kappa);
-    const Floats tolerance = splat(row.tolerance), slope = splat(row.tolerance_slope);
+    const Floats unit = splat(row.unit_plus_eps), kappa = splat(row.kappa), zero = splat(level_zero);
+    const Floats tolerance_zero = splat(row.tolerance), slope = splat(row.tolerance_slope);
+    const Floats quick_slack = splat(level_zero - row.quick_slack), quick_most = splat(level_zero + row.quick_most);
+    const Floats surely_black = splat(row.surely_black);
+    const auto window_total = [&row](std::int64_t i) {
+        Words sum = load<Words>(row.pairs_stop + i) - load<Words>(row.pairs_start + i);
+        if constexpr (has_single_start) sum += load<Words>(row.single_start + i);
+        if constexpr (has_single_stop) sum += load<Words>(row.single_stop + i);
+        return to_floats(reinterpret_cast<Ints>(sum));
+    };
     std::uint64_t any = 0;
     for (std::int64_t word = 0; word < row.num_words; ++word) {
-        std::uint64_t above = 0, doubt = 0;
+        std::uint64_t candidates = 0, above = 0, doubt = 0;
         for (int part = 0; part < 64; part += num_lanes) {
             const std::int64_t i = word * 64 + part;
-            Words sum = load<Words>(row.pairs_stop + i) - load<Words>(row.pairs_start + i);
-            if constexpr (has_single_start) sum += load<Words>(row.single_start + i);
-            if constexpr (has_single_stop) sum += load<Words>(row.single_stop + i);
-            const Floats mean = to_floats(reinterpret_cast<Ints>(sum)) * load<Floats>(row.inverse_areas + i);
+            const Floats least = smaller(window_total(i) * load<Floats>(row.quick_areas + i) + quick_slack, quick_most);
+            candidates |= greater_mask(load<Floats>(row.levels + i), least) << part;
+        }
+        while (candidates != 0) {  // hardly ever, at night
+            const int part = __builtin_ctzll(candidates) / num_lanes * num_lanes;
+            candidates &= ~(((1ULL << num_lanes) - 1) << part);
+            const std::int64_t i = word * 64 + part;
+            const Floats mean = window_total(i) * load<Floats>(row.inverse_areas + i);
+            const Floats value = load<Floats>(row.levels + i) - zero;
             // I > T without a division, D = I - mean: D (1 + eps - D) > kappa mean (1 + eps - 2 D).
-            const Floats difference = to_floats(load<Ints>(row.levels + i)) - mean;
+            const Floats difference = value - mean;
             const Floats rest = unit - difference;
             const Floats excess = difference * rest - kappa * mean * (rest - difference);
+            const Floats tolerance = tolerance_zero + slope * mean;
             above |= greater_mask(excess, Floats{}) << part;
-            doubt |= greater_mask(tolerance + slope * mean, magnitude(excess)) << part;
+            doubt |= (greater_mask(tolerance, magnitude(excess)) & greater_mask(value, surely_black)) << part;
         }
         row.above[word] = above;
         row.doubt[word] = doubt;
@@ -109,6 +127,6 @@ bool exceed(const ThresholdRow& row) {
 }  // namespace
 
 extern const Kernels FOREGLOW_KERNELS;
-const Kernels FOREGLOW_KERNELS = {halve, blur_across, blur_down, sum_pairs, exceed};
+const Kernels FOREGLOW_KERNELS = {halve, blur_across, step_window, exceed};
 
 }  // namespace foreglow

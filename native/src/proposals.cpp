@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <tuple>
 
+#include "aligned.hpp"
 #include "blobs.hpp"
 #include "dispatch.hpp"
 #include "kernels.hpp"
@@ -37,6 +38,8 @@ const ProposalParameters& checked(const ProposalParameters& p) {
     }
     return p;
 }
+
+std::int64_t round_up(std::int64_t value, std::int64_t quantum) { return (value + quantum - 1) / quantum * quantum; }
 
 // The part of a local mean's window along one axis: positions first .. last - 1.
 struct Span {
@@ -89,7 +92,8 @@ public:
         black_ = parameters_.normalise ? image_.darkest : 0;
         range_ = (parameters_.normalise ? image_.brightest : image_.full_scale) - black_;
         if (range_ == 0) return boxes_;
-        prepare();
+        arrange();
+        measure();
         find_blobs();
         keep_boxes(left, top);
         return boxes_;
@@ -101,52 +105,76 @@ public:
 private:
     static constexpr std::int64_t even = 0, odd = 1;
 
-    // Layout, units and tolerances for the current image; allocates only where sizes grow.
-    void prepare() {
+    // Everything that depends on the image's size alone; a no-op while that stays the same.
+    void arrange() {
         const bool is_published = parameters_.window == Window::published;
+        if (arranged_width_ == image_.width && window_rows_ == 2 * sizes_.half_window_px + (is_published ? 0 : 1)) return;
+        arranged_width_ = image_.width;
         first_ = is_published ? 1 : 0;
         before_ = is_published ? sizes_.half_window_px - 1 : sizes_.half_window_px;
         after_ = sizes_.half_window_px;
         window_rows_ = before_ + after_ + 1;
-
-        plane_ = ((image_.width + 1) / 2 + plane_quantum - 1) / plane_quantum * plane_quantum;
+        plane_ = round_up((image_.width + 1) / 2, plane_quantum);
         words_ = plane_ / 64;
-        pad_ = (sizes_.half_window_px / 2 + 2 + plane_quantum - 1) / plane_quantum * plane_quantum;
-        const auto fill = [](auto& values, std::int64_t size) {
-            values.assign(static_cast<std::size_t>(size), 0);
-        };
-        levels_.resize(static_cast<std::size_t>(window_rows_ * 2 * plane_));
-        blurred_rows_.resize(static_cast<std::size_t>(3 * 2 * plane_));
-        fill(no_levels_, 2 * plane_);
-        fill(column_sums_, 2 * (plane_ + 2 * pad_));
-        fill(running_, plane_ + 2 * pad_);
-        inverse_areas_.resize(static_cast<std::size_t>(2 * plane_));
-        inverse_rows_ = 0;
-        fill(bits_, 2 * words_);
-        fill(doubt_, 2 * words_);
+        pad_ = round_up(sizes_.half_window_px / 2 + 2, 16);
 
+        const auto fill = [](auto& values, std::int64_t size, auto value) {
+            values.assign(static_cast<std::size_t>(size), value);
+        };
+        fill(blurred_rows_, 3 * 2 * plane_, 0.0F);
+        fill(levels_, window_rows_ * 2 * plane_, level_zero);
+        fill(no_levels_, 2 * plane_, level_zero);
+        fill(no_light_, 2 * plane_, 0.0F);
+        fill(column_sums_, 2 * (plane_ + 2 * pad_), 0U);
+        fill(running_, plane_ + 2 * pad_, 0U);
+        fill(inverse_columns_, 2 * plane_, 0.0F);
+        fill(inverse_areas_, 2 * plane_, 0.0F);
+        fill(quick_areas_, 2 * plane_, 0.0F);
+        fill(bits_, 2 * words_, std::uint64_t{0});
+        fill(doubt_, 2 * words_, std::uint64_t{0});
+        for (std::int64_t x = 0; x < image_.width; ++x) {
+            const Span columns = span(x, image_.width);
+            inverse_columns_[static_cast<std::size_t>((x % 2) * plane_ + x / 2)] =
+                1.0F / static_cast<float>(std::max<std::int64_t>(columns.last - columns.first, 1));
+        }
+        inverse_rows_ = 0;
+    }
+
+    // Units and tolerances for the current image.
+    void measure() {
+        std::fill(column_sums_.begin(), column_sums_.end(), 0U);
         // Levels are as fine as 32-bit sums over a window and 24-bit floats allow.
         const auto area = static_cast<double>(window_rows_ * window_rows_);
         unit_ = std::exp2(std::min(22.0, std::floor(std::log2(2147483647.0 / area) - 1e-3)));
-        double blur_error = 1e-6;
+        double blur_error = 1e-6, across_sum = 1.0;
         if (image_.is_narrow) {
-            const WholeTaps whole = whole_taps_for(image_.full_scale);
+            const WholeTaps& whole = whole_taps_for(image_.full_scale);
             std::copy(whole.taps.begin(), whole.taps.end(), across_taps_.taps);
             across_taps_.bias = static_cast<std::int32_t>(black_ * whole.sum);
-            across_sum_ = whole.sum;
+            across_sum = whole.sum;
             blur_error += whole.relative_error;
-        } else {
-            across_sum_ = 1.0;
         }
-        const double to_levels = unit_ / (across_sum_ * static_cast<double>(range_));
-        down_taps_ = {static_cast<float>(down_[1] * to_levels), static_cast<float>(down_[0] * to_levels)};
+        const double to_levels = unit_ / (across_sum * static_cast<double>(range_));
+        outer_tap_ = static_cast<float>(down_[1] * to_levels);
+        centre_tap_ = static_cast<float>(down_[0] * to_levels);
 
         // How far single precision can move D (1 + eps - D) - kappa mean (1 + eps - 2 D) near its zero, where
         // I <= (1 + kappa) mean: I and the mean are off by one level each, and by blur_error of themselves.
         const double kappa = parameters_.kappa;
         tolerance_ = static_cast<float>(1.5 * unit_ * (2.0 + 5.0 * kappa));
         tolerance_slope_ = static_cast<float>(
-            1.5 * unit_ * (((1.0 + 2.0 * kappa) * (1.0 + kappa) + 1.0 + 3.0 * kappa) * blur_error + 3e-7 * (1.0 + 2.0 * kappa)));
+            1.5 * unit_ *
+            (((1.0 + 2.0 * kappa) * (1.0 + kappa) + 1.0 + 3.0 * kappa) * blur_error + 3e-7 * (1.0 + 2.0 * kappa)));
+        // The faintest blurred pixel that is not black; where it spans levels, level 0 is exactly black.
+        const double faintest = smallest_tap(across_) * smallest_tap(down_) * unit_ / static_cast<double>(range_);
+        surely_black_ = faintest > 3.0 ? 0.5F : -1.0F;
+
+        // What is not above least(mean) = min(mean (1 + rise), most) is not above T. With rise = kappa (1 - d / (1 - d)):
+        // while D < d, T > mean (1 + rise); where D >= d, I >= mean + d, which is above mean (1 + rise) for means
+        // below d / rise and above most = d + d / rise for the others.
+        constexpr double d = 0.1;
+        quick_rise_ = kappa * (1.0 - d / (1.0 - d));
+        quick_most_ = static_cast<float>(unit_ * std::min(1.0, 0.999 * (d + d / quick_rise_)));
     }
 
     const WholeTaps& whole_taps_for(std::int64_t largest_sum) {
@@ -157,14 +185,25 @@ private:
         return whole_taps_;
     }
 
+    static double smallest_tap(const HalfKernel& kernel) {
+        double smallest = kernel[0];
+        for (const double tap : kernel) {
+            if (tap > 0.0) smallest = std::min(smallest, tap);
+        }
+        return smallest;
+    }
+
     float* blurred_row(std::int64_t y) { return blurred_rows_.data() + (y % 3) * 2 * plane_; }
-    std::int32_t* level_row(std::int64_t y) { return levels_.data() + (y % window_rows_) * 2 * plane_; }
+    float* level_row(std::int64_t y) { return levels_.data() + (y % window_rows_) * 2 * plane_; }
     std::uint32_t* column_sums(std::int64_t parity) { return column_sums_.data() + parity * (plane_ + 2 * pad_) + pad_; }
 
     void blur_across(std::int64_t y) {
         float* row = blurred_row(y);
         if (image_.is_narrow) {
             kernels_.blur_across(image_.narrow_row(y), across_taps_, plane_, row, row + plane_);
+            for (std::int64_t parity : {even, odd}) {
+                std::fill(row + parity * plane_ + num_columns(parity), row + (parity + 1) * plane_, 0.0F);
+            }
             return;
         }
         const std::uint32_t* sums = image_.wide_row(y);
@@ -177,60 +216,55 @@ private:
         }
     }
 
-    // Levels of row y enter the window, those that it pushes out leave.
+    // Row y enters the window and the row that it pushes out leaves; below the image, rows of nothing enter.
     void enter_row(std::int64_t y) {
+        const std::int64_t height = image_.height;
         if (y == 0) blur_across(0);
-        if (y + 1 < image_.height) blur_across(y + 1);
-        const float* above = blurred_row(mirrored(y - 1, image_.height));
-        const float* below = blurred_row(mirrored(y + 1, image_.height));
-        const std::int64_t left = y - window_rows_;
-        const std::int32_t* leaving = left >= first_ ? level_row(left) : no_levels_.data();
-        for (std::int64_t parity : {even, odd}) {
-            const std::int64_t offset = parity * plane_;
-            kernels_.blur_down(above + offset, blurred_row(y) + offset, below + offset, down_taps_, leaving + offset,
-                               plane_, level_row(y) + offset, column_sums(parity));
+        if (y + 1 < height) blur_across(y + 1);
+        WindowStep step{};
+        if (y < height) {
+            step.above = blurred_row(mirrored(y - 1, height));
+            step.here = blurred_row(y);
+            step.below = blurred_row(mirrored(y + 1, height));
+        } else {
+            step.above = step.here = step.below = no_light_.data();
         }
+        step.outer = outer_tap_;
+        step.centre = centre_tap_;
+        step.leaving = y - window_rows_ >= first_ ? level_row(y - window_rows_) : no_levels_.data();
+        step.length = plane_;
+        step.levels = level_row(y);
+        step.even_sums = column_sums(even);
+        step.odd_sums = column_sums(odd);
+        step.running = running_.data() + pad_;
+        step.running_length = plane_ + pad_;
+        kernels_.step_window(step);
         if (y < first_) std::fill(column_sums_.begin(), column_sums_.end(), 0U);
-        trim_column_sums();
+        // The published window never reads column 0: every running sum starts behind it.
+        if (first_ == 1) std::fill(running_.begin(), running_.begin() + pad_, column_sums(even)[0]);
     }
 
-    void leave_row(std::int64_t y) {
-        for (std::int64_t parity : {even, odd}) {
-            const std::int32_t* leaving = level_row(y) + parity * plane_;
-            std::uint32_t* sums = column_sums(parity);
-            for (std::int64_t i = 0; i < plane_; ++i) sums[i] -= static_cast<std::uint32_t>(leaving[i]);
-        }
-        trim_column_sums();
-    }
-
-    // Columns that no window reads: those beyond the image, and column 0 of the published window.
-    void trim_column_sums() {
-        for (std::int64_t parity : {even, odd}) {
-            const std::int64_t used = (image_.width + 1 - parity) / 2;
-            std::fill(column_sums(parity) + used, column_sums(parity) + plane_, 0U);
-        }
-        if (first_ == 1) column_sums(even)[0] = 0;
-    }
+    std::int64_t num_columns(std::int64_t parity) const { return (image_.width + 1 - parity) / 2; }
 
     Span span(std::int64_t position, std::int64_t length) const {
         const std::int64_t last = std::min(length - 1, position + after_) + 1;
         return {std::min(std::max(first_, position - before_), last), last};
     }
 
-    void update_inverse_areas(std::int64_t num_rows) {
+    void update_areas(std::int64_t num_rows) {
         if (num_rows == inverse_rows_) return;
         inverse_rows_ = num_rows;
-        for (std::int64_t x = 0; x < image_.width; ++x) {
-            const Span columns = span(x, image_.width);
-            const std::int64_t area = std::max<std::int64_t>((columns.last - columns.first) * num_rows, 1);
-            inverse_areas_[static_cast<std::size_t>((x % 2) * plane_ + x / 2)] = static_cast<float>(1.0 / static_cast<double>(area));
+        const float scale = 1.0F / static_cast<float>(num_rows);
+        const auto quick = static_cast<float>((1.0 + quick_rise_) * (1.0 - 1e-5));
+        for (std::size_t i = 0; i < inverse_columns_.size(); ++i) {
+            inverse_areas_[i] = inverse_columns_[i] * scale;
+            quick_areas_[i] = inverse_areas_[i] * quick;
         }
     }
 
     void threshold_row(std::int64_t y) {
         const Span rows = span(y, image_.height);
-        update_inverse_areas(std::max<std::int64_t>(rows.last - rows.first, 1));
-        kernels_.sum_pairs(column_sums(even), column_sums(odd), plane_ + pad_, running_.data() + pad_);
+        update_areas(std::max<std::int64_t>(rows.last - rows.first, 1));
         bool has_doubt = false;
         for (std::int64_t parity : {even, odd}) {
             // The window spans start .. stop relative to the even column of the pair.
@@ -240,6 +274,9 @@ private:
             ThresholdRow row{};
             row.levels = level_row(y) + parity * plane_;
             row.inverse_areas = inverse_areas_.data() + parity * plane_;
+            row.quick_areas = quick_areas_.data() + parity * plane_;
+            row.quick_slack = static_cast<float>(4.0 + parameters_.kappa);
+            row.quick_most = quick_most_;
             row.pairs_stop = running + halved(stop + 1) - 1;
             row.pairs_start = running + halved(start + 1) - 1;
             row.single_start = (start & 1) != 0 ? column_sums(odd) + halved(start) : nullptr;
@@ -249,10 +286,11 @@ private:
             row.kappa = static_cast<float>(parameters_.kappa);
             row.tolerance = tolerance_;
             row.tolerance_slope = tolerance_slope_;
+            row.surely_black = surely_black_;
             row.above = bits_.data() + parity * words_;
             row.doubt = doubt_.data() + parity * words_;
             has_doubt |= kernels_.exceed(row);
-            const std::int64_t used = (image_.width + 1 - parity) / 2;
+            const std::int64_t used = num_columns(parity);
             for (std::int64_t word = used / 64; word < words_; ++word) {
                 const std::uint64_t inside = word * 64 < used ? (1ULL << (used % 64)) - 1 : 0;
                 row.above[word] &= inside;
@@ -287,12 +325,10 @@ private:
 
     void find_blobs() {
         blobs_.start(sizes_.gap_px);
-        std::int64_t entered = 0;
-        for (std::int64_t y = 0; y < image_.height; ++y) {
-            const std::int64_t last = std::min(image_.height - 1, y + after_);
-            if (y + after_ > image_.height - 1 && y - before_ - 1 >= first_) leave_row(y - before_ - 1);
-            for (; entered <= last; ++entered) enter_row(entered);
-            threshold_row(y);
+        for (std::int64_t entering = 0; entering < image_.height + after_; ++entering) {
+            enter_row(entering);
+            if (entering < after_) continue;
+            threshold_row(entering - after_);
             blobs_.add_row(bits_.data(), bits_.data() + words_, words_);
         }
     }
@@ -312,7 +348,7 @@ private:
         });
     }
 
-    ExactBlur exact_blur() const { return {image_, across_, down_, black_, static_cast<double>(range_)}; }
+    ExactBlur exact_blur() const { return {image_, across_, down_, static_cast<std::int32_t>(black_), static_cast<double>(range_)}; }
 
     ProposalParameters parameters_;
     Dispatch dispatch_;
@@ -326,17 +362,19 @@ private:
     std::int64_t black_ = 0, range_ = 1;
     std::int64_t first_ = 0, before_ = 0, after_ = 0, window_rows_ = 0;
     std::int64_t plane_ = 0, words_ = 0, pad_ = 0;
-    double unit_ = 1.0, across_sum_ = 1.0;
+    std::int64_t arranged_width_ = -1;
+    double unit_ = 1.0;
     AcrossTaps across_taps_;
-    DownTaps down_taps_;
-    float tolerance_ = 0.0F, tolerance_slope_ = 0.0F;
+    float outer_tap_ = 0.0F, centre_tap_ = 0.0F;
+    float tolerance_ = 0.0F, tolerance_slope_ = 0.0F, surely_black_ = -1.0F, quick_most_ = 0.0F;
+    double quick_rise_ = 0.0;
 
-    std::vector<float> blurred_rows_;          // three rows, blurred across
-    std::vector<std::int32_t> levels_;         // the window's rows, blurred, in a ring
-    std::vector<std::int32_t> no_levels_;
-    std::vector<std::uint32_t> column_sums_;   // of the window's rows
-    std::vector<std::uint32_t> running_;       // of column_sums_, in pairs
-    std::vector<float> inverse_areas_;
+    AlignedVector<float> blurred_rows_;          // three rows, blurred across
+    AlignedVector<float> levels_;                // the window's rows, blurred, in a ring
+    AlignedVector<float> no_levels_, no_light_;  // a row of level 0, and what it comes from
+    AlignedVector<std::uint32_t> column_sums_;   // of the window's rows
+    AlignedVector<std::uint32_t> running_;       // of column_sums_, in pairs
+    AlignedVector<float> inverse_columns_, inverse_areas_, quick_areas_;
     std::int64_t inverse_rows_ = 0;
     std::vector<std::uint64_t> bits_, doubt_;  // one row: even words, odd words
     std::vector<double> scratch_;

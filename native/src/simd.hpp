@@ -40,7 +40,6 @@ inline void store(Scalar* to, Vector vector) {
 
 inline Floats splat(float value) { return Floats{} + value; }
 inline Floats to_floats(Ints values) { return __builtin_convertvector(values, Floats); }
-inline Ints to_ints(Floats values) { return __builtin_convertvector(values, Ints); }
 
 // A vector of the pair (low, high) in every 32-bit lane.
 inline Shorts splat_pair(std::int16_t low, std::int16_t high) {
@@ -51,8 +50,10 @@ inline Shorts splat_pair(std::int16_t low, std::int16_t high) {
 
 #if defined(__AVX512BW__)
 
-inline Ints dot_pairs(Shorts a, Shorts b) {
-    return reinterpret_cast<Ints>(_mm512_madd_epi16(reinterpret_cast<__m512i>(a), reinterpret_cast<__m512i>(b)));
+// sum + the products of 16-bit pairs
+inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
+    return reinterpret_cast<Ints>(_mm512_dpwssd_epi32(reinterpret_cast<__m512i>(sum), reinterpret_cast<__m512i>(a),
+                                                      reinterpret_cast<__m512i>(b)));
 }
 inline std::uint64_t greater_mask(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
 inline Floats magnitude(Floats values) { return _mm512_abs_ps(values); }
@@ -76,8 +77,8 @@ inline Shorts sum_byte_pairs(Shorts bytes) {
 
 #elif defined(__AVX2__)
 
-inline Ints dot_pairs(Shorts a, Shorts b) {
-    return reinterpret_cast<Ints>(_mm256_madd_epi16(reinterpret_cast<__m256i>(a), reinterpret_cast<__m256i>(b)));
+inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
+    return sum + reinterpret_cast<Ints>(_mm256_madd_epi16(reinterpret_cast<__m256i>(a), reinterpret_cast<__m256i>(b)));
 }
 inline std::uint64_t greater_mask(Floats a, Floats b) {
     return static_cast<std::uint64_t>(_mm256_movemask_ps(_mm256_cmp_ps(a, b, _CMP_GT_OQ)));
@@ -113,8 +114,8 @@ inline Shorts sum_byte_pairs(Shorts bytes) {
     return reinterpret_cast<Shorts>((pairs & 0xFF) + (pairs >> 8));
 }
 #if defined(__SSE2__)
-inline Ints dot_pairs(Shorts a, Shorts b) {
-    return reinterpret_cast<Ints>(_mm_madd_epi16(reinterpret_cast<__m128i>(a), reinterpret_cast<__m128i>(b)));
+inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
+    return sum + reinterpret_cast<Ints>(_mm_madd_epi16(reinterpret_cast<__m128i>(a), reinterpret_cast<__m128i>(b)));
 }
 inline std::uint64_t greater_mask(Floats a, Floats b) {
     return static_cast<std::uint64_t>(_mm_movemask_ps(_mm_cmpgt_ps(a, b)));
@@ -129,11 +130,11 @@ inline Words splat_last(Words values) {
     return reinterpret_cast<Words>(_mm_shuffle_epi32(reinterpret_cast<__m128i>(values), 0xFF));
 }
 #else  // any other processor, arm64 above all: vector operators and short loops
-inline Ints dot_pairs(Shorts a, Shorts b) {
+inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
     const auto x = reinterpret_cast<Ints>(a), y = reinterpret_cast<Ints>(b);
     const auto low_x = reinterpret_cast<Ints>(reinterpret_cast<Words>(x) << 16) >> 16;
     const auto low_y = reinterpret_cast<Ints>(reinterpret_cast<Words>(y) << 16) >> 16;
-    return low_x * low_y + (x >> 16) * (y >> 16);
+    return sum + low_x * low_y + (x >> 16) * (y >> 16);
 }
 inline std::uint64_t greater_mask(Floats a, Floats b) {
     const Ints bits = (a > b) & Ints{1, 2, 4, 8};
@@ -147,7 +148,8 @@ inline Words splat_last(Words values) { return Words{} + values[num_lanes - 1]; 
 #endif
 #endif
 
-inline Shorts smaller(Shorts a, Shorts b) { return a < b ? a : b; }
+template <typename Vector>
+inline Vector smaller(Vector a, Vector b) { return a < b ? a : b; }
 inline Shorts larger(Shorts a, Shorts b) { return a > b ? a : b; }
 
 }  // namespace

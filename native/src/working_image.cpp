@@ -44,7 +44,7 @@ void WorkingImage::reduce(const ImageView& frame, std::int32_t reduction, const 
 }
 
 template <typename Pixel, typename Sum>
-void WorkingImage::sum_blocks(const ImageView& frame, std::int32_t reduction, std::vector<Sum>& sums) {
+void WorkingImage::sum_blocks(const ImageView& frame, std::int32_t reduction, AlignedVector<Sum>& sums) {
     columns_.resize(static_cast<std::size_t>(width * reduction));
     darkest = full_scale;
     brightest = 0;
@@ -66,7 +66,7 @@ void WorkingImage::sum_blocks(const ImageView& frame, std::int32_t reduction, st
 }
 
 template <typename Sum>
-void WorkingImage::mirror_border(std::vector<Sum>& sums) const {
+void WorkingImage::mirror_border(AlignedVector<Sum>& sums) const {
     for (std::int64_t y = 0; y < height; ++y) {
         Sum* row = sums.data() + y * stride_ + margin;
         for (std::int64_t k = 1; k <= 2; ++k) {
@@ -87,6 +87,10 @@ double ExactBlur::at(std::int64_t x, std::int64_t y) const {
         value += down[std::abs(j)] * row;
     }
     return value / unit;
+}
+
+double ExactBlur::level(std::uint32_t sum) const {
+    return static_cast<double>(static_cast<std::int32_t>(sum) - black);  // 32 bits, so that compilers vectorise it
 }
 
 double ExactBlur::sum_over(const Box& window) const {
@@ -112,10 +116,10 @@ double ExactBlur::sum_over(const Box& window) const {
             double row = 0.0;
             if (image.is_narrow) {
                 const std::uint16_t* sums = image.narrow_row(source) + left;
-                for (std::int64_t i = 0; i < right - left; ++i) row += weights[i] * static_cast<double>(sums[i] - black);
+                for (std::int64_t i = 0; i < right - left; ++i) row += weights[i] * level(sums[i]);
             } else {
                 const std::uint32_t* sums = image.wide_row(source) + left;
-                for (std::int64_t i = 0; i < right - left; ++i) row += weights[i] * static_cast<double>(sums[i] - black);
+                for (std::int64_t i = 0; i < right - left; ++i) row += weights[i] * level(sums[i]);
             }
             total += row_weight * row;
         }
@@ -133,9 +137,9 @@ double ExactBlur::deviation(const Box& box, std::vector<double>& scratch) const 
         double* row = scratch.data() + y * width;
         const auto blur_row = [&](const auto* sums) {
             for (std::int64_t x = 0; x < width; ++x) {
-                row[x] = across[2] * (static_cast<double>(sums[x - 2] - black) + static_cast<double>(sums[x + 2] - black)) +
-                         across[1] * (static_cast<double>(sums[x - 1] - black) + static_cast<double>(sums[x + 1] - black)) +
-                         across[0] * static_cast<double>(sums[x] - black);
+                row[x] = across[2] * (level(sums[x - 2]) + level(sums[x + 2])) +
+                         across[1] * (level(sums[x - 1]) + level(sums[x + 1])) +
+                         across[0] * level(sums[x]);
             }
         };
         if (image.is_narrow) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "aligned.hpp"
 #include "foreglow/image.hpp"
 #include "kernels.hpp"
 #include "taps.hpp"
@@ -32,13 +33,13 @@ public:
 
 private:
     template <typename Pixel, typename Sum>
-    void sum_blocks(const ImageView& frame, std::int32_t reduction, std::vector<Sum>& sums);
+    void sum_blocks(const ImageView& frame, std::int32_t reduction, AlignedVector<Sum>& sums);
     template <typename Sum>
-    void mirror_border(std::vector<Sum>& sums) const;
+    void mirror_border(AlignedVector<Sum>& sums) const;
 
     std::int64_t stride_ = 0;
-    std::vector<std::uint16_t> narrow_;
-    std::vector<std::uint32_t> wide_;
+    AlignedVector<std::uint16_t> narrow_;
+    AlignedVector<std::uint32_t> wide_;
     std::vector<std::uint32_t> columns_;
 };
 
@@ -47,8 +48,10 @@ struct ExactBlur {
     const WorkingImage& image;
     const HalfKernel& across;
     const HalfKernel& down;
-    std::int64_t black;  // the sum that counts as 0 ...
+    std::int32_t black;  // the sum that counts as 0 ...
     double unit;         // ... and the distance from it that counts as 1
+
+    double level(std::uint32_t sum) const;
 
     double at(std::int64_t x, std::int64_t y) const;
 
