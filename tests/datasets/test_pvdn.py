@@ -306,6 +306,7 @@ def _only_value_errors(read: Callable[[], object]) -> None:
         message = str(error)
     assert message.startswith("fuzz: ")
     assert len(message) < 500
+    assert message.isprintable()
 
 
 def _read_all(split: Path) -> None:

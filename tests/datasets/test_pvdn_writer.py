@@ -15,9 +15,8 @@ from foreglow.types import Frame
 
 
 def _frame(image_id: int, timestamp_ns: int = 0, dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> Frame:
-    high = np.iinfo(dtype).max
-    image = np.random.default_rng(image_id).integers(0, high, (64, 80), dtype=np.uint16, endpoint=True)
-    return Frame(image.astype(dtype), timestamp_ns, frame=image_id)
+    image = np.random.default_rng(image_id).integers(0, 65536, (64, 80), dtype=np.uint16)
+    return Frame((image >> 8).astype(np.uint8) if dtype is np.uint8 else image, timestamp_ns, frame=image_id)
 
 
 _VEHICLE = Vehicle(

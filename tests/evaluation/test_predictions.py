@@ -117,3 +117,4 @@ def test_damaged_files_are_read_or_refused(suffix: str, data: st.DataObject) -> 
         except ValueError as error:
             message = str(error)
         assert message.startswith(str(path))
+        assert message.isprintable()

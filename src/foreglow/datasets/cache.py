@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.datasets.atomic import open_atomic
-from foreglow.datasets.images import read_image
+from foreglow.datasets.images import NPY_ERRORS, read_image
 from foreglow.types import Image
 
 _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
@@ -116,6 +116,6 @@ def _mapped(entry: Path) -> Image | None:
     """The entry, read-only, or None if there is none that is whole."""
     try:
         image: Image = np.asarray(np.load(entry, mmap_mode="r", allow_pickle=False))
-    except (FileNotFoundError, ValueError, EOFError):
+    except (FileNotFoundError, *NPY_ERRORS):
         return None
     return image

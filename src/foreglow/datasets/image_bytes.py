@@ -37,7 +37,7 @@ def png_size_px(data: bytes) -> tuple[int, int]:
             raise ValueError(f"truncated PNG, expected the chunk IEND, ends at byte {len(data)}")
         is_critical = kind[:1].isupper()
         if is_critical and zlib.crc32(data[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise ValueError(f"damaged PNG, wrong checksum of chunk {kind.decode('latin-1')} at byte {position}")
+            raise ValueError(f"damaged PNG, wrong checksum of chunk {kind.decode('latin-1')!a} at byte {position}")
         if kind == b"IHDR" and length >= 8:
             width = int.from_bytes(data[position + 8 : position + 12], "big")
             size_px = int.from_bytes(data[position + 12 : position + 16], "big"), width

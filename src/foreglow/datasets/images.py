@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tokenize
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +19,13 @@ MIN_SIDE_PX = 64
 MAX_SIDE_PX = 8192
 """Largest height and width of a frame from a file, pixels: twice 4k, and a bound on what a header can allocate."""
 
+# A .npy header is a Python literal, and reading a broken one raises whatever its parser does.
+NPY_ERRORS = (
+    *(ValueError, TypeError, SyntaxError, EOFError, OverflowError, MemoryError, RecursionError),
+    tokenize.TokenError,
+)
+"""What NumPy raises for a broken .npy file."""
+
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".npy"})
 """Endings, in lower case, by which a file in a folder is taken for an image."""
 
@@ -27,7 +35,8 @@ def read_image(path: Path) -> Image:
 
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are. Colour becomes grey as
     in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` holds one array as `to_grey` takes it,
-    colour in the order R, G, B.
+    colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure whole may go
+    unnoticed.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -135,10 +144,15 @@ def _decoded(data: bytes, path: Path) -> NDArray[Any]:
             check_size(*jpeg_size_px(data), "header")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    # The message is ours to give: OpenCV would write its own to standard error.
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise ValueError(f"{path}: expected an image, cannot be decoded: {error.err or error.code}") from None
+    finally:
+        logging.setLogLevel(level)
     if array is None:
         raise ValueError(f"{path}: expected an image ({known_formats()}), is none, or truncated or damaged")
     return np.asarray(array)
@@ -155,7 +169,7 @@ def _npy_array(path: Path) -> NDArray[Any]:
         raise ValueError(f"{path}: expected an image, the file is empty")
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, OverflowError) as error:
+    except NPY_ERRORS as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{path}: expected a complete .npy file with one array of numbers: {reason}") from error
     if not isinstance(mapped, np.ndarray):

@@ -58,7 +58,7 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
             raise ValueError(f"{origin}: expected JSON: {first['ctx']['error']}") from None
-        field = ".".join(str(part) for part in first["loc"]) or "document"
+        field = ".".join(_printable(str(part)) for part in first["loc"]) or "document"
         got = "" if first["type"] == "missing" else f", got {_short(first['input'])}"
         message = (
             "field is missing"
@@ -92,6 +92,10 @@ def write_json(path: Path, record: Record) -> None:
     """
     value = record.model_dump(mode="json", by_alias=True, exclude_unset=True)
     write_atomic(path, json.dumps(value, indent=1).encode())
+
+
+def _printable(key: str) -> str:
+    return key if key.isprintable() and len(key) <= 80 else _short(key)
 
 
 def _short(value: object) -> str:

@@ -24,7 +24,7 @@ Milliseconds: TypeAlias = Annotated[int | float, Field(ge=-(2**53), le=2**53)]
 
 
 def _plain_name(name: str) -> str:
-    if name in ("", ".", "..") or "/" in name or "\\" in name or "\0" in name:
+    if name in ("", ".", "..") or "/" in name or "\\" in name or not name.isprintable():
         raise ValueError("expected a plain name without a path")
     return name
 
