@@ -104,6 +104,12 @@ def test_bad_use_is_refused(tmp_path: Path) -> None:
         PVDNWriter(tmp_path)
 
 
+def test_leftovers_of_an_interrupted_run_are_named(tmp_path: Path) -> None:
+    PVDNWriter(tmp_path).add_sequence(Sequence.plain(1), [LabelledImage(_frame(4))])
+    with pytest.raises(ValueError, match=r"00000.*: expected a folder without a data set, this file is there"):
+        PVDNWriter(tmp_path)
+
+
 def test_given_ids_keep_their_order(tmp_path: Path) -> None:
     given_sequence = Sequence.plain(2, image_ids=(6, 5), num_images=2)
     with PVDNWriter(tmp_path) as writer:

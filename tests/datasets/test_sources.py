@@ -243,7 +243,6 @@ def test_download_into_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ("DataCorruptionError", "damaged or failed, try again: first"),
         ("RequestException", "is this machine online"),
         ("HTTPError", "Kaggle refuses the download: first"),
-        ("TypeError", "pip install -U kagglehub"),
     ],
 )
 def test_each_obstacle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str) -> None:
@@ -251,10 +250,10 @@ def test_each_obstacle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         raise AssertionError("replaced below")
 
     fake = _fake_kagglehub(monkeypatch, download)
-    kind = getattr(fake.errors, name, None) or getattr(fake.http, name, None) or TypeError
+    kind = getattr(fake.errors, name, None) or getattr(fake.http, name)
 
-    def fail(*_: str, **__: str) -> None:
-        error: Any = kind("first\nsecond")
+    def fail(handle: str, output_dir: str) -> None:
+        error: Any = kind(f"first {handle}\nsecond {output_dir}")
         error.response = None
         raise error
 
@@ -267,14 +266,20 @@ def test_each_obstacle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_no_permission_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = _fake_kagglehub(monkeypatch, None)
 
-    def fail(*_: str, **__: str) -> None:
-        error = fake.http.HTTPError("403 Client Error")
+    def fail(handle: str, output_dir: str) -> None:
+        error = fake.http.HTTPError(f"403 Client Error {handle} {output_dir}")
         error.response = types.SimpleNamespace(status_code=403)
         raise error
 
     monkeypatch.setattr(sys.modules["kagglehub"], "dataset_download", fail)
     with pytest.raises(ValueError, match=r"https://www\.kaggle\.com/datasets/me/mine"):
         download_pvdn(tmp_path, "me/mine")
+
+
+def test_an_old_kagglehub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _fake_kagglehub(monkeypatch, lambda handle: handle)
+    with pytest.raises(ValueError, match="pip install -U kagglehub"):
+        download_pvdn(tmp_path)
 
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

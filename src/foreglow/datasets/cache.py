@@ -1,4 +1,4 @@
-"""Decoded images on disk, for repeated passes over the same files: decoding a PNG costs 6-7 ms, mapping one 0.1 ms."""
+"""Decoded images on disk, for repeated passes over the same files: a 1280x960 PNG takes 6-9 ms, an entry 0.3 ms."""
 
 from __future__ import annotations
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from pathlib import Path
 from typing import Any
 
 PVDN_HANDLE = "saralajew/provident-vehicle-detection-at-night-pvdn"
 """PVDN at Kaggle. Source: README of the code published with the data set."""
-
-_PAGE = f"https://www.kaggle.com/datasets/{PVDN_HANDLE}"
 
 
 def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
@@ -34,13 +33,11 @@ def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
         requests: Any = importlib.import_module("requests")
     except ImportError as error:
         raise ValueError("kagglehub: expected to be installed: pip install 'foreglow[download]'") from error
+    if "output_dir" not in inspect.signature(kagglehub.dataset_download).parameters:
+        raise ValueError("kagglehub: expected a version that can choose the folder: pip install -U kagglehub")
     target.mkdir(parents=True, exist_ok=True)
     try:
         kagglehub.dataset_download(handle, output_dir=str(target))
-    except TypeError as error:
-        raise ValueError(
-            "kagglehub: expected a version that can choose the folder: pip install -U kagglehub"
-        ) from error
     except (errors.UnauthenticatedError, errors.CredentialError) as error:
         raise ValueError(_not_allowed(handle)) from error
     except errors.NotFoundError as error:
@@ -51,17 +48,18 @@ def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
             raise ValueError(_not_allowed(handle)) from error
         raise ValueError(f"{handle}: Kaggle refuses the download: {_first_line(error)}") from error
     except requests.exceptions.RequestException as error:
-        raise ValueError(f"{handle}: Kaggle cannot be reached, is this machine online? {_first_line(error)}") from error
+        raise ValueError(
+            f"{handle}: Kaggle cannot be reached, is this machine online? ({type(error).__name__})"
+        ) from error
     except (errors.DataCorruptionError, errors.BackendError) as error:
         raise ValueError(f"{handle}: the download is damaged or failed, try again: {_first_line(error)}") from error
     return target
 
 
 def _not_allowed(handle: str) -> str:
-    page = _PAGE if handle == PVDN_HANDLE else f"https://www.kaggle.com/datasets/{handle}"
     return (
-        f"{handle}: Kaggle does not let us in: sign in, accept the terms at {page}, and make an API token in your "
-        "account's settings (kaggle.json)"
+        f"{handle}: Kaggle does not let us in: sign in, accept the terms at https://www.kaggle.com/datasets/{handle}, "
+        "and make an API token in your account's settings (kaggle.json)"
     )
 
 

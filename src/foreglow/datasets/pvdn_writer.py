@@ -88,7 +88,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             categories: Names of the image categories.
 
         Raises:
-            ValueError: If the folder holds a data set already.
+            ValueError: If the folder holds images or labels already.
             OSError: If the folders cannot be made.
         """
         self.root = Path(root)
@@ -217,7 +217,7 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
 
     Raises:
         FileNotFoundError: If an image or a keypoint file of the source is missing.
-        ValueError: If one is broken, an image's name does not end in .png, or `root` holds a data set already.
+        ValueError: If one is broken, an image's name does not end in .png, or `root` holds images or labels already.
         OSError: If a file cannot be written.
     """
     root = Path(root)
@@ -247,10 +247,11 @@ def png(image: Image) -> bytes:
 
 
 def _make_folders(root: Path) -> None:
-    for name in ("sequences.json", "image_annotations.json"):
-        path = root / "labels" / name
-        if path.exists():
-            raise ValueError(f"{path}: expected a folder without a data set, this file is there")
+    # Leftovers of an interrupted run would contradict the new labels.
+    for folder in ("labels", "images"):
+        found = next((path for path in (root / folder).rglob("*") if path.is_file()), None)
+        if found is not None:
+            raise ValueError(f"{found}: expected a folder without a data set, this file is there")
     for folder in ("images", "labels/keypoints", "labels/bounding_boxes"):
         (root / folder).mkdir(parents=True, exist_ok=True)
 
