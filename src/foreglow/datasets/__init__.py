@@ -1,1 +1,50 @@
+"""Where frames come from: images, videos, PVDN; one Protocol, `FrameSource`, and `open_source` to choose by path."""
 
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.download import download_pvdn
+from foreglow.datasets.image_folder import ImageFolder
+from foreglow.datasets.images import read_image, to_grey
+from foreglow.datasets.opening import open_source
+from foreglow.datasets.pvdn import PVDN, Selection
+from foreglow.datasets.pvdn_schema import (
+    BoxLabels,
+    CategoryConfig,
+    Cycle,
+    EnvironmentLighting,
+    ImageCategory,
+    Instance,
+    RoadType,
+    Sequence,
+    Vehicle,
+    Weather,
+)
+from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
+from foreglow.datasets.source import FrameSource, OnError
+from foreglow.datasets.video import Video
+
+__all__ = [
+    "PVDN",
+    "BoxLabels",
+    "CategoryConfig",
+    "Cycle",
+    "EnvironmentLighting",
+    "FrameCache",
+    "FrameSource",
+    "ImageCategory",
+    "ImageFolder",
+    "Instance",
+    "LabelledImage",
+    "OnError",
+    "PVDNWriter",
+    "RoadType",
+    "Selection",
+    "Sequence",
+    "Vehicle",
+    "Video",
+    "Weather",
+    "download_pvdn",
+    "open_source",
+    "read_image",
+    "to_grey",
+    "write_pvdn",
+]

@@ -1,0 +1,105 @@
+"""Frames from one image file or a folder of them."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
+from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.types import Frame
+
+DEFAULT_RATE_HZ = 18.0
+"""Frames a second where nothing tells: the rate of PVDN within one exposure cycle."""
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """A sort key by which numbers inside names count as numbers.
+
+    >>> sorted(["f10.png", "f9.png", "a.png"], key=natural_key)
+    ['a.png', 'f9.png', 'f10.png']
+    """
+    # Digits at odd places: [0-9] alone, as other scripts' digits need not be numbers to int().
+    parts = re.split(r"([0-9]+)", name)
+    return [(1, int(part), part) if index % 2 else (0, 0, part) for index, part in enumerate(parts)]
+
+
+class ImageFolder:
+    """One image, or the images directly inside a folder in natural order of their names.
+
+    Frames are numbered by their place in that order, a skipped one included. As image files carry no time, the
+    timestamp is that number divided by `rate_hz`.
+
+    Attributes:
+        path: The folder or the file.
+        rate_hz: Frames a second that timestamps are made with.
+        skipped: One line for each image that the latest iteration left out so far.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        rate_hz: float = DEFAULT_RATE_HZ,
+        on_error: OnError = "stop",
+        cache: FrameCache | None = None,
+    ) -> None:
+        """Lists the images; reads none.
+
+        Args:
+            path: The folder, or one image file; in a folder, names that begin with a dot or do not end as an image
+                are left alone.
+            rate_hz: Frames a second.
+            on_error: What a bad image does.
+            cache: Where decoded images are kept for the next pass; None decodes each time.
+
+        Raises:
+            FileNotFoundError: If `path` does not exist.
+            ValueError: If the folder holds no image, or `rate_hz` is not a positive number.
+        """
+        self.path = Path(path)
+        self.rate_hz = rate_hz
+        self.skipped: list[str] = []
+        self._on_error = checked_on_error(on_error)
+        self._read = read_image if cache is None else cache.read_image
+        if not 0 < rate_hz < float("inf"):
+            raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
+        if not self.path.exists():
+            raise FileNotFoundError(f"{self.path}: no such file or folder")
+        self._files = _images_in(self.path) if self.path.is_dir() else [self.path]
+
+    @property
+    def name(self) -> str:
+        """Name of the folder or file."""
+        return self.path.name
+
+    @property
+    def num_frames(self) -> int:
+        """Number of images."""
+        return len(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.skipped = []
+        reads = (functools.partial(self._frame, index) for index in range(len(self._files)))
+        return read_each(reads, self._on_error, self.skipped)
+
+    def _frame(self, index: int) -> Frame:
+        path = self._files[index]
+        return Frame(self._read(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+
+
+def _images_in(folder: Path) -> list[Path]:
+    files = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    if not files:
+        raise ValueError(f"{folder}: expected a folder with images ({known_formats()}), found none")
+    return sorted(files, key=lambda path: (natural_key(path.name), path.name))

@@ -1,0 +1,177 @@
+"""One image from a file: grey, 8 or 16 bit, complete, or a clear error."""
+
+from __future__ import annotations
+
+import tokenize
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_SIGNATURE, jpeg_size_px, png_size_px
+from foreglow.types import Image
+
+MIN_SIDE_PX = 64
+"""Smallest height and width of a frame from a file, pixels: the smallest the detector is tested with."""
+
+MAX_SIDE_PX = 8192
+"""Largest height and width of a frame from a file, pixels: twice 4k, and a bound on what a header can allocate."""
+
+# A .npy header is a Python literal, and reading a broken one raises whatever its parser does.
+NPY_ERRORS = (
+    *(ValueError, TypeError, SyntaxError, EOFError, OverflowError, MemoryError, RecursionError),
+    tokenize.TokenError,
+)
+"""What NumPy raises for a broken .npy file."""
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".npy"})
+"""Endings, in lower case, by which a file in a folder is taken for an image."""
+
+
+def read_image(path: Path) -> Image:
+    """The grey image in the file at `path`, shape (height, width), uint8 or uint16.
+
+    The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are. Colour becomes grey as
+    in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` holds one array as `to_grey` takes it,
+    colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure whole may go
+    unnoticed.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is empty, not an image, truncated, damaged, smaller than `MIN_SIDE_PX` or larger than
+            `MAX_SIDE_PX` on a side, or holds floats outside [0, 1].
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such image")
+    if not path.is_file():
+        raise ValueError(f"{path}: expected an image file, is not a file")
+    try:
+        if path.suffix.lower() == ".npy":
+            return _checked_size(to_grey(_npy_array(path), str(path)), path)
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not data:
+        raise ValueError(f"{path}: expected an image, the file is empty")
+    return _checked_size(to_grey(_decoded(data, path), str(path), order="bgr"), path)
+
+
+def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
+    """`array` as a grey image of shape (height, width), uint8 or uint16; itself, uncopied, where it already is one.
+
+    Args:
+        array: Shape (height, width) or (height, width, channels); 1 channel is grey, 2 are grey and alpha, 3 are
+            colour, 4 are colour and alpha; alpha is dropped. uint8 and uint16 keep their depth; floats in [0, 1]
+            become uint16 in [0, 65535].
+        origin: Where the array came from, for messages.
+        order: Order of the colour channels.
+
+    Raises:
+        ValueError: If the shape or the type is another, the image has no pixel, or a float is NaN, infinite or
+            outside [0, 1].
+
+    Source: grey = 0.299 R + 0.587 G + 0.114 B, ITU-R BT.601, as OpenCV rounds it.
+
+    >>> to_grey(np.array([[0.0, 1.0]])).tolist()
+    [[0, 65535]]
+    >>> to_grey(np.full((1, 2, 3), 7, np.uint8)).tolist()
+    [[7, 7]]
+    """
+    prefix = f"{origin}: " if origin else ""
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{prefix}image: expected a NumPy array, got {type(array).__name__}")
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 2, 3, 4)):
+        raise ValueError(f"{prefix}image: expected shape (height, width) or (height, width, 1..4), got {array.shape}")
+    if array.size == 0:
+        raise ValueError(f"{prefix}image: expected at least one pixel, got shape {array.shape}")
+    if array.dtype.kind == "f":
+        array = _checked_floats(array, prefix)
+    elif array.dtype.kind != "u" or array.dtype.itemsize > 2:
+        raise ValueError(f"{prefix}image: expected uint8, uint16 or float in [0, 1], got {array.dtype}")
+    elif not array.dtype.isnative:
+        array = array.astype(array.dtype.newbyteorder("="))
+    if array.ndim == 3:
+        array = _without_colour(array, order)
+    if array.dtype.kind == "f":
+        return np.rint(array * np.float32(65535)).astype(np.uint16)
+    image: Image = array
+    return image
+
+
+def _without_colour(array: NDArray[Any], order: Literal["rgb", "bgr"]) -> NDArray[Any]:
+    """The channels of `array` (height, width, 1..4) as one, in the type it has."""
+    if array.shape[2] <= 2:
+        return array[:, :, 0]
+    code = cv2.COLOR_BGR2GRAY if order == "bgr" else cv2.COLOR_RGB2GRAY
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(array[:, :, :3]), code))
+
+
+def _checked_floats(array: NDArray[Any], prefix: str) -> NDArray[Any]:
+    """`array` as float32, all in [0, 1]; 24 bits of mantissa lose nothing of the 16 that are kept."""
+    colour = array[:, :, :3] if array.ndim == 3 else array
+    low, high = float(colour.min()), float(colour.max())
+    if not (low >= 0.0 and high <= 1.0):
+        what = "NaN" if np.isnan(low) or np.isnan(high) else f"values from {low:g} to {high:g}"
+        raise ValueError(f"{prefix}image: expected floats in [0, 1], got {what}")
+    return array.astype(np.float32)
+
+
+def _checked_size(image: Image, path: Path) -> Image:
+    check_size(image.shape[0], image.shape[1], str(path))
+    return image
+
+
+def check_size(height: int, width: int, origin: str) -> None:
+    """Passes a frame size that the readers accept.
+
+    Raises:
+        ValueError: If a side is shorter than `MIN_SIDE_PX` or longer than `MAX_SIDE_PX`.
+    """
+    if not (MIN_SIDE_PX <= height <= MAX_SIDE_PX and MIN_SIDE_PX <= width <= MAX_SIDE_PX):
+        raise ValueError(
+            f"{origin}: image size: expected {MIN_SIDE_PX} to {MAX_SIDE_PX} px a side, got {width}x{height} px"
+        )
+
+
+def _decoded(data: bytes, path: Path) -> NDArray[Any]:
+    """What OpenCV makes of the complete image in `data`: grey or B, G, R, any depth."""
+    try:
+        if data.startswith(PNG_SIGNATURE):
+            check_size(*png_size_px(data), "header")
+        elif data.startswith(JPEG_SIGNATURE):
+            check_size(*jpeg_size_px(data), "header")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    # The message is ours to give: OpenCV would write its own to standard error.
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    except cv2.error as error:
+        raise ValueError(f"{path}: expected an image, cannot be decoded: {error.err or error.code}") from None
+    finally:
+        logging.setLogLevel(level)
+    if array is None:
+        raise ValueError(f"{path}: expected an image ({known_formats()}), is none, or truncated or damaged")
+    return np.asarray(array)
+
+
+def known_formats() -> str:
+    """The readable formats, for messages."""
+    return "PNG, JPEG, TIFF, BMP, PGM/PPM, WebP or .npy"
+
+
+def _npy_array(path: Path) -> NDArray[Any]:
+    """The array in the file at `path`; mapped first, so that a header that claims too much allocates nothing."""
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path}: expected an image, the file is empty")
+    try:
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+    except NPY_ERRORS as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{path}: expected a complete .npy file with one array of numbers: {reason}") from error
+    if not isinstance(mapped, np.ndarray):
+        raise ValueError(f"{path}: expected a .npy file with one array, is an archive of arrays")
+    return np.array(mapped)

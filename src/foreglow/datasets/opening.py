@@ -1,0 +1,46 @@
+"""What a path is: an image, a folder of images, a video, or PVDN."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder
+from foreglow.datasets.images import IMAGE_SUFFIXES
+from foreglow.datasets.pvdn import PVDN, is_split, split_of_sequence
+from foreglow.datasets.source import FrameSource, OnError
+from foreglow.datasets.video import Video
+
+
+def open_source(
+    path: Path | str,
+    *,
+    on_error: OnError = "stop",
+    rate_hz: float = DEFAULT_RATE_HZ,
+    cache: FrameCache | None = None,
+) -> FrameSource:
+    """The frames at `path`.
+
+    A folder is a PVDN split (it has `labels/sequences.json`), one PVDN sequence (`SPLIT/images/NAME`), or holds
+    images. A file is an image by its ending (`IMAGE_SUFFIXES`), and a video otherwise.
+
+    Args:
+        path: A file or folder.
+        on_error: What a bad frame does.
+        rate_hz: Frames a second of images that carry no time; PVDN and videos have their own.
+        cache: Where decoded images are kept for the next pass; videos are not cached.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`, or a label file is missing.
+        ValueError: If what is there cannot be used.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    if path.is_dir():
+        if is_split(path) or split_of_sequence(path) is not None:
+            return PVDN(path, on_error=on_error, cache=cache)
+        return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)
+    return Video(path, on_error=on_error)

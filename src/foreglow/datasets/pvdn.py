@@ -1,0 +1,292 @@
+"""The PVDN data set (Provident Vehicle Detection at Night): frames with keypoints of oncoming vehicles."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.images import read_image
+from foreglow.datasets.json_files import read_json
+from foreglow.datasets.pvdn_labels import PVDNLabels, read_labels
+from foreglow.datasets.pvdn_schema import (
+    BoxLabels,
+    CameraConfiguration,
+    Cycle,
+    EnvironmentLighting,
+    ImageCategory,
+    ImageRecord,
+    KeypointsFile,
+    RoadType,
+    Sequence,
+    Vehicle,
+    Weather,
+)
+from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.types import Frame
+
+PVDN_RATE_HZ = 18.0
+"""Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which images of a split are wanted; each None leaves its field open, and all given ones must hold.
+
+    Attributes:
+        scenes: Sequences, by id or folder name.
+        cycle: Exposure cycle, as in `PVDN.cycle_of`.
+        weathers: Weather of the sequence.
+        lightings: Ambient light of the sequence.
+        road_types: Road of the sequence.
+        categories: At least one category of the image is among these; an image without any counts as NONE.
+        has_keypoints: Whether the image has at least one instance in its keypoint file; reads those files.
+    """
+
+    scenes: Collection[int | str] | None = None
+    cycle: Cycle | None = None
+    weathers: Collection[Weather] | None = None
+    lightings: Collection[EnvironmentLighting] | None = None
+    road_types: Collection[RoadType] | None = None
+    categories: Collection[ImageCategory] | None = None
+    has_keypoints: bool | None = None
+
+
+class PVDN:
+    """One split of PVDN, such as `PVDN/day/val`, or one of its sequences, such as `PVDN/day/val/images/S00121`.
+
+    Labels are read and checked when it is made; images, keypoints and boxes when they are asked for. Iterating
+    yields frames in the order of sequence and image id, where `Frame.frame` is the image's id and `Frame.sequence`
+    the sequence's folder.
+
+    Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's place in its
+    sequence, counted over all its images sorted by id, divided by 18 Hz. The fields `timestamp` and
+    `date_captured` of the files are not used, since their units are not documented. Different sequences share no
+    time axis: reset the pipeline between them.
+
+    Attributes:
+        root: The split's folder.
+        labels: The label files as they are.
+        cycle: The exposure cycle that the folder is in; None outside `day` and `night`.
+        frame_ids: Ids of the selected images, in order.
+        skipped: One line for each image that the latest iteration left out so far.
+    """
+
+    rate_hz = PVDN_RATE_HZ
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        select: Selection | None = None,
+        on_error: OnError = "stop",
+        cache: FrameCache | None = None,
+    ) -> None:
+        """Reads the labels.
+
+        Args:
+            root: The split's or the sequence's folder.
+            select: Which images; None for all.
+            on_error: What an image that is missing, broken or of the wrong size does; labels must be right always.
+            cache: Where decoded images are kept for the next pass; None decodes each time.
+
+        Raises:
+            FileNotFoundError: If the folder or a label file is missing.
+            ValueError: If a label file is broken, they contradict each other, or a selected scene does not exist.
+        """
+        folder = Path(root)
+        if not folder.is_dir():
+            raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")
+        scene = None if is_split(folder) else split_of_sequence(folder)
+        self.root = folder if scene is None else scene
+        self.labels: PVDNLabels = read_labels(self.root)
+        above = self.root.resolve().parent.name
+        self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
+        self.skipped: list[str] = []
+        self._on_error = checked_on_error(on_error)
+        self._read = read_image if cache is None else cache.read_image
+        self._directory = None if scene is None else folder.resolve().name
+        self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
+
+    @property
+    def name(self) -> str:
+        """Split, or split and sequence, such as `day/val/S00121`."""
+        parts = [*self.root.resolve().parts[-2:], *([self._directory] if self._directory else [])]
+        return "/".join(parts)
+
+    @property
+    def sequences(self) -> tuple[Sequence, ...]:
+        """The sequences with at least one selected image, in the file's order."""
+        selected = {self.sequence(image_id).id for image_id in self.frame_ids}
+        return tuple(sequence for sequence in self.labels.sequences_file.sequences if sequence.id in selected)
+
+    @property
+    def num_frames(self) -> int:
+        """Number of selected images."""
+        return len(self.frame_ids)
+
+    def __len__(self) -> int:
+        return len(self.frame_ids)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The selected frames; with `stop`, a missing image file raises before the first one is yielded."""
+        self.skipped = []
+        if self._on_error == "stop":
+            for image_id in self.frame_ids:
+                self._check_exists(image_id)
+        reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
+        return read_each(reads, self._on_error, self.skipped)
+
+    def read(self, image_id: int) -> Frame:
+        """The frame of image `image_id`, which need not be a selected one.
+
+        Raises:
+            FileNotFoundError: If the image file is missing.
+            ValueError: If there is no such id, or the image is broken or not of the size in the labels.
+        """
+        record = self.image(image_id)
+        self._check_exists(image_id)
+        path = self.image_path(image_id)
+        image = self._read(path)
+        if image.shape != (record.height_px, record.width_px):
+            raise ValueError(
+                f"{path}: image size: expected {record.width_px}x{record.height_px} px as in image_annotations.json, "
+                f"got {image.shape[1]}x{image.shape[0]} px"
+            )
+        sequence = self.sequence(image_id)
+        place = self.labels.place_of[image_id]
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(place * 1e9 / PVDN_RATE_HZ)
+        return Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+
+    def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
+        """The oncoming vehicles in image `image_id`; empty where there is none.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing: a data set has one for every image, also without
+                vehicles.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        self.image(image_id)
+        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file, expected the keypoints of image {image_id}")
+        keypoints = read_json(path, KeypointsFile)
+        if keypoints.image_id != image_id:
+            raise ValueError(f"{path}: image_id: expected {image_id} as in the file's name, got {keypoints.image_id}")
+        return keypoints.annotations
+
+    def keypoints_px(self, image_id: int) -> NDArray[np.int32]:
+        """Positions of all instances in image `image_id`, shape (K, 2), int32, columns x and y, full-frame pixels.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        positions = [one.position_px for vehicle in self.annotations(image_id) for one in vehicle.instances]
+        return np.array(positions, np.int32).reshape(-1, 2)
+
+    def boxes(self, image_id: int) -> BoxLabels | None:
+        """The generated boxes of image `image_id`; None where the split has none for it.
+
+        Raises:
+            ValueError: If there is no such id, or the file is broken.
+        """
+        self.image(image_id)
+        path = self.root / "labels" / "bounding_boxes" / f"{image_id:06d}.json"
+        return read_json(path, BoxLabels) if path.exists() else None
+
+    def image(self, image_id: int) -> ImageRecord:
+        """What the labels say of image `image_id`; ValueError if there is no such id."""
+        if image_id not in self.labels.images:
+            raise ValueError(f"{self.root}: image_id: expected an image of this split, got {image_id}")
+        return self.labels.images[image_id]
+
+    def image_path(self, image_id: int) -> Path:
+        """Where the image `image_id` lies."""
+        return self.root / "images" / self.sequence(image_id).directory / self.image(image_id).file_name
+
+    def sequence(self, image_id: int) -> Sequence:
+        """The sequence of image `image_id`."""
+        return self.labels.sequence_of[self.image(image_id).id]
+
+    def camera_configuration(self, image_id: int) -> CameraConfiguration:
+        """Camera and exposure of image `image_id` by the labels, which the folder may contradict."""
+        return self.labels.images_file.camera_configurations[self.image(image_id).camera_configuration]
+
+    def cycle_of(self, image_id: int) -> Cycle:
+        """Exposure cycle of image `image_id`: the folder's, or outside `day` and `night` that of the labels.
+
+        The folder comes first since published images in `night` carry a camera configuration that says day.
+        """
+        return self.cycle or self.camera_configuration(image_id).cycle
+
+    def categories(self, image_id: int) -> tuple[ImageCategory, ...]:
+        """The categories of image `image_id`, in the file's order; (NONE,) where it has none."""
+        return self.labels.categories.get(self.image(image_id).id, (ImageCategory.NONE,))
+
+    def first_with(self, sequence: Sequence, category: ImageCategory) -> int | None:
+        """Id of the first image of `sequence` in `category`, or None; `CategoryConfig` names categories by meaning."""
+        ids = sorted(sequence.image_ids)
+        return next((image_id for image_id in ids if category in self.categories(image_id)), None)
+
+    def _check_exists(self, image_id: int) -> None:
+        path = self.image_path(image_id)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such image, expected that of id {image_id} in image_annotations.json")
+
+    def _selected(self, select: Selection) -> Iterator[int]:
+        """Ids of the images that `select` and the sequence's folder, if one was given, let through."""
+        sequences = self.labels.sequences_file.sequences
+        if self._directory is not None:
+            sequences = tuple(one for one in sequences if one.directory == self._directory)
+            if not sequences:
+                path = self.root / "labels" / "sequences.json"
+                raise ValueError(f"{path}: sequences: expected one with dir {self._directory}, found none")
+        if select.scenes is not None:
+            known = {key for one in sequences for key in (one.id, one.directory)}
+            for scene in select.scenes:
+                if scene not in known:
+                    raise ValueError(f"{self.root}: scenes: expected ids or folders of sequences, got {scene!r}")
+        for sequence in sorted(sequences, key=lambda one: one.id):
+            if _is_wanted(sequence, select):
+                yield from (one for one in sorted(sequence.image_ids) if self._is_wanted_image(one, select))
+
+    def _is_wanted_image(self, image_id: int, select: Selection) -> bool:
+        if select.cycle is not None and self.cycle_of(image_id) != select.cycle:
+            return False
+        if select.categories is not None and not set(select.categories).intersection(self.categories(image_id)):
+            return False
+        return select.has_keypoints is None or select.has_keypoints == self._has_keypoints(image_id)
+
+    def _has_keypoints(self, image_id: int) -> bool:
+        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        return path.exists() and len(self.keypoints_px(image_id)) > 0
+
+
+def is_split(folder: Path) -> bool:
+    """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or the `images` and `labels` to be one."""
+    return (folder / "labels" / "sequences.json").exists() or (
+        (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
+    )
+
+
+def split_of_sequence(folder: Path) -> Path | None:
+    """The split that `folder` is a sequence of, or None."""
+    if folder.resolve().parent.name != "images":
+        return None
+    split = folder.resolve().parents[1]
+    return split if is_split(split) else None
+
+
+def _is_wanted(sequence: Sequence, select: Selection) -> bool:
+    return (
+        (select.scenes is None or sequence.id in select.scenes or sequence.directory in select.scenes)
+        and (select.weathers is None or sequence.weather in select.weathers)
+        and (select.lightings is None or sequence.environment_lighting in select.lightings)
+        and (select.road_types is None or sequence.road_type in select.road_types)
+    )

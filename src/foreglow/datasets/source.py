@@ -1,0 +1,61 @@
+"""What every source of frames offers, and how it treats a bad one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Literal, Protocol, TypeAlias, get_args
+
+from foreglow.types import Frame
+
+OnError: TypeAlias = Literal["stop", "skip"]
+"""What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`."""
+
+
+class FrameSource(Protocol):
+    """Frames in the order of time; iterating again starts again from the first."""
+
+    @property
+    def name(self) -> str:
+        """Short name for messages and results, such as `day/val/S00121`."""
+        ...
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Nominal frames a second; None where the source does not tell."""
+        ...
+
+    @property
+    def num_frames(self) -> int | None:
+        """Frames that iterating yields if none is bad; a video's header may be off by a few, None if it is silent."""
+        ...
+
+    @property
+    def skipped(self) -> Sequence[str]:
+        """One line for each frame that the latest iteration left out so far; empty with `stop`."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+
+def read_each(reads: Iterable[Callable[[], Frame]], on_error: OnError, skipped: list[str]) -> Iterator[Frame]:
+    """What `reads` return, one by one; with `skip`, the message of each that raises goes to `skipped` instead."""
+    for read in reads:
+        try:
+            frame = read()
+        except (ValueError, FileNotFoundError) as error:
+            if on_error == "stop":
+                raise
+            skipped.append(str(error))
+            continue
+        yield frame
+
+
+def checked_on_error(on_error: OnError) -> OnError:
+    """`on_error` if it is a known one, as Python callers may pass any string.
+
+    Raises:
+        ValueError: If it is neither `stop` nor `skip`.
+    """
+    if on_error not in get_args(OnError):
+        raise ValueError(f"on_error: expected stop or skip, got {on_error!r}")
+    return on_error

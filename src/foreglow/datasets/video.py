@@ -1,0 +1,152 @@
+"""Frames from a video file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from av.error import FFmpegError
+
+from foreglow.datasets.container_bytes import missing_bytes
+from foreglow.datasets.images import check_size
+from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.types import Frame
+
+_LEAST_SHARE = 0.95
+"""An MP4 that yields less than this share of the frames that it promises counts as damaged."""
+
+
+class Video:
+    """The frames of a file's first video stream, decoded one at a time, grey.
+
+    Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
+    stream's own presentation times; a stream without any (raw H.264) gets the frame's number divided by the rate.
+    A damaged frame, a cut file or a packet that cannot be decoded is an error; with `skip`, a damaged frame is left
+    out, and the rest of the stream beyond the first thing that cannot be decoded.
+
+    Attributes:
+        path: The file.
+        rate_hz: Average frames a second by the container; None where it does not tell.
+        num_frames: Number of frames by the container, which may be off by a few; None where it does not tell.
+        skipped: One line for each thing that the latest iteration left out so far.
+    """
+
+    def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
+        """Opens the file, reads its header and closes it again.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: If it is empty, not a video, has no video stream or a size that is not accepted; with `stop`
+                also if the file is shorter than its container says.
+        """
+        self.path = Path(path)
+        self.skipped: list[str] = []
+        self._on_error = checked_on_error(on_error)
+        if not self.path.exists():
+            raise FileNotFoundError(f"{self.path}: no such video")
+        if not self.path.is_file():
+            raise ValueError(f"{self.path}: expected a video file, is not a file")
+        if self.path.stat().st_size == 0:
+            raise ValueError(f"{self.path}: expected a video, the file is empty")
+        missing = missing_bytes(self.path)
+        self._truncation = f"{self.path}: truncated video, {missing} bytes are missing at the end" if missing else ""
+        with self._opened() as (container, stream):
+            rate: Fraction | None = stream.average_rate
+            self._rate = rate if rate else None
+            self.num_frames = _num_frames(stream)
+            self._is_counted = "mp4" in container.format.name
+            check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
+        self.rate_hz = float(self._rate) if self._rate else None
+        if self._truncation and on_error == "stop":
+            raise ValueError(self._truncation)
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.skipped = []
+        if self._truncation:
+            self.skipped.append(self._truncation)
+        return self._frames()
+
+    def _frames(self) -> Iterator[Frame]:
+        """All frames; an undecodable packet ends them."""
+        index = -1
+        try:
+            for index, picture in self._pictures():
+                if picture.is_corrupt:
+                    self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
+                    continue
+                yield self._frame(index, picture)
+        except FFmpegError as error:
+            self._refuse(f"{self.path}: frame {index + 1}: cannot be decoded: {error.strerror}")
+        if self.skipped:
+            return
+        if index < 0:
+            self._refuse(f"{self.path}: expected a video with at least one frame, none could be decoded")
+        # An MP4's sample table is exact; a damaged one lets the demuxer end early without a word.
+        elif self._is_counted and self.num_frames and index + 1 < _LEAST_SHARE * self.num_frames - 2:
+            self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
+
+    def _pictures(self) -> Iterator[tuple[int, Any]]:
+        """Decoded pictures and their numbers, up to a packet that is cut."""
+        index = 0
+        with self._opened() as (container, stream):
+            for packet in container.demux(stream):
+                if packet.is_corrupt:
+                    self._refuse(f"{self.path}: frame {index}: expected a whole packet, the file is cut or damaged")
+                    return
+                for picture in packet.decode():
+                    yield index, picture
+                    index += 1
+
+    def _frame(self, index: int, picture: Any) -> Frame:
+        deep = max(component.bits for component in picture.format.components) > 8
+        image = picture.to_ndarray(format="gray16le" if deep else "gray")
+        check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")
+        image = np.asarray(image, np.uint16 if deep else np.uint8)
+        return Frame(image, self._timestamp_ns(index, picture), frame=index, path=f"{self.path}, frame {index}")
+
+    def _timestamp_ns(self, index: int, picture: Any) -> int:
+        if picture.pts is not None and picture.time_base:
+            return round(int(picture.pts) * Fraction(picture.time_base) * 1_000_000_000)
+        if self._rate is None:
+            raise ValueError(f"{self.path}: frame {index}: expected a timestamp, the file has neither times nor a rate")
+        return round(index * 1_000_000_000 / self._rate)
+
+    def _refuse(self, message: str) -> None:
+        if self._on_error == "stop":
+            raise ValueError(message)
+        self.skipped.append(message)
+
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[Any, Any]]:
+        """The open container and its first video stream."""
+        try:
+            container: Any = av.open(str(self.path))
+        except (FFmpegError, ValueError) as error:
+            truncation = self._truncation or f"{self.path}: expected a video: {getattr(error, 'strerror', error)}"
+            raise ValueError(truncation) from error
+        with container:
+            if not container.streams.video:
+                raise ValueError(f"{self.path}: expected a video stream, the file has none")
+            stream = container.streams.video[0]
+            if stream.codec_context is None:
+                raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
+            stream.thread_type = "AUTO"
+            yield container, stream
+
+
+def _num_frames(stream: Any) -> int | None:
+    """How many frames the stream's header promises; an edit list can hide some, which the duration tells."""
+    num_frames: int | None = stream.frames or None
+    if num_frames and stream.duration and stream.time_base and stream.average_rate:
+        return min(num_frames, round(int(stream.duration) * Fraction(stream.time_base) * Fraction(stream.average_rate)))
+    return num_frames

@@ -1,0 +1,286 @@
+from __future__ import annotations
+
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from foreglow.datasets import read_image, to_grey
+from foreglow.datasets.images import MAX_SIDE_PX, MIN_SIDE_PX
+from tests.shared_data import shared_file
+
+GREY = np.random.default_rng(1).integers(0, 256, (70, 90), dtype=np.uint8)
+GREY_16 = np.random.default_rng(2).integers(0, 65536, (70, 90), dtype=np.uint16)
+COLOUR = np.random.default_rng(3).integers(0, 256, (70, 90, 3), dtype=np.uint8)
+SMOOTH = cv2.GaussianBlur(GREY, (0, 0), 5)
+
+
+def encoded(suffix: str, image: NDArray[Any], *options: int) -> bytes:
+    _, data = cv2.imencode(suffix, image, list(options))
+    return bytes(data)
+
+
+def _file(folder: Path, name: str, data: bytes) -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".pgm"])
+def test_grey_formats_without_loss(tmp_path: Path, suffix: str) -> None:
+    image = read_image(_file(tmp_path, f"a{suffix}", encoded(suffix, GREY)))
+    assert image.dtype == np.uint8
+    assert np.array_equal(image, GREY)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm"])
+def test_sixteen_bits_stay(tmp_path: Path, suffix: str) -> None:
+    image = read_image(_file(tmp_path, f"a{suffix}", encoded(suffix, GREY_16)))
+    assert image.dtype == np.uint16
+    assert np.array_equal(image, GREY_16)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".ppm"])
+def test_colour_becomes_grey_with_the_weights_of_opencv(tmp_path: Path, suffix: str) -> None:
+    image = read_image(_file(tmp_path, f"a{suffix}", encoded(suffix, COLOUR)))
+    assert np.array_equal(image, cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))
+
+
+def test_alpha_is_dropped(tmp_path: Path) -> None:
+    with_alpha = np.dstack([COLOUR, GREY])
+    image = read_image(_file(tmp_path, "a.png", encoded(".png", with_alpha)))
+    assert np.array_equal(image, cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_formats_with_loss(tmp_path: Path, suffix: str) -> None:
+    image = read_image(_file(tmp_path, f"a{suffix}", encoded(suffix, SMOOTH)))
+    assert np.abs(image.astype(int) - SMOOTH).max() < 16
+
+
+def test_arrays_from_numpy_files(tmp_path: Path) -> None:
+    cases: list[tuple[NDArray[Any], NDArray[Any]]] = [
+        (GREY, GREY),
+        (GREY_16.astype(">u2"), GREY_16),
+        (GREY_16 / 65535, GREY_16),
+        ((GREY_16 / 65535).astype(np.float32), GREY_16),
+        (np.asfortranarray(GREY), GREY),
+        (COLOUR[:, :, ::-1], cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY)),
+    ]
+    for array, expected in cases:
+        np.save(tmp_path / "a.npy", array)
+        image = read_image(tmp_path / "a.npy")
+        assert image.dtype == expected.dtype
+        assert np.array_equal(image, expected)
+
+
+def test_float_tiff(tmp_path: Path) -> None:
+    data = encoded(".tif", (GREY_16 / 65535).astype(np.float32))
+    assert np.array_equal(read_image(_file(tmp_path, "a.tif", data)), GREY_16)
+
+
+def test_the_real_frame_is_read_without_change() -> None:
+    path = shared_file("data/pvdn_frame_047433.png")
+    expected = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert expected is not None
+    assert np.array_equal(read_image(path), expected)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm", ".webp", ".npy"])
+def test_a_file_cut_anywhere_is_refused(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".npy":
+        np.save(tmp_path / "whole.npy", GREY)
+        data = (tmp_path / "whole.npy").read_bytes()
+    else:
+        data = encoded(suffix, GREY)
+    for share in (0.02, 0.3, 0.5, 0.9, 0.99):
+        path = _file(tmp_path, f"cut{suffix}", data[: int(len(data) * share)])
+        with pytest.raises(ValueError, match=r"truncated|expected a") as caught:
+            read_image(path)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert "\n" not in str(caught.value)
+
+
+def test_every_cut_of_png_and_jpeg_is_refused(tmp_path: Path) -> None:
+    for name, data in (("a.png", encoded(".png", SMOOTH)), ("a.jpg", encoded(".jpg", SMOOTH))):
+        for length in range(1, len(data), 7):
+            with pytest.raises(ValueError, match=name):
+                read_image(_file(tmp_path, name, data[:length]))
+
+
+def test_a_progressive_jpeg_with_a_thumbnail_is_followed(tmp_path: Path) -> None:
+    data = encoded(".jpg", SMOOTH, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
+    thumbnail = encoded(".jpg", SMOOTH[:64, :64])
+    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    whole = data[:2] + segment + data[2:]
+    assert read_image(_file(tmp_path, "a.jpg", whole)).shape == SMOOTH.shape
+    assert read_image(_file(tmp_path, "a.jpg", whole + b"trailing")).shape == SMOOTH.shape
+    with pytest.raises(ValueError, match="truncated JPEG, expected the end-of-image marker"):
+        read_image(_file(tmp_path, "a.jpg", whole[:-100]))
+
+
+def test_a_flipped_bit_in_a_png_is_noticed(tmp_path: Path) -> None:
+    data = bytearray(encoded(".png", GREY))
+    data[len(data) // 2] ^= 4
+    with pytest.raises(ValueError, match="damaged PNG, wrong checksum of chunk 'IDAT' at byte"):
+        read_image(_file(tmp_path, "a.png", bytes(data)))
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.png", b"", "expected an image, the file is empty"),
+        ("a.npy", b"", "expected an image, the file is empty"),
+        ("a.png", b"this is text\n" * 20, "expected an image .*, is none, or truncated or damaged"),
+        ("a.jpg", b"\xff\xd8\xff", "truncated JPEG"),
+        ("a.png", b"\x89PNG\r\n\x1a\n", "truncated PNG"),
+        ("a.npy", b"no array", "expected a complete .npy file"),
+        ("a.png", encoded(".png", GREY[:63]), "header: image size: expected 64 to 8192 px a side, got 90x63 px"),
+        ("a.jpg", encoded(".jpg", GREY[:, :10]), "header: image size: .*got 10x70 px"),
+        ("a.bmp", encoded(".bmp", GREY[:, :10]), "image size: .*got 10x70 px"),
+        ("a.png", encoded(".png", np.zeros((64, MAX_SIDE_PX + 1), np.uint8)), "got 8193x64 px"),
+    ],
+)
+def test_what_is_no_image(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    path = _file(tmp_path, name, data)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_image(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None:
+    data = bytearray(encoded(".png", GREY))
+    data[16:24] = (2**31 - 1).to_bytes(4, "big") * 2
+    with pytest.raises(ValueError, match="wrong checksum of chunk 'IHDR'"):
+        read_image(_file(tmp_path, "a.png", bytes(data)))
+    header = np.lib.format.header_data_from_array_1_0(GREY) | {"shape": (2**40, 2**20)}
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ValueError, match=r"expected a complete \.npy file"):
+        read_image(tmp_path / "a.npy")
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such image"):
+        read_image(tmp_path / "absent.png")
+    with pytest.raises(ValueError, match="expected an image file, is not a file"):
+        read_image(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.full((64, 64), np.nan), r"expected floats in \[0, 1\], got NaN"),
+        (np.full((64, 64, 3), np.inf), "got values from inf to inf"),
+        (np.full((64, 64), 1.5), "got values from 1.5 to 1.5"),
+        (np.full((64, 64), -0.1), "got values from -0.1 to -0.1"),
+        (np.zeros((64, 64), np.int32), "expected uint8, uint16 or float .*got int32"),
+        (np.zeros((64, 64), bool), "got bool"),
+        (np.zeros((64, 64), complex), "got complex128"),
+        (np.zeros((64, 64, 5), np.uint8), "expected shape"),
+        (np.zeros(64, np.uint8), "expected shape"),
+        (np.zeros((0, 64), np.uint8), "expected at least one pixel"),
+        ([[1, 2]], "expected a NumPy array, got list"),
+    ],
+)
+def test_arrays_that_are_no_image(array: Any, message: str) -> None:
+    with pytest.raises(ValueError, match="here: image: ") as caught:
+        to_grey(array, "here")
+    with pytest.raises(ValueError, match=message):
+        to_grey(array)
+    assert str(caught.value).startswith("here: image: ")
+
+
+def test_to_grey_keeps_a_grey_image_itself() -> None:
+    assert to_grey(GREY) is GREY
+    assert to_grey(GREY[::2, ::3]).strides == GREY[::2, ::3].strides
+    assert np.array_equal(to_grey(GREY[:, :, None]), GREY)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+def test_equal_channels_give_that_grey(dtype: type[Any]) -> None:
+    grey = (np.arange(256).reshape(16, 16) / (255 if np.dtype(dtype).kind == "f" else 1)).astype(dtype)
+    for channels in (1, 3):
+        assert np.array_equal(to_grey(np.dstack([grey] * channels)), to_grey(grey))
+    assert np.array_equal(to_grey(np.dstack([grey] * 3 + [grey * 0])), to_grey(grey))
+
+
+def test_order_of_the_channels() -> None:
+    assert np.array_equal(to_grey(COLOUR, order="bgr"), to_grey(COLOUR[:, :, ::-1], order="rgb"))
+    assert to_grey(np.array([[[255, 0, 0]]], np.uint8)).tolist() == [[76]]  # 0.299 * 255 = 76.2
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(st.floats(0, 1), st.integers(0, 65535))
+def test_floats_are_rounded_to_the_nearest_level(value: float, level: int) -> None:
+    assert abs(int(to_grey(np.array([[value]]))[0, 0]) - value * 65535) <= 0.51
+    assert to_grey(np.array([[level / 65535]]))[0, 0] == level
+
+
+def _npy_bytes() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder) / "a.npy", GREY)
+        return (Path(folder) / "a.npy").read_bytes()
+
+
+_SEEDS = [
+    (".png", encoded(".png", SMOOTH)),
+    (".png", encoded(".png", COLOUR)),
+    (".jpg", encoded(".jpg", SMOOTH)),
+    (".tif", encoded(".tif", SMOOTH)),
+    (".bmp", encoded(".bmp", COLOUR)),
+    (".pgm", encoded(".pgm", GREY)),
+    (".webp", encoded(".webp", SMOOTH)),
+    (".npy", _npy_bytes()),
+]
+
+
+def _read_or_refused(data: bytes, suffix: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = _file(Path(folder), f"fuzz{suffix}", data)
+        message = str(path)
+        try:
+            image = read_image(path)
+        except ValueError as error:
+            message = str(error)
+        else:
+            assert image.dtype in (np.uint8, np.uint16)
+            assert MIN_SIDE_PX <= min(image.shape) <= max(image.shape) <= MAX_SIDE_PX
+        assert message.startswith(str(path))
+        assert "\n" not in message
+
+
+@settings(derandomize=True, max_examples=250, deadline=None)
+@given(st.sampled_from(_SEEDS), st.data())
+def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.DataObject) -> None:
+    suffix, whole = seed
+    damaged = bytearray(whole)
+    # Half of the damage goes to the header, where it hurts most.
+    places = st.integers(0, min(200, len(whole) - 1)) | st.integers(0, len(whole) - 1)
+    for place in data.draw(st.lists(places, min_size=1, max_size=6)):
+        damaged[place] ^= data.draw(st.integers(1, 255))
+    _read_or_refused(bytes(damaged[: data.draw(st.integers(len(whole) // 2, len(whole)))]), suffix)
+    _read_or_refused(bytes(damaged), suffix)
+
+
+@settings(derandomize=True, max_examples=100, deadline=None)
+@given(
+    st.sampled_from([".png", ".jpg", ".npy"]),
+    st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"P5\n", b"\x93NUMPY\x01\0"]),
+    st.binary(max_size=300),
+)
+def test_random_bytes_are_refused(suffix: str, start: bytes, rest: bytes) -> None:
+    _read_or_refused(start + rest, suffix)
+
+
+def test_nothing_warns() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        to_grey(np.full((2, 2, 3), 0.5))

@@ -1,0 +1,289 @@
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.datasets import PVDN, FrameCache, FrameSource, ImageFolder, Video, download_pvdn, open_source
+from foreglow.datasets.atomic import open_atomic, write_atomic
+from foreglow.datasets.image_folder import natural_key
+from tests.datasets.test_video import make_video
+from tests.datasets.tiny_pvdn import make_pvdn
+
+
+def _image(seed: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    return np.random.default_rng(seed).integers(0, 256, (64, 70), dtype=np.uint8)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """f2.png, f10.png, f1.PNG, and things that are none of its business."""
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for number in (10, 2, 1):
+        cv2.imwrite(str(folder / f"f{number}.png"), _image(number))
+    (folder / "f1.png").rename(folder / "f1.PNG")
+    (folder / "notes.txt").write_text("dark")
+    (folder / ".hidden.png").write_text("no image")
+    (folder / "more.png").mkdir()
+    return folder
+
+
+def test_a_folder_in_natural_order(folder: Path) -> None:
+    source = ImageFolder(folder)
+    frames = list(source)
+    assert [Path(frame.path).name for frame in frames] == ["f1.PNG", "f2.png", "f10.png"]
+    assert all(np.array_equal(f.image, _image(n)) for f, n in zip(frames, (1, 2, 10), strict=True))
+    assert [frame.frame for frame in frames] == [0, 1, 2]
+    assert [frame.timestamp_ns for frame in frames] == [0, 55_555_556, 111_111_111]
+    assert (source.name, len(source), source.num_frames, source.rate_hz) == ("drive", 3, 3, 18.0)
+    assert [frame.timestamp_ns for frame in ImageFolder(folder, rate_hz=10)] == [0, 100_000_000, 200_000_000]
+
+
+def test_one_bad_image_stops_or_is_skipped(folder: Path) -> None:
+    (folder / "f2.png").write_bytes((folder / "f2.png").read_bytes()[:-40])
+    with pytest.raises(ValueError, match=r"f2\.png: truncated PNG"):
+        list(ImageFolder(folder))
+    source = ImageFolder(folder, on_error="skip")
+    for _ in range(2):
+        assert [frame.frame for frame in source] == [0, 2]
+        assert len(source.skipped) == 1
+        assert source.skipped[0].startswith(f"{folder / 'f2.png'}: truncated PNG")
+
+
+def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match=r"expected a folder with images .* found none"):
+        ImageFolder(tmp_path / "empty")
+    with pytest.raises(FileNotFoundError, match="no such file or folder"):
+        ImageFolder(tmp_path / "absent")
+    with pytest.raises(ValueError, match="rate_hz: expected a positive number, got 0"):
+        ImageFolder(folder, rate_hz=0)
+    bad: Any = "ignore"
+    with pytest.raises(ValueError, match="on_error: expected stop or skip, got 'ignore'"):
+        ImageFolder(folder, on_error=bad)
+
+
+@given(st.lists(st.integers(0, 10**6), max_size=8, unique=True))
+def test_numbers_in_names_sort_as_numbers(numbers: list[int]) -> None:
+    names = [f"a{number}.png" for number in numbers]
+    assert sorted(names, key=natural_key) == [f"a{number}.png" for number in sorted(numbers)]
+
+
+@given(st.lists(st.text(max_size=6), max_size=6))
+def test_any_names_can_be_sorted(names: list[str]) -> None:
+    assert sorted(sorted(names, key=natural_key)) == sorted(names)
+
+
+def test_the_path_decides_what_it_is(folder: Path, tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path / "PVDN", "day")
+    clip = make_video(tmp_path / "clip.mp4", num_frames=3)
+    expected: list[tuple[Path, type[Any], str, int]] = [
+        (folder, ImageFolder, "drive", 3),
+        (folder / "f2.png", ImageFolder, "f2.png", 1),
+        (clip, Video, "clip.mp4", 3),
+        (split, PVDN, "day/val", 5),
+        (split / "images" / "S00001", PVDN, "day/val/S00001", 2),
+        (split / "images" / "S00001" / "000005.png", ImageFolder, "000005.png", 1),
+    ]
+    for path, kind, name, num_frames in expected:
+        source: FrameSource = open_source(path)
+        assert type(source) is kind
+        assert (source.name, source.num_frames) == (name, num_frames)
+        assert len(list(source)) == num_frames
+        assert list(source.skipped) == []
+    assert open_source(str(folder), rate_hz=5).rate_hz == 5
+
+
+def test_a_split_without_its_sequences_is_an_error_not_a_folder(tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path)
+    (split / "labels" / "sequences.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"sequences\.json: no such file"):
+        open_source(split)
+
+
+def test_what_cannot_be_opened(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file or folder"):
+        open_source(tmp_path / "absent")
+    (tmp_path / "notes.txt").write_text("dark")
+    with pytest.raises(ValueError, match="expected a video"):
+        open_source(tmp_path / "notes.txt")
+
+
+def test_the_cache_decodes_once_and_notices_a_change(folder: Path, tmp_path: Path) -> None:
+    cache = FrameCache(tmp_path / "cache")
+    path = folder / "f2.png"
+    first, second = cache.read_image(path), cache.read_image(path)
+    assert np.array_equal(first, second)
+    assert not second.flags.writeable
+    assert (cache.num_misses, cache.num_hits) == (1, 1)
+    cv2.imwrite(str(path), _image(99))
+    os.utime(path, ns=(1, 1))
+    assert np.array_equal(cache.read_image(path), _image(99))
+    assert cache.num_misses == 2
+    again = FrameCache(tmp_path / "cache")
+    assert again.size_bytes == cache.size_bytes == sum(p.stat().st_size for p in (tmp_path / "cache").rglob("*.npy"))
+    assert np.array_equal(again.read_image(path), _image(99))
+    assert again.num_hits == 1
+    again.clear()
+    assert again.size_bytes == 0
+    assert not list((tmp_path / "cache").rglob("*.npy"))
+
+
+def test_a_full_cache_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:
+    cache = FrameCache(tmp_path / "cache", limit_bytes=10_000)  # room for two of 64 * 70 + 128 bytes
+    source = ImageFolder(folder, cache=cache)
+    for _ in range(3):
+        assert all(np.array_equal(f.image, _image(n)) for f, n in zip(source, (1, 2, 10), strict=True))
+    assert cache.is_full
+    assert (cache.num_misses, cache.num_hits) == (5, 4)
+    assert cache.size_bytes <= 10_000
+
+
+def test_a_broken_entry_is_decoded_anew(folder: Path, tmp_path: Path) -> None:
+    cache = FrameCache(tmp_path / "cache")
+    cache.read_image(folder / "f2.png")
+    (entry,) = (tmp_path / "cache").rglob("*.npy")
+    for broken in (b"", b"broken", entry.read_bytes()[:-1]):
+        entry.write_bytes(broken)
+        assert np.array_equal(cache.read_image(folder / "f2.png"), _image(2))
+    assert cache.num_hits == 0
+
+
+def test_bad_images_are_not_cached(folder: Path, tmp_path: Path) -> None:
+    cache = FrameCache(tmp_path / "cache")
+    (folder / "f2.png").write_bytes(b"broken")
+    with pytest.raises(ValueError, match=r"f2\.png"):
+        cache.read_image(folder / "f2.png")
+    with pytest.raises(FileNotFoundError, match="no such image"):
+        cache.read_image(folder / "absent.png")
+    assert cache.size_bytes == 0
+
+
+def test_a_full_disk_only_ends_the_caching(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    cache = FrameCache(tmp_path / "cache")
+    assert np.array_equal(cache.read_image(folder / "f2.png"), _image(2))
+    assert cache.is_full
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+
+
+def test_a_cache_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="expected a folder for the cache"):
+        FrameCache(tmp_path / "file")
+    with pytest.raises(ValueError, match="limit_bytes: expected 0 or more, got -1"):
+        FrameCache(tmp_path, limit_bytes=-1)
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    write_atomic(path, b"old")
+    with pytest.raises(OSError, match=r"No space left on device: '.*a\.json'"):
+        _fail_inside(path)
+    assert path.read_bytes() == b"old"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+
+def _fail_inside(path: Path) -> None:
+    with open_atomic(path) as file:
+        file.write(b"half of the ne")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def _fake_kagglehub(monkeypatch: pytest.MonkeyPatch, download: Any) -> types.SimpleNamespace:
+    """kagglehub and requests as far as the download uses them."""
+    names = ("UnauthenticatedError", "CredentialError", "NotFoundError", "DataCorruptionError", "BackendError")
+    errors: Any = types.ModuleType("kagglehub.exceptions")
+    for name in names:
+        setattr(errors, name, type(name, (Exception,), {}))
+    requests: Any = types.ModuleType("requests")
+    request_error = type("RequestException", (OSError,), {})
+    requests.exceptions = types.SimpleNamespace(
+        RequestException=request_error, HTTPError=type("HTTPError", (request_error,), {})
+    )
+    hub: Any = types.ModuleType("kagglehub")
+    hub.dataset_download = download
+    for module in (errors, requests, hub):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return types.SimpleNamespace(errors=errors, http=requests.exceptions)
+
+
+def test_download_into_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def download(handle: str, output_dir: str) -> None:
+        calls.append((handle, output_dir))
+
+    _fake_kagglehub(monkeypatch, download)
+    target = tmp_path / "data" / "PVDN"
+    assert download_pvdn(target) == target
+    assert calls == [("saralajew/provident-vehicle-detection-at-night-pvdn", str(target))]
+    assert target.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("UnauthenticatedError", "accept the terms at https://www.kaggle.com/datasets/.* API token"),
+        ("CredentialError", "API token"),
+        ("NotFoundError", "there is none of this name"),
+        ("DataCorruptionError", "damaged or failed, try again: first"),
+        ("RequestException", "is this machine online"),
+        ("HTTPError", "Kaggle refuses the download: first"),
+    ],
+)
+def test_each_obstacle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str) -> None:
+    def download(**_: str) -> None:
+        raise AssertionError("replaced below")
+
+    fake = _fake_kagglehub(monkeypatch, download)
+    kind = getattr(fake.errors, name, None) or getattr(fake.http, name)
+
+    def fail(handle: str, output_dir: str) -> None:
+        error: Any = kind(f"first {handle}\nsecond {output_dir}")
+        error.response = None
+        raise error
+
+    monkeypatch.setattr(sys.modules["kagglehub"], "dataset_download", fail)
+    with pytest.raises(ValueError, match=message) as caught:
+        download_pvdn(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_permission_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = _fake_kagglehub(monkeypatch, None)
+
+    def fail(handle: str, output_dir: str) -> None:
+        error = fake.http.HTTPError(f"403 Client Error {handle} {output_dir}")
+        error.response = types.SimpleNamespace(status_code=403)
+        raise error
+
+    monkeypatch.setattr(sys.modules["kagglehub"], "dataset_download", fail)
+    with pytest.raises(ValueError, match=r"https://www\.kaggle\.com/datasets/me/mine"):
+        download_pvdn(tmp_path, "me/mine")
+
+
+def test_an_old_kagglehub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _fake_kagglehub(monkeypatch, lambda handle: handle)
+    with pytest.raises(ValueError, match="pip install -U kagglehub"):
+        download_pvdn(tmp_path)
+
+
+def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "kagglehub", None)
+    with pytest.raises(ValueError, match=r"pip install 'foreglow\[download\]'"):
+        download_pvdn(tmp_path / "data")
+    assert not (tmp_path / "data").exists()

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from foreglow.datasets import Video
+from tests.shared_data import shared_file
+
+NUM_FRAMES = 24
+
+
+def make_video(path: Path, *, codec: str = "mpeg4", pixels: str = "yuv420p", num_frames: int = NUM_FRAMES) -> Path:
+    """A grey ramp that brightens by 8 levels a frame, 96x72, 25 Hz; the header lies at the front of an MP4."""
+    options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
+    with av.open(str(path), "w", options=options) as container:
+        stream: Any = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, pixels
+        stream.bit_rate = 2_000_000
+        for index in range(num_frames):
+            image = np.full((72, 96, 3), 8 * index, np.uint8)
+            image[:, :48] += 16
+            picture = av.VideoFrame.from_ndarray(image, format="rgb24")
+            picture.pts = index
+            picture.time_base = Fraction(1, 25)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_video(tmp_path_factory.mktemp("video") / "clip.mp4")
+
+
+def test_frames_and_true_times(clip: Path) -> None:
+    video = Video(clip)
+    assert (video.name, video.rate_hz, video.num_frames) == ("clip.mp4", 25.0, NUM_FRAMES)
+    for _ in range(2):
+        frames = list(video)
+        assert [frame.timestamp_ns for frame in frames] == [40_000_000 * index for index in range(NUM_FRAMES)]
+        assert [frame.frame for frame in frames] == list(range(NUM_FRAMES))
+        for index, frame in enumerate(frames):
+            assert frame.image.dtype == np.uint8
+            assert frame.image.shape == (72, 96)
+            assert abs(float(frame.image[:, 60:].mean()) - 8 * index) < 4
+            assert abs(float(frame.image[:, :36].mean()) - 8 * index - 16) < 4
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".avi", ".mov"])
+def test_other_containers(tmp_path: Path, suffix: str) -> None:
+    frames = list(Video(make_video(tmp_path / f"clip{suffix}")))
+    assert len(frames) == NUM_FRAMES
+    assert frames[-1].timestamp_ns - frames[0].timestamp_ns == 40_000_000 * (NUM_FRAMES - 1)
+
+
+def test_more_than_eight_bits_become_sixteen(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "deep.mkv", codec="ffv1", pixels="yuv420p10le")
+    frames = list(Video(path))
+    assert frames[0].image.dtype == np.uint16
+    assert abs(float(frames[10].image[:, 60:].mean()) / 257 - 80) < 4
+
+
+def test_frames_come_one_at_a_time(clip: Path) -> None:
+    frames = iter(Video(clip))
+    assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_a_file_cut_in_the_middle(tmp_path: Path, suffix: str) -> None:
+    data = make_video(tmp_path / f"whole{suffix}").read_bytes()
+    cut = tmp_path / f"cut{suffix}"
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    with pytest.raises(ValueError, match=r"truncated video, \d+ bytes are missing at the end"):
+        Video(cut)
+    video = Video(cut, on_error="skip")
+    frames = list(video)
+    assert 4 < len(frames) < NUM_FRAMES
+    assert "truncated video" in video.skipped[0]
+    assert all(line.startswith(str(cut)) for line in video.skipped)
+
+
+def test_damage_inside_is_an_error_or_skipped(clip: Path, tmp_path: Path) -> None:
+    data = bytearray(clip.read_bytes())
+    start = data.find(b"mdat") + 400
+    data[start : len(data) - 200] = b"\xa5" * (len(data) - 200 - start)
+    damaged = tmp_path / "damaged.mp4"
+    damaged.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match=r"damaged\.mp4: "):
+        list(Video(damaged))
+    video = Video(damaged, on_error="skip")
+    assert len(list(video)) < NUM_FRAMES
+    assert video.skipped
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "expected a video, the file is empty"),
+        (b"this is text\n" * 50, "expected a video: Invalid data found"),
+        (b"\0\0\0\x18ftypisom" + bytes(12), "expected a video: Invalid data found"),
+        (b"\0\0\0\x18ftypisom" + bytes(6), "truncated video, 6 bytes are missing at the end"),
+    ],
+)
+def test_what_is_no_video(tmp_path: Path, data: bytes, message: str) -> None:
+    path = tmp_path / "clip.mp4"
+    path.write_bytes(data)
+    for on_error in ("stop", "skip"):
+        with pytest.raises(ValueError, match=message) as caught:
+            Video(path, on_error="skip" if on_error == "skip" else "stop")
+        assert "\n" not in str(caught.value)
+
+
+def test_sound_without_pictures(tmp_path: Path) -> None:
+    path = tmp_path / "sound.mp4"
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("aac", rate=48000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 4096), np.float32), format="fltp", layout="mono")
+        sound.sample_rate = 48000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode(None))
+    with pytest.raises(ValueError, match="expected a video stream, the file has none"):
+        Video(path)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such video"):
+        Video(tmp_path / "absent.mp4")
+    with pytest.raises(ValueError, match="expected a video file, is not a file"):
+        Video(tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_damage_is_read_or_refused(clip: Path, tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    data = np.frombuffer(clip.read_bytes(), np.uint8).copy()
+    places = rng.integers(0, len(data), 20)
+    data[places] ^= rng.integers(1, 256, 20).astype(np.uint8)
+    path = tmp_path / "damaged.mp4"
+    path.write_bytes(data.tobytes())
+    message = str(path)
+    try:
+        video = Video(path, on_error="skip")
+        list(video)
+    except ValueError as error:
+        message = str(error)
+    assert message.startswith(str(path))
+
+
+def test_a_real_clip() -> None:
+    video = Video(shared_file("data/night_motorway_640x360.mp4"))
+    times = [frame.timestamp_ns for frame in video]
+    assert len(times) == 1079
+    assert times == sorted(times)
+    assert times[30] == 1_001_000_000
+    assert video.num_frames is not None
+    assert abs(video.num_frames - len(times)) <= 1
