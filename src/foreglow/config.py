@@ -164,9 +164,9 @@ def _first_complaint(error: ValidationError) -> str:
 
 
 def config_to_toml(config: PipelineConfig) -> str:
-    """`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
+    r"""`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
 
-    >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\\n\\n")[1])
+    >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
     [classifier]
     model = "model.onnx"
     support = 2

@@ -19,8 +19,14 @@ Picture: TypeAlias = NDArray[np.uint8]
 Rectangle: TypeAlias = tuple[int, int, int, int]
 """x1, y1, x2, y2 in picture pixels, half-open."""
 
+Colour: TypeAlias = tuple[int, int, int]
+"""Blue, green, red, 0 to 255."""
+
 SMALLEST_WIDTH_PX = 960
 """Narrower frames are enlarged by a whole factor to at least this width, so that text and lines are legible."""
+
+LARGEST_HEIGHT_PX = 2160
+"""No frame is enlarged beyond this height."""
 
 ACCEPTED_BGR = (120, 235, 90)
 REJECTED_BGR = (180, 160, 145)
@@ -55,13 +61,13 @@ class Measures:
     caption_px: int
 
     @classmethod
-    def of(cls, width_px: int) -> Measures:
-        """The sizes for a frame of `width_px` columns.
+    def of(cls, width_px: int, height_px: int) -> Measures:
+        """The sizes for a frame of `width_px` columns and `height_px` rows.
 
-        >>> Measures.of(64).enlargement, Measures.of(640).enlargement, Measures.of(2872).enlargement
+        >>> Measures.of(64, 64).enlargement, Measures.of(640, 360).enlargement, Measures.of(2872, 1622).enlargement
         (15, 2, 1)
         """
-        enlargement = -(-SMALLEST_WIDTH_PX // width_px)
+        enlargement = min(-(-SMALLEST_WIDTH_PX // width_px), max(1, LARGEST_HEIGHT_PX // height_px))
         unit = enlargement * width_px / 1280
         thin_px = max(1, round(unit))
         return cls(
@@ -80,7 +86,7 @@ class _Mark:
     """A box to draw, in picture pixels, and its score's text, empty for none."""
 
     rectangle: Rectangle
-    colour_bgr: tuple[int, int, int]
+    colour_bgr: Colour
     line_px: int
     text: str
 
@@ -96,7 +102,7 @@ def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Pic
         result: Its result.
         tone: How grey values become visible; None suits the curve to this frame.
     """
-    measures = Measures.of(frame.width_px)
+    measures = Measures.of(frame.width_px, frame.height_px)
     grey = (tone or Tone.of(frame.image)).apply(frame.image)
     if measures.enlargement > 1:
         factor = measures.enlargement
@@ -161,8 +167,14 @@ def _draw_labels(picture: Picture, marks: Sequence[_Mark], measures: Measures, s
         x1, y1, x2, y2 = label
         ground = picture[y1:y2, x1:x2]
         ground[:] = (0.35 * ground + 0.65 * np.array(LABEL_GROUND_BGR)).astype(np.uint8)
-        origin = (x1 + 3, y2 - 4)
-        cv2.putText(picture, mark.text, origin, _FONT, measures.label_scale, mark.colour_bgr, measures.thin_px, cv2.LINE_AA)
+        _write(picture, mark.text, (x1 + 3, y2 - 4), measures.label_scale, mark.colour_bgr, measures.thin_px)
+
+
+def _write(
+    picture: Picture, text: str, origin: tuple[int, int], scale: float, colour_bgr: Colour, line_px: int
+) -> None:
+    """Writes `text` with its lower left corner at `origin`."""
+    cv2.putText(picture, text, origin, _FONT, scale, colour_bgr, line_px, cv2.LINE_AA)
 
 
 def _place(
@@ -190,7 +202,7 @@ def _overlap_px(a: Rectangle, b: Rectangle) -> int:
     return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
 
 
-def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, tuple[int, int, int]]]:
+def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
     """The caption's words, each with its colour."""
     where = f"{frame.sequence}  frame {frame.frame}" if frame.sequence else f"frame {frame.frame}"
     words = [(where, CAPTION_BGR)]
@@ -206,13 +218,11 @@ def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, tuple[int, in
     return words
 
 
-def _draw_caption(
-    picture: Picture, words: Sequence[tuple[str, tuple[int, int, int]]], measures: Measures, top_px: int
-) -> None:
+def _draw_caption(picture: Picture, words: Sequence[tuple[str, Colour]], measures: Measures, top_px: int) -> None:
     """Writes `words` from left to right into the strip below row `top_px`."""
     x_px, scale = measures.caption_px // 3, measures.caption_scale
     for text, colour_bgr in words:
         (width_px, height_px), _ = cv2.getTextSize(text, _FONT, scale, measures.thin_px)
         origin = (x_px, top_px + (measures.caption_px + height_px) // 2)
-        cv2.putText(picture, text, origin, _FONT, scale, colour_bgr, measures.thin_px, cv2.LINE_AA)
+        _write(picture, text, origin, scale, colour_bgr, measures.thin_px)
         x_px += width_px + measures.caption_px

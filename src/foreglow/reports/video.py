@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -116,7 +117,8 @@ class PictureSink:
             OSError: If the file cannot be written; the message names the path.
         """
         if self._picture is not None:
-            self._path.write_bytes(cv2.imencode(".png", self._picture)[1].tobytes())
+            with _naming(self._path):
+                self._path.write_bytes(cv2.imencode(".png", self._picture)[1].tobytes())
 
     def discard(self) -> None:
         """Lets go of the picture."""
@@ -138,9 +140,9 @@ def _fitted(picture: Picture, width_px: int, height_px: int) -> Picture:
 
 
 @contextlib.contextmanager
-def _naming(path: Path):  # type: ignore[no-untyped-def]
-    """Turns an error of the encoder into an OSError that names `path`."""
+def _naming(path: Path) -> Iterator[None]:
+    """Turns an error of the encoder or the disk into an OSError that names `path`."""
     try:
         yield
-    except av.error.FFmpegError as error:
+    except (av.error.FFmpegError, OSError) as error:
         raise OSError(error.errno, error.strerror, str(path)) from error

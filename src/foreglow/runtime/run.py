@@ -21,6 +21,21 @@ class FrameSource(Protocol):
     """Where frames come from."""
 
     @property
+    def name(self) -> str:
+        """What the source is called."""
+        ...
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames in a second; None where that is unknown."""
+        ...
+
+    @property
+    def num_frames(self) -> int | None:
+        """How many frames there are if none is bad; None where that is unknown."""
+        ...
+
+    @property
     def skipped(self) -> Sequence[str]:
         """One line for every file passed over so far: its path and why."""
         ...
@@ -89,7 +104,7 @@ def run(
         folder: Where the results go; sinks that write files write to its `partial` names.
         sinks: Further takers of the results.
         limit: Stop after this many frames; None runs all of them.
-        source_name: What the summary calls the source.
+        source_name: What the summary calls the source; empty takes its own name.
 
     Raises:
         ValueError: If a frame is unreadable and the source stops at it, or its content is unfit.
@@ -111,7 +126,7 @@ def run(
             for taker in takers:
                 taker.close()
         summary = tally.summary(
-            source_name,
+            source_name or source.name,
             source.skipped,
             is_complete=not interrupt.is_set,
             is_classified=pipeline.config.classifier.model is not None,

@@ -1,0 +1,52 @@
+"""Results as text for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from foreglow.evaluation import BoxQuality
+    from foreglow.runtime import RunSummary
+
+
+def run_lines(summary: RunSummary, folder: Path) -> list[str]:
+    """What came of a run, one fact a line; the last says where to look."""
+    found = f"{summary.num_frames} frames, {summary.num_proposals} proposals"
+    if summary.num_accepted is not None:
+        found += f", {summary.num_accepted} light artifacts"
+    total_ms = summary.run_time_ms["total"]
+    if total_ms["median"] is not None:
+        found += f"; {total_ms['median']:.2f} ms a frame (median), {total_ms['p99']:.2f} ms (p99)"
+    lines = [found]
+    if not summary.is_classified:
+        lines.append("the proposals are not classified: no model was given (--model FILE)")
+    if summary.num_skipped:
+        lines.append(f"{summary.num_skipped} unreadable frames skipped, listed in summary.json")
+    if not summary.is_complete:
+        lines.append("interrupted: the results are complete up to there")
+    names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
+    return [*lines, f"look in {folder}: {', '.join(names)}"]
+
+
+def box_quality_table(quality: BoxQuality, title: str) -> Table:
+    """The numbers of `quality`, with a dash for those that are not defined."""
+    table = Table("", "value", "std", title=title, title_justify="left")
+    rows: list[tuple[str, float, float | None]] = [
+        ("precision", quality.precision, None),
+        ("recall", quality.recall, None),
+        ("F", quality.f_score, None),
+        ("q", quality.q, None),
+        ("q_K", quality.q_k, quality.q_k_std),
+        ("q_B", quality.q_b, quality.q_b_std),
+    ]
+    for name, value, std in rows:
+        table.add_row(name, _number(value), "" if std is None else f"± {_number(std)}")
+    return table
+
+
+def _number(value: float) -> str:
+    """`value` to four decimals; a dash for NaN."""
+    return "-" if value != value else f"{value:.4f}"
