@@ -34,8 +34,11 @@ class OutputFolder:
         for name in RESULT_NAMES:
             if (path / name).is_dir():
                 raise ValueError(f"{path / name}: expected a file to write, or nothing, got a folder")
-        with naming(path / RESULT_NAMES[0]):
-            self.partial(RESULT_NAMES[0]).touch()
+        try:
+            self.write_text("frames.jsonl", "")
+        except OSError:
+            self.discard()
+            raise
 
     def partial(self, name: str) -> Path:
         """Where to write the result called `name` until it is published."""
