@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 def run_lines(summary: RunSummary, folder: Path) -> list[str]:
     """What came of a run, one fact a line; the last says where to look."""
-    found = f"{summary.num_frames} frames, {summary.num_proposals} proposals"
+    found = f"{_counted(summary.num_frames, 'frame')}, {_counted(summary.num_proposals, 'proposal')}"
     if summary.num_accepted is not None:
-        found += f", {summary.num_accepted} light artifacts"
+        found += f", {_counted(summary.num_accepted, 'light artifact')}"
     total_ms = summary.run_time_ms["total"]
     if total_ms["median"] is not None:
         found += f"; {total_ms['median']:.2f} ms a frame (median), {total_ms['p99']:.2f} ms (p99)"
@@ -24,11 +24,15 @@ def run_lines(summary: RunSummary, folder: Path) -> list[str]:
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
     if summary.num_skipped:
-        lines.append(f"{summary.num_skipped} unreadable frames skipped, listed in summary.json")
+        lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, listed in summary.json")
     if not summary.is_complete:
         lines.append("interrupted: the results are complete up to there")
     names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
     return [*lines, f"look in {folder}: {', '.join(names)}"]
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def box_quality_table(quality: BoxQuality, title: str) -> Table:
