@@ -51,8 +51,8 @@ def night_frame(seed: int = 0, range_m: float = 90.0) -> NDArray[np.uint8]:
     _add_car(light, range_m)
     light = cv2.GaussianBlur(light, (0, 0), 1.1) + 0.05 * cv2.GaussianBlur(light, (0, 0), 14.0)  # optics, stray light
     signal = 14.0 * np.log1p(1.6 * light)
-    columns_noise = generator.normal(0.0, 0.7, (1, WIDTH_PX))
-    noisy = signal + generator.normal(0.0, 1.0, signal.shape) + columns_noise
+    columns_noise = generator.normal(0.0, 0.3, (1, WIDTH_PX))
+    noisy = signal + generator.normal(0.0, 0.3, signal.shape) + columns_noise
     return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
 
 
@@ -63,9 +63,10 @@ def _add_posts(light: NDArray[np.float64], depth_of_row_m: NDArray[np.float64]) 
         column_px = int(620 + 11.0 * (range_m / 12.0) ** 1.6 + 4.1 * 1000.0 / range_m)
         height_px, half_px = int(1000 / range_m), max(1, int(60 / range_m))
         if column_px + half_px < WIDTH_PX:
-            light[foot_px - height_px : foot_px, column_px - half_px : column_px + half_px + 1] += 120.0 / range_m
+            across = slice(column_px - half_px, column_px + half_px + 1)
             top_px = foot_px - int(0.8 * height_px)
-            light[top_px : top_px + max(2, height_px // 5), column_px - half_px : column_px + half_px] += 900.0 / range_m
+            light[foot_px - height_px : foot_px, across] += 120.0 / range_m
+            light[top_px : top_px + max(2, height_px // 5), across] += 900.0 / range_m
 
 
 def _add_car(light: NDArray[np.float64], range_m: float) -> None:

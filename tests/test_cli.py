@@ -306,3 +306,87 @@ def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None
     record = json.loads((tmp_path / "out" / "frames.jsonl").read_text())
     assert len(record["proposals_xyxy_px"]) == 7
     assert [706, 482, 738, 508] in record["proposals_xyxy_px"]
+
+
+def write_split(root: Path) -> Path:
+    """The labels of a split of two images with one key point each, as PVDN has them."""
+    labels = root / "labels"
+    (labels / "keypoints").mkdir(parents=True)
+    sequence = {
+        "id": 1, "dir": "S00001", "start_time": 0, "end_time": 200, "num_images": 2, "image_ids": [2, 4],
+        "proband_id": 1, "sector": 1, "direction": 0, "street_style": 0, "dome": False, "proband_behaviour": 0,
+        "road_type": 0, "view": 0, "weather": 0, "environment_lighting": 2,
+    }  # fmt: skip
+    images = [
+        {
+            "id": k, "file_name": f"{k:06d}.png", "height": 96, "width": 128, "date_captured": "", "timestamp": 0.0,
+            "licence": 0, "camera_configuration": 0,
+        }
+        for k in (2, 4)
+    ]  # fmt: skip
+    annotations = {
+        "info": {}, "licences": [], "camera_configurations": [{"camera": "Cam01", "cycle": "day"}], "categories": [],
+        "images": images, "annotations": [],
+    }  # fmt: skip
+    (labels / "sequences.json").write_text(json.dumps({"sequences": [sequence]}))
+    (labels / "image_annotations.json").write_text(json.dumps(annotations))
+    instance = {"pos": [10, 10], "iid": 1, "direct": True, "rear": False}
+    vehicle = {"pos": [10, 10], "oid": 1, "direct": True, "instances": [instance]}
+    for k in (2, 4):
+        entry = {"image_id": k, "annotations": [vehicle]}
+        (labels / "keypoints" / f"{k:06d}.json").write_text(json.dumps(entry))
+    return root
+
+
+def test_evaluate(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    predictions = tmp_path / "predictions.json"
+    predictions.write_text(json.dumps({"2": {"boxes": [[5, 5, 15, 15], [30, 30, 40, 40]], "scores": [0.9, 0.8]}}))
+    result = foreglow_command("evaluate", split, "--predictions", predictions, "--json", tmp_path / "quality.json")
+    assert result.exit_code == 0, result.output
+    assert "precision" in result.stdout
+    assert "± 0.0000" in result.stdout
+    quality = json.loads((tmp_path / "quality.json").read_text())
+    assert (quality["tp"], quality["fp"], quality["fn"]) == (1, 1, 1)
+    assert (quality["precision"], quality["recall"], quality["q"]) == (0.5, 0.5, 1.0)
+
+
+def test_undefined_metrics_are_a_dash_and_null(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (tmp_path / "none.json").write_text("{}")
+    options = ["--predictions", tmp_path / "none.json", "--json", tmp_path / "quality.json"]
+    result = foreglow_command("evaluate", split, *options)
+    assert result.exit_code == 0, result.output
+    assert "± -" in result.stdout
+    assert json.loads((tmp_path / "quality.json").read_text())["q"] is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"x": 3}'])
+def test_broken_predictions_are_one_line(tmp_path: Path, text: str) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (tmp_path / "predictions.json").write_text(text)
+    assert "predictions.json" in complaint("evaluate", split, "--predictions", tmp_path / "predictions.json")
+
+
+def test_missing_key_point_file_is_one_line(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (split / "labels" / "keypoints" / "000004.json").unlink()
+    (tmp_path / "none.json").write_text("{}")
+    assert "000004.json" in complaint("evaluate", split, "--predictions", tmp_path / "none.json")
+
+
+def test_import_of_weights_that_are_none(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    (tmp_path / "weights.pt").write_bytes(b"no weights")
+    line = complaint("import-weights", tmp_path / "weights.pt", "--out", tmp_path / "model.onnx")
+    assert "weights.pt" in line
+    assert names(tmp_path) == {"weights.pt"}
+
+
+def test_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def import_weights(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+
+    monkeypatch.setattr("foreglow.learning.import_weights", import_weights)
+    line = complaint("import-weights", tmp_path / "weights.pt", "--out", tmp_path / "model.onnx")
+    assert "pip install 'foreglow[train]'" in line

@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from foreglow.config import PipelineConfig, preset, read_config
+    from foreglow.datasets import PVDN, open_source
+    from foreglow.evaluation import BoxQuality, evaluate_boxes, evaluate_split
     from foreglow.pipeline import Pipeline
     from foreglow.types import Detections, Frame, FrameResult, Proposals
 
     __version__: str
 
 __all__ = [
+    "PVDN",
+    "BoxQuality",
     "Detections",
     "Frame",
     "FrameResult",
@@ -30,18 +34,26 @@ __all__ = [
     "PipelineConfig",
     "Proposals",
     "__version__",
+    "evaluate_boxes",
+    "evaluate_split",
+    "open_source",
     "preset",
     "propose",
     "read_config",
 ]
 
 _HOMES = {
+    "BoxQuality": "foreglow.evaluation",
     "Detections": "foreglow.types",
     "Frame": "foreglow.types",
     "FrameResult": "foreglow.types",
     "Pipeline": "foreglow.pipeline",
     "PipelineConfig": "foreglow.config",
+    "PVDN": "foreglow.datasets",
     "Proposals": "foreglow.types",
+    "evaluate_boxes": "foreglow.evaluation",
+    "evaluate_split": "foreglow.evaluation",
+    "open_source": "foreglow.datasets",
     "preset": "foreglow.config",
     "read_config": "foreglow.config",
 }

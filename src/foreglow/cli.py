@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.runtime import FrameSource, OutputFolder, ResultSink, RunSummary
 
-EXTRAS = {"kagglehub": "download", "onnx": "train", "torch": "train"}
+EXTRAS = {"onnx": "train", "torch": "train"}
 """Optional modules, and the extra that installs each."""
 
 
@@ -100,18 +100,21 @@ def evaluate(
     split: Annotated[Path, typer.Argument(help="A PVDN split, such as PVDN/day/val.")],
     predictions: Annotated[Path, typer.Option(metavar="FILE", help="frames.jsonl of a run, or PVDN's JSON.")],
     threshold: Annotated[float, typer.Option(help="A box counts when its score is above this.")] = 0.5,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the numbers as JSON.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write them as JSON.")] = None,
 ) -> None:
     """Compare predicted boxes with a split's key points: precision, recall, F and the box quality."""
+    import json
+
     import rich
 
+    from foreglow.datasets.atomic import write_atomic
     from foreglow.evaluation import evaluate_split
-    from foreglow.reports.tables import box_quality_json, box_quality_table
+    from foreglow.reports.tables import box_quality_table
 
     quality = evaluate_split(split, predictions, threshold)
-    if json is not None:
-        json.write_text(box_quality_json(quality), encoding="utf-8")
-    rich.print(box_quality_table(quality, f"{split}, score > {threshold:g}"))
+    if json_file is not None:
+        write_atomic(json_file, (json.dumps(quality.to_json(), indent=2, allow_nan=False) + "\n").encode())
+    rich.print(box_quality_table(quality, str(split)))
 
 
 @app.command("import-weights")
@@ -133,9 +136,7 @@ def import_weights(
 @app.command()
 def download(
     dataset: Annotated[str, typer.Argument(help="The data set: pvdn.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where to put it; kagglehub's cache if not given.")
-    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to put it.")] = Path("PVDN"),
 ) -> None:
     """Fetch a data set."""
     if dataset != "pvdn":
@@ -197,13 +198,14 @@ def _run(
 ) -> RunSummary:
     """Runs the pipeline over `source`, with a progress bar where there is a terminal."""
     from foreglow.datasets import open_source
+    from foreglow.datasets.source import checked_on_error
     from foreglow.pipeline import Pipeline
     from foreglow.reports.progress import ProgressSink
     from foreglow.runtime import RESULT_NAMES, OutputFolder, run
 
     if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
         raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
-    frames = open_source(source, on_error=on_error)
+    frames = open_source(source, on_error=checked_on_error(on_error))
     pipeline = Pipeline(configuration)
     folder = OutputFolder(out)
     num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)

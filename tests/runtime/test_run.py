@@ -110,6 +110,14 @@ def test_limit(tmp_path: Path, limit: int | None, expected: int) -> None:
     assert (summary.num_frames, summary.is_complete) == (expected, True)
 
 
+def test_pipeline_is_reset_at_the_start_of_each_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resets: list[Pipeline] = []
+    monkeypatch.setattr(Pipeline, "reset", lambda pipeline: resets.append(pipeline))
+    frames = night_frames(2, "S00001") + night_frames(3, "S00002")
+    run_into(tmp_path, ListSource(frames))
+    assert len(resets) == 2
+
+
 def test_no_frames_give_a_valid_empty_result(tmp_path: Path) -> None:
     run_into(tmp_path, ListSource([]))
     summary = json.loads((tmp_path / "summary.json").read_text())

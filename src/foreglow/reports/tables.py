@@ -36,18 +36,25 @@ def _counted(number: int, noun: str) -> str:
 
 
 def box_quality_table(quality: BoxQuality, title: str) -> Table:
-    """The numbers of `quality`, with a dash for those that are not defined."""
-    table = Table("", "value", "std", title=title, title_justify="left")
-    rows: list[tuple[str, float, float | None]] = [
-        ("precision", quality.precision, None),
-        ("recall", quality.recall, None),
-        ("F", quality.f_score, None),
-        ("q", quality.q, None),
-        ("q_K", quality.q_k, quality.q_k_std),
-        ("q_B", quality.q_b, quality.q_b_std),
-    ]
-    for name, value, std in rows:
-        table.add_row(name, _number(value), "" if std is None else f"± {_number(std)}")
+    """The numbers of `quality`, with a dash for those that are not defined, and the counts behind them."""
+    condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
+    caption = f"{_counted(quality.num_images, 'image')}, {condition}"
+    if quality.num_missing:
+        caption += f"\n{_counted(quality.num_missing, 'image')} without predictions, counted as without boxes"
+    if quality.num_unknown:
+        caption += f"\npredictions for {_counted(quality.num_unknown, 'unknown image')} ignored"
+    table = Table("", "", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
+    table.columns[1].justify = "right"
+    for name, value in (("precision", quality.precision), ("recall", quality.recall), ("F", quality.f1)):
+        table.add_row(name, _number(value))
+    table.add_section()
+    table.add_row("q", _number(quality.q))
+    table.add_row("q_K", _number(quality.q_k), f"± {_number(quality.q_k_std)}")
+    table.add_row("q_B", _number(quality.q_b), f"± {_number(quality.q_b_std)}")
+    table.add_section()
+    table.add_row("TP (key points in a box)", str(quality.tp))
+    table.add_row("FN (key points in none)", str(quality.fn))
+    table.add_row("FP (boxes without key point)", str(quality.fp))
     return table
 
 

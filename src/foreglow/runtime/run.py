@@ -100,7 +100,7 @@ def run(
 
     Args:
         source: The frames.
-        pipeline: What makes results of them; it is reset first.
+        pipeline: What makes results of them; it is reset at the start of each sequence.
         folder: Where the results go; sinks that write files write to its `partial` names.
         sinks: Further takers of the results.
         limit: Stop after this many frames; None runs all of them.
@@ -114,9 +114,12 @@ def run(
     takers: list[ResultSink] = list(sinks)
     try:
         takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
-        pipeline.reset()
+        sequence: str | None = None
         with InterruptFlag() as interrupt:
             for frame in itertools.islice(source, limit):
+                if frame.sequence != sequence:  # sequences share no time axis
+                    pipeline.reset()
+                    sequence = frame.sequence
                 result = pipeline.step(frame)
                 for taker in takers:
                     taker.write(frame, result)
