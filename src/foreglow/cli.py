@@ -7,13 +7,14 @@ so that help is there at once.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
+    from foreglow.datasets.source import OnError
     from foreglow.runtime import FrameSource, OutputFolder, ResultSink, RunSummary
 
 EXTRAS = {"onnx": "train", "torch": "train"}
@@ -198,14 +199,13 @@ def _run(
 ) -> RunSummary:
     """Runs the pipeline over `source`, with a progress bar where there is a terminal."""
     from foreglow.datasets import open_source
-    from foreglow.datasets.source import checked_on_error
     from foreglow.pipeline import Pipeline
     from foreglow.reports.progress import ProgressSink
     from foreglow.runtime import RESULT_NAMES, OutputFolder, run
 
     if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
         raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
-    frames = open_source(source, on_error=checked_on_error(on_error))
+    frames = open_source(source, on_error=cast("OnError", on_error))
     pipeline = Pipeline(configuration)
     folder = OutputFolder(out)
     num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
