@@ -1,10 +1,16 @@
 // The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL, returns arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
+#include <cstring>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 #include "foreglow/crops.hpp"
+#include "foreglow/proposals.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -47,10 +53,71 @@ auto extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t 
     return nb::ndarray<nb::numpy, float, nb::ndim<4>>(crops, {num_boxes, 1, size, size}, owner);
 }
 
+foreglow::ProposalParameters parameters_from(const nb::dict& fields) {
+    foreglow::ProposalParameters p;
+    const auto read = [&](const char* name, auto& value) {
+        value = nb::cast<std::remove_reference_t<decltype(value)>>(fields[name]);
+    };
+    read("kappa", p.kappa);
+    read("window_px", p.window_px);
+    read("eps", p.eps);
+    read("min_deviation", p.min_deviation);
+    read("gap_px", p.gap_px);
+    read("min_area_px", p.min_area_px);
+    read("max_area_px", p.max_area_px);
+    read("min_width_px", p.min_width_px);
+    read("reduction", p.reduction);
+    read("reference_width_px", p.reference_width_px);
+    read("normalise", p.normalise);
+    read("blur_width_px", p.blur_width_px);
+    read("blur_height_px", p.blur_height_px);
+    read("blur_sigma_px", p.blur_sigma_px);
+    p.window = nb::cast<std::string>(fields["window"]) == "centred" ? foreglow::Window::centred
+                                                                    : foreglow::Window::published;
+    if (!fields["region_xyxy_px"].is_none()) {
+        const nb::object region = fields["region_xyxy_px"];
+        p.region = foreglow::Box{nb::cast<std::int32_t>(region[0]), nb::cast<std::int32_t>(region[1]),
+                                 nb::cast<std::int32_t>(region[2]), nb::cast<std::int32_t>(region[3])};
+    }
+    return p;
+}
+
+foreglow::ProposalGenerator make_generator(const nb::dict& parameters, const std::string& dispatch) {
+    if (dispatch == "auto") return foreglow::ProposalGenerator(parameters_from(parameters));
+    for (const auto known : {foreglow::Dispatch::baseline, foreglow::Dispatch::avx2, foreglow::Dispatch::avx512}) {
+        if (dispatch == foreglow::name_of(known)) return foreglow::ProposalGenerator(parameters_from(parameters), known);
+    }
+    throw std::invalid_argument("dispatch: expected auto, baseline, avx2 or avx512, got " + dispatch);
+}
+
+auto propose(foreglow::ProposalGenerator& generator, const PixelArray& image) {
+    const foreglow::ImageView view = view_of(image);
+    const std::vector<foreglow::Box>* boxes = nullptr;
+    {
+        nb::gil_scoped_release released;
+        boxes = &generator.propose(view);
+    }
+    auto* values = new std::int32_t[boxes->size() * 4];
+    if (!boxes->empty()) std::memcpy(values, boxes->data(), boxes->size() * sizeof(foreglow::Box));
+    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<std::int32_t*>(pointer); });
+    return nb::ndarray<nb::numpy, std::int32_t, nb::ndim<2>>(values, {boxes->size(), 4}, owner);
+}
+
 }  // namespace
 
 NB_MODULE(_native, module) {
     module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals and foreglow.classifier.";
     module.def("extract_crops", &extract_crops, "image"_a, "boxes_xyxy_px"_a, "support"_a, "size_px"_a,
                "Crops of `boxes_xyxy_px` (N, 4) int32 as float32 (N, 1, size_px, size_px) in [0, 1].");
+    nb::class_<foreglow::ProposalGenerator>(module, "ProposalGenerator", "Finds proposals; one object a thread.")
+        .def(nb::new_(&make_generator), "parameters"_a, "dispatch"_a)
+        .def("propose", &propose, "image"_a, "Boxes (N, 4) int32 of a grey image, half-open, full-frame pixels.")
+        .def_prop_ro("dispatch", [](const foreglow::ProposalGenerator& g) { return foreglow::name_of(g.dispatch()); })
+        .def_prop_ro("num_doubtful", &foreglow::ProposalGenerator::num_doubtful,
+                     "Pixels of the last frame that double precision had to decide.");
+    module.def("available_dispatch", [] {
+        std::vector<std::string> names;
+        for (const auto dispatch : foreglow::available_dispatch()) names.emplace_back(foreglow::name_of(dispatch));
+        return names;
+    }, "Instruction sets that this processor can run, weakest first.");
 }

@@ -1,0 +1,2 @@
+#define FOREGLOW_KERNELS kernels_baseline
+#include "kernels.inl"
