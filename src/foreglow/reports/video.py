@@ -118,7 +118,8 @@ class PictureSink:
         """
         if self._picture is not None:
             with _naming(self._path):
-                self._path.write_bytes(cv2.imencode(".png", self._picture)[1].tobytes())
+                png = cv2.imencode(".png", self._picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]
+                self._path.write_bytes(png.tobytes())
 
     def discard(self) -> None:
         """Lets go of the picture."""
