@@ -96,6 +96,17 @@ def test_wrong_file_is_named_with_field_and_value(text: str, complaint: str) -> 
     assert "\n" not in str(caught.value)
 
 
+@given(st.binary(max_size=80) | st.text(max_size=80).map(lambda text: ("[proposals]\n" + text).encode()))
+def test_any_file_is_read_or_refused_in_one_line(data: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "config.toml")
+        path.write_bytes(data)
+        try:
+            assert isinstance(read_config(path), PipelineConfig)
+        except ValueError as error:
+            assert str(error).startswith(str(path))
+
+
 def test_binary_file_is_no_toml(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="expected TOML"):

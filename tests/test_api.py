@@ -1,0 +1,55 @@
+"""`foreglow.propose`: one call from an array to boxes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import foreglow
+from tests.stand_ins import night_image
+
+GREY = np.kron(night_image(), np.ones((10, 10), np.uint8))
+"""960 x 1280, so that the presets' sizes hold as they are."""
+
+
+def test_every_kind_of_array_gives_the_same_boxes() -> None:
+    expected = foreglow.propose(GREY)
+    assert expected.shape == (len(expected), 4)
+    assert expected.dtype == np.int32
+    assert len(expected) > 0
+    kinds: list[Any] = [
+        np.dstack([GREY] * 3),
+        np.dstack([GREY] * 4),
+        GREY.astype(np.uint16) * 257,
+        GREY / 255.0,
+        (GREY / 255.0).astype(np.float32),
+        np.asfortranarray(GREY),
+    ]
+    for array in kinds:
+        assert (foreglow.propose(array) == expected).all()
+
+
+def test_presets_differ() -> None:
+    assert foreglow.propose(GREY).tolist() != foreglow.propose(GREY, preset="baseline").tolist()
+
+
+@pytest.mark.parametrize(
+    ("image", "complaint"),
+    [
+        (np.full((80, 80), np.nan), "NaN"),
+        (np.full((80, 80), 1.5), "1.5"),
+        (np.zeros((80, 80, 5), np.uint8), "shape"),
+        (np.zeros((0, 80), np.uint8), "pixel"),
+        (np.zeros((80, 80), np.int64), "int64"),
+    ],
+)
+def test_unfit_arrays_are_refused(image: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        foreglow.propose(image)
+
+
+def test_unknown_preset_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected one of paper, baseline"):
+        foreglow.propose(GREY, preset="best")
