@@ -104,7 +104,7 @@ def test_any_file_is_read_or_refused_in_one_line(data: bytes) -> None:
         try:
             assert isinstance(read_config(path), PipelineConfig)
         except ValueError as error:
-            assert str(error).startswith(str(path))
+            assert str(error).startswith(str(path))  # noqa: PT017
 
 
 def test_binary_file_is_no_toml(tmp_path: Path) -> None:
