@@ -31,8 +31,11 @@ def test_every_kind_of_array_gives_the_same_boxes() -> None:
         assert (foreglow.propose(array) == expected).all()
 
 
-def test_presets_differ() -> None:
-    assert foreglow.propose(GREY).tolist() != foreglow.propose(GREY, preset="baseline").tolist()
+def test_presets_join_across_different_gaps() -> None:
+    image = np.zeros((480, 640), np.uint8)
+    image[200:212, 300:312] = image[200:212, 320:332] = 200
+    assert len(foreglow.propose(image)) == 2
+    assert len(foreglow.propose(image, preset="baseline")) == 1
 
 
 @pytest.mark.parametrize(
