@@ -130,8 +130,9 @@ def import_weights(
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""
     from foreglow.learning import import_weights
 
-    import_weights(weights, out, fold)
-    typer.echo(f"wrote {out}")
+    model = import_weights(weights, out, fold)
+    millions = model.num_multiply_adds / 1e6
+    typer.echo(f"wrote {model.path}: {model.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")
 
 
 @app.command()
