@@ -1,11 +1,14 @@
-# make demo [SOURCE=path], make test, make check, make bench.   PYTHON names the interpreter for the environment.
+# make demo [SOURCE=path], make test, make check, make bench, make picture.
+# PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, it is
+# the real frame beside the checkout where there is one.
 PYTHON ?= python3
+SOURCE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
 VENV := .venv
 BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench picture clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -21,7 +24,7 @@ $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
 	touch $@ $(VENV)/.run
 
 demo: $(VENV)/.run
-	$(BIN)/foreglow demo
+	$(BIN)/foreglow demo $(if $(SOURCE),"$(SOURCE)")
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest
@@ -33,6 +36,12 @@ check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector
+
+# The picture of the README, from a generated frame.
+picture: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.synthetic_frames bench_output/synthetic
+	$(BIN)/foreglow run bench_output/synthetic/000000.png --out bench_output/picture --video
+	cp bench_output/picture/overlay.png docs/images/synthetic_road.png
 
 clean:
 	rm -rf $(VENV) build demo_output bench_output

@@ -74,8 +74,6 @@ class ProposalConfig(_Frozen):
 
     @model_validator(mode="after")
     def _check(self) -> ProposalConfig:
-        if self.max_area_px != self.max_area_px:
-            raise ValueError("max_area_px: expected a number or inf, got nan")
         if self.region_xyxy_px is not None:
             x1, y1, x2, y2 = self.region_xyxy_px
             if not (0 <= x1 < x2 and 0 <= y1 < y2):
@@ -87,7 +85,8 @@ class ClassifierConfig(_Frozen):
     """Parameters of the classification stage.
 
     Attributes:
-        model: Path of the ONNX model; None leaves the proposals unclassified.
+        model: Path of the ONNX model, relative to the working directory (also in a file); None leaves the proposals
+            unclassified.
         support: The crop is this many times the box's width and height to either side of its centre (paper: M = 2).
         score_threshold: A proposal is accepted when its score is above this.
         num_threads: Threads of the inference.
@@ -148,19 +147,38 @@ def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfi
     try:
         return PipelineConfig.model_validate(merged)
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{path}: {field or 'configuration'}: {first['msg']}, got {first['input']!r}") from error
+        raise ValueError(f"{path}: {_first_complaint(error)}") from error
+
+
+def _first_complaint(error: ValidationError) -> str:
+    """The first field that is wrong, what was expected and what was found, as one line."""
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"]) or "configuration"
+    if first["type"] == "value_error":  # one of our own checks, which says all of it
+        return f"{field}.{first['ctx']['error']}"
+    if first["type"] == "extra_forbidden":
+        section = PipelineConfig.model_fields.get(str(first["loc"][0])) if len(first["loc"]) > 1 else None
+        model = type(section.default) if section is not None else PipelineConfig
+        return f"{field}: unknown, expected one of {', '.join(model.model_fields)}"
+    return f"{field}: {first['msg']}, got {first['input']!r}"
 
 
 def config_to_toml(config: PipelineConfig) -> str:
-    """`config` as TOML text that `read_config` reads back equal; fields that are None are left out."""
-    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True) | _infinities(config))
+    r"""`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
 
-
-def _infinities(config: PipelineConfig) -> dict[str, Any]:
-    """The proposals section with infinite values kept as TOML's `inf`, which JSON mode would write as null."""
-    section = {key: value for key, value in config.proposals.model_dump().items() if value is not None}
-    if section.get("region_xyxy_px") is not None:
-        section["region_xyxy_px"] = list(section["region_xyxy_px"])
-    return {"proposals": section}
+    >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
+    [classifier]
+    model = "model.onnx"
+    support = 2
+    score_threshold = 0.5
+    num_threads = 1
+    <BLANKLINE>
+    """
+    # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
+    sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
+    return tomli_w.dumps(
+        {
+            section: {name: str(value) if isinstance(value, Path) else value for name, value in fields.items()}
+            for section, fields in sections.items()
+        }
+    )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig
-from foreglow.proposals import make_proposer
+from foreglow.proposals import NativeProposer, make_proposer
 from foreglow.types import Detections, Frame, FrameResult
 
 
@@ -34,6 +34,11 @@ class Pipeline:
         self._proposer = make_proposer(self.config.proposals)
         model = self.config.classifier.model
         self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
+
+    @property
+    def dispatch(self) -> str | None:
+        """The instruction set that the native core uses: `baseline`, `avx2` or `avx512`; None with another back end."""
+        return self._proposer.dispatch if isinstance(self._proposer, NativeProposer) else None
 
     def step(self, frame: Frame | NDArray[Any]) -> FrameResult:
         """What the stages make of `frame`.

@@ -13,6 +13,8 @@ from foreglow.proposals.native import NativeProposer
 from foreglow.proposals.reference import ReferenceProposer
 from foreglow.types import Image, Proposals
 
+__all__ = ["BACKENDS", "NativeProposer", "Proposer", "ReferenceProposer", "make_proposer"]
+
 
 class Proposer(Protocol):
     """Finds boxes that may hold a light artifact."""

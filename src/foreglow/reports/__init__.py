@@ -1,1 +1,1 @@
-
+"""Pictures and tables of results; reads results only, never the pipeline."""

@@ -1,0 +1,238 @@
+"""The command `foreglow`: parses, calls, and turns errors into one line and an exit code.
+
+Exit codes: 0 done, 2 bad input or arguments, 130 interrupted by Ctrl-C. What a command needs is imported when it runs,
+so that help is there at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets.source import OnError
+    from foreglow.runtime import FrameSource, OutputFolder, ResultSink, RunSummary
+
+EXTRAS = {"onnx": "train", "torch": "train"}
+"""Optional modules, and the extra that installs each."""
+
+
+class Commands(TyperGroup):
+    """The sub-commands, with their errors turned into one line on stderr."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the sub-command.
+
+        Raises:
+            typer.Exit: With code 2 for bad input and 130 for Ctrl-C; with `--debug` the error itself is raised.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            line, code = "interrupted", 130
+        except (ValueError, OSError, ModuleNotFoundError) as error:
+            is_ours = not isinstance(error, ModuleNotFoundError) or error.name in EXTRAS
+            if ctx.params["debug"] or not is_ours:
+                raise
+            line, code = _one_line(error), 2
+        typer.echo(f"foreglow: {line}", err=True)
+        raise typer.Exit(code)
+
+
+app = typer.Typer(
+    cls=Commands,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Foreglow: provident vehicle detection at night.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Source = Annotated[
+    Path, typer.Argument(help="An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence.")
+]
+ModelOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="ONNX model that classifies the proposals; overrides the file's.")
+]
+
+
+def _show_version(is_wanted: bool) -> None:
+    if is_wanted:
+        import foreglow
+
+        typer.echo(f"foreglow {foreglow.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None: ...
+
+
+@app.command()
+def run(
+    source: Source,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.")],
+    preset: Annotated[str, typer.Option(metavar="paper|baseline", help="Parameters to start from.")] = "paper",
+    model: ModelOption = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="TOML whose fields override the preset.")] = None,
+    video: Annotated[
+        bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
+    ] = False,
+    limit: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")] = None,
+    on_error: Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")] = "stop",
+) -> None:
+    """Find the light artifacts in SOURCE and write them to a folder."""
+    configuration = _configuration(preset, config, model)
+    summary = _run(source, out, configuration, has_video=video, limit=limit, on_error=on_error)
+    _finish(summary, out)
+
+
+@app.command()
+def evaluate(
+    split: Annotated[Path, typer.Argument(help="A PVDN split, such as PVDN/day/val.")],
+    predictions: Annotated[Path, typer.Option(metavar="FILE", help="frames.jsonl of a run, or PVDN's JSON.")],
+    threshold: Annotated[float, typer.Option(help="A box counts when its score is above this.")] = 0.5,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write them as JSON.")] = None,
+) -> None:
+    """Compare predicted boxes with a split's key points: precision, recall, F and the box quality."""
+    import json
+
+    import rich
+
+    from foreglow.datasets.atomic import write_atomic
+    from foreglow.evaluation import evaluate_split
+    from foreglow.reports.tables import box_quality_table
+
+    quality = evaluate_split(split, predictions, threshold)
+    if json_file is not None:
+        write_atomic(json_file, (json.dumps(quality.to_json(), indent=2, allow_nan=False) + "\n").encode())
+    rich.print(box_quality_table(quality, str(split)))
+
+
+@app.command("import-weights")
+def import_weights(
+    weights: Annotated[Path, typer.Argument(help="The published classifier's weights, a plain state dict.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The ONNX model to write.")],
+    fold: Annotated[
+        float | None,
+        typer.Option(metavar="TOLERANCE", help="Remove channels that vary less than this, as in --fold 1e-3."),
+    ] = None,
+) -> None:
+    """Turn the published PVDN classifier into an ONNX model for `run --model`."""
+    from foreglow.learning import import_weights
+
+    model = import_weights(weights, out, fold)
+    millions = model.num_multiply_adds / 1e6
+    typer.echo(f"wrote {model.path}: {model.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")
+
+
+@app.command()
+def download(
+    dataset: Annotated[str, typer.Argument(help="The data set: pvdn.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to put it.")] = Path("PVDN"),
+) -> None:
+    """Fetch a data set."""
+    if dataset != "pvdn":
+        raise ValueError(f"download: expected pvdn, got {dataset!r}")
+    from foreglow.datasets import download_pvdn
+
+    typer.echo(f"PVDN is in {download_pvdn(out)}")
+
+
+@app.command()
+def demo(
+    source: Annotated[Path | None, typer.Argument(help="What to run on, as in `run`.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("demo_output"),
+    model: ModelOption = None,
+) -> None:
+    """Run on SOURCE with annotated pictures, and say where to look."""
+    if source is None:
+        raise ValueError("demo: nothing to run on yet; pass an image, a folder or a video: make demo SOURCE=path")
+    summary = _run(source, out, _configuration("paper", None, model), has_video=True)
+    _finish(summary, out)
+
+
+def main() -> None:
+    """Runs the command line."""
+    app()
+
+
+def _one_line(error: Exception) -> str:
+    """What is wrong, in one line."""
+    if isinstance(error, ModuleNotFoundError):
+        extra = EXTRAS[str(error.name)]
+        return f"{error.name} is not installed; this command needs: pip install 'foreglow[{extra}]'"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+def _configuration(preset: str, file: Path | None, model: Path | None) -> PipelineConfig:
+    """The preset's configuration, overridden by the file's fields, and by the model given."""
+    from foreglow import config
+
+    configuration = config.preset(preset)
+    if file is not None:
+        configuration = config.read_config(file, configuration)
+    if model is not None:
+        classifier = configuration.classifier.model_copy(update={"model": model})
+        configuration = configuration.model_copy(update={"classifier": classifier})
+    return configuration
+
+
+def _run(
+    source: Path,
+    out: Path,
+    configuration: PipelineConfig,
+    *,
+    has_video: bool,
+    limit: int | None = None,
+    on_error: str = "stop",
+) -> RunSummary:
+    """Runs the pipeline over `source`, with a progress bar where there is a terminal."""
+    from foreglow.datasets import open_source
+    from foreglow.pipeline import Pipeline
+    from foreglow.reports.progress import ProgressSink
+    from foreglow.runtime import RESULT_NAMES, OutputFolder, run
+
+    if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
+        raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
+    frames = open_source(source, on_error=cast("OnError", on_error))
+    pipeline = Pipeline(configuration)
+    folder = OutputFolder(out)
+    num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
+    sinks = [ProgressSink(num_frames), *_picture_sinks(frames, folder, has_video)]
+    return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=str(source))
+
+
+def _picture_sinks(frames: FrameSource, folder: OutputFolder, has_video: bool) -> list[ResultSink]:
+    """The sink for the annotated pictures, if they are wanted: a picture of a single image, else a video."""
+    if not has_video:
+        return []
+    from foreglow.reports.video import PictureSink, VideoSink
+
+    if frames.num_frames == 1:
+        return [PictureSink(folder.partial("overlay.png"))]
+    return [VideoSink(folder.partial("overlay.mp4"), frames.rate_hz)]
+
+
+def _finish(summary: RunSummary, out: Path) -> None:
+    """Says on stdout what came of a run; exits with 130 where it was interrupted."""
+    from foreglow.reports.tables import run_lines
+
+    typer.echo("\n".join(run_lines(summary, out)))
+    if not summary.is_complete:
+        raise typer.Exit(130)
+
+
+if __name__ == "__main__":
+    main()

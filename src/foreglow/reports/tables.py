@@ -1,0 +1,63 @@
+"""Results as text for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from foreglow.evaluation import BoxQuality
+    from foreglow.runtime import RunSummary
+
+
+def run_lines(summary: RunSummary, folder: Path) -> list[str]:
+    """What came of a run, one fact a line; the last says where to look."""
+    found = f"{_counted(summary.num_frames, 'frame')}, {_counted(summary.num_proposals, 'proposal')}"
+    if summary.num_accepted is not None:
+        found += f", {_counted(summary.num_accepted, 'light artifact')}"
+    total_ms = summary.run_time_ms["total"]
+    if total_ms["median"] is not None:
+        found += f"; {total_ms['median']:.2f} ms a frame (median), {total_ms['p99']:.2f} ms (p99)"
+    lines = [found]
+    if not summary.is_classified:
+        lines.append("the proposals are not classified: no model was given (--model FILE)")
+    if summary.num_skipped:
+        lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, listed in summary.json")
+    if not summary.is_complete:
+        lines.append("interrupted: the results are complete up to there")
+    names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
+    return [*lines, f"look in {folder}: {', '.join(names)}"]
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def box_quality_table(quality: BoxQuality, title: str) -> Table:
+    """The numbers of `quality`, with a dash for those that are not defined, and the counts behind them."""
+    condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
+    caption = f"{_counted(quality.num_images, 'image')}, {condition}"
+    if quality.num_missing:
+        caption += f"\n{_counted(quality.num_missing, 'image')} without predictions, counted as without boxes"
+    if quality.num_unknown:
+        caption += f"\npredictions for {_counted(quality.num_unknown, 'unknown image')} ignored"
+    table = Table("", "", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
+    table.columns[1].justify = "right"
+    for name, value in (("precision", quality.precision), ("recall", quality.recall), ("F", quality.f1)):
+        table.add_row(name, _number(value))
+    table.add_section()
+    table.add_row("q", _number(quality.q))
+    table.add_row("q_K", _number(quality.q_k), f"± {_number(quality.q_k_std)}")
+    table.add_row("q_B", _number(quality.q_b), f"± {_number(quality.q_b_std)}")
+    table.add_section()
+    table.add_row("TP (key points in a box)", str(quality.tp))
+    table.add_row("FN (key points in none)", str(quality.fn))
+    table.add_row("FP (boxes without key point)", str(quality.fp))
+    return table
+
+
+def _number(value: float) -> str:
+    """`value` to four decimals; a dash for NaN."""
+    return "-" if value != value else f"{value:.4f}"

@@ -1,0 +1,88 @@
+"""The folder that a run writes into: its results appear together at the end, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+RESULT_NAMES = ("frames.jsonl", "overlay.mp4", "overlay.png", "config.toml", "summary.json")
+"""Every name that a run may write; `summary.json` is published last, so where it exists the set is whole."""
+
+
+class OutputFolder:
+    """Makes the folder and checks it before any work is done, then hands out temporary names.
+
+    `partial` gives the path to write a result to; `publish` renames all that were written to their final names and
+    removes results of earlier runs that this one did not write again; `discard` removes what was written and
+    leaves earlier results as they were.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Makes the folder `path`, with its parents.
+
+        Raises:
+            OSError: If it cannot be made or written to; the message names the path.
+            ValueError: If it holds a folder where a result's file has to go.
+        """
+        self.path = path
+        self._partials: dict[str, Path] = {}
+        self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+        path.mkdir(parents=True, exist_ok=True)
+        for name in RESULT_NAMES:
+            if (path / name).is_dir():
+                raise ValueError(f"{path / name}: expected a file to write, or nothing, got a folder")
+        try:
+            self.write_text("frames.jsonl", "")
+        except OSError:
+            self.discard()
+            raise
+
+    def partial(self, name: str) -> Path:
+        """Where to write the result called `name` until it is published."""
+        if name not in RESULT_NAMES:
+            raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
+        return self._partials.setdefault(name, self.path / f"{name}.partial")
+
+    def write_text(self, name: str, text: str) -> None:
+        """Writes the whole result called `name`.
+
+        Raises:
+            OSError: If that fails; the message names the path.
+        """
+        with naming(self.path / name):
+            self.partial(name).write_text(text, encoding="utf-8")
+
+    def publish(self) -> None:
+        """Gives all results their final names, `summary.json` last; a name never written to is skipped."""
+        (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)
+        for name in RESULT_NAMES:
+            partial = self._partials.get(name)
+            if partial is not None and partial.exists():
+                partial.replace(self.path / name)
+            else:
+                (self.path / name).unlink(missing_ok=True)
+        self._partials.clear()
+
+    def discard(self) -> None:
+        """Removes what was written, and the folders that were made for it if nothing else is in them."""
+        for partial in self._partials.values():
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+        self._partials.clear()
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Puts `path` into an OSError that does not say which file it is about, such as one of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error

@@ -1,0 +1,146 @@
+"""An off-line run: every frame of a source through the pipeline, and its results into a folder."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from types import FrameType
+from typing import Protocol
+
+from foreglow.config import config_to_toml
+from foreglow.pipeline import Pipeline
+from foreglow.runtime.folder import OutputFolder
+from foreglow.runtime.records import FrameRecords
+from foreglow.runtime.summary import RunSummary, Tally
+from foreglow.types import Frame, FrameResult
+
+
+class FrameSource(Protocol):
+    """Where frames come from."""
+
+    @property
+    def name(self) -> str:
+        """What the source is called."""
+        ...
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames in a second; None where that is unknown."""
+        ...
+
+    @property
+    def num_frames(self) -> int | None:
+        """How many frames there are if none is bad; None where that is unknown."""
+        ...
+
+    @property
+    def skipped(self) -> Sequence[str]:
+        """One line for every file passed over so far: its path and why."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+
+class ResultSink(Protocol):
+    """Takes the result of every frame, in order: a file, a video, a progress bar."""
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Takes one frame's result."""
+        ...
+
+    def close(self) -> None:
+        """Completes what was written; called once, after the last frame, also where the run was interrupted."""
+        ...
+
+    def discard(self) -> None:
+        """Lets go of everything without completing it; called where the run failed, perhaps after `close`."""
+        ...
+
+
+class InterruptFlag:
+    """While entered, the first Ctrl-C only sets a flag, so that the frame at hand is finished; a second one raises.
+
+    Does nothing outside the main thread, where Python delivers no signals.
+    """
+
+    is_set = False
+
+    def __enter__(self) -> InterruptFlag:
+        self._is_main = threading.current_thread() is threading.main_thread()
+        if self._is_main:
+            self._previous = signal.signal(signal.SIGINT, self._interrupt)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_main:
+            signal.signal(signal.SIGINT, self._previous)
+
+    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
+        if self.is_set:
+            raise KeyboardInterrupt
+        self.is_set = True
+
+
+def run(
+    source: FrameSource,
+    pipeline: Pipeline,
+    folder: OutputFolder,
+    *,
+    sinks: Sequence[ResultSink] = (),
+    limit: int | None = None,
+    source_name: str = "",
+) -> RunSummary:
+    """Runs `pipeline` over `source` and writes `frames.jsonl`, `config.toml` and `summary.json` into `folder`.
+
+    After a first Ctrl-C the results so far are completed and published, and the summary says
+    `is_complete: false`. After any error, and after a second Ctrl-C, nothing of this run remains and an older
+    result in the folder is untouched.
+
+    Args:
+        source: The frames.
+        pipeline: What makes results of them; it is reset at the start of each sequence.
+        folder: Where the results go; sinks that write files write to its `partial` names.
+        sinks: Further takers of the results.
+        limit: Stop after this many frames; None runs all of them.
+        source_name: What the summary calls the source; empty takes its own name.
+
+    Raises:
+        ValueError: If a frame is unreadable and the source stops at it, or its content is unfit.
+        OSError: If a result cannot be written; the message names the path.
+    """
+    tally = Tally()
+    takers: list[ResultSink] = list(sinks)
+    try:
+        takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
+        sequence: str | None = None
+        with InterruptFlag() as interrupt:
+            for frame in itertools.islice(source, limit):
+                if frame.sequence != sequence:  # sequences share no time axis
+                    pipeline.reset()
+                    sequence = frame.sequence
+                result = pipeline.step(frame)
+                for taker in takers:
+                    taker.write(frame, result)
+                tally.add(frame, result)
+                if interrupt.is_set:
+                    break
+            for taker in takers:
+                taker.close()
+        summary = tally.summary(
+            source_name or source.name,
+            source.skipped,
+            is_complete=not interrupt.is_set,
+            is_classified=pipeline.config.classifier.model is not None,
+            dispatch=pipeline.dispatch,
+        )
+        folder.write_text("config.toml", config_to_toml(pipeline.config))
+        folder.write_text("summary.json", summary.to_json())
+        folder.publish()
+    except BaseException:
+        for taker in takers:
+            taker.discard()
+        folder.discard()
+        raise
+    return summary

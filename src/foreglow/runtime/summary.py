@@ -1,0 +1,151 @@
+"""`summary.json`: what a run did, how long it took, and on what."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import subprocess
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from foreglow.types import Frame, FrameResult
+
+RunTime: TypeAlias = dict[str, float | None]
+"""`median`, `p95` and `p99` of one stage in milliseconds; None where no frame was run."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class RunSummary:
+    """What a run did.
+
+    Attributes:
+        source: Where the frames came from, as the user gave it.
+        is_complete: False where the run was interrupted; what it had done by then is kept.
+        is_classified: Whether a model scored the proposals.
+        num_frames: Frames that were run.
+        num_proposals: Boxes proposed, over all frames.
+        num_scored: Boxes that the model scored; None without a model.
+        num_accepted: Boxes scored above the threshold; None without a model.
+        num_skipped: Files that could not be read and were passed over.
+        skipped: One line a skipped file: its path and why.
+        frame_sizes_px: The (width, height) that occurred, in order of their first frame.
+        run_time_ms: Median, p95 and p99 over the frames of every stage and of `total`, their sum, in milliseconds.
+        version: Of Foreglow.
+        commit: The checkout that Foreglow ran from; None where it was installed.
+        has_local_changes: Whether that checkout differed from its commit; None where it was installed.
+        processor: The machine's own name of its processor.
+        dispatch: Instruction set that the native core used; None with another back end.
+    """
+
+    source: str
+    is_complete: bool
+    is_classified: bool
+    num_frames: int
+    num_proposals: int
+    num_scored: int | None
+    num_accepted: int | None
+    num_skipped: int
+    skipped: Sequence[str]
+    frame_sizes_px: Sequence[tuple[int, int]]
+    run_time_ms: Mapping[str, RunTime]
+    version: str
+    commit: str | None
+    has_local_changes: bool | None
+    processor: str
+    dispatch: str | None
+
+    def to_json(self) -> str:
+        """The summary as indented JSON; absent values are null, never NaN."""
+        return json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+
+
+class Tally:
+    """Counts and run-times, gathered frame by frame."""
+
+    def __init__(self) -> None:
+        self._num_frames = 0
+        self._num_proposals = 0
+        self._num_accepted = 0
+        self._sizes_px: dict[tuple[int, int], None] = {}
+        self._stage_ms: defaultdict[str, list[float]] = defaultdict(list)
+
+    def add(self, frame: Frame, result: FrameResult) -> None:
+        """Counts one frame."""
+        self._num_frames += 1
+        self._num_proposals += len(result.proposals)
+        if result.detections is not None:
+            self._num_accepted += int(result.detections.is_accepted.sum())
+        self._sizes_px[frame.width_px, frame.height_px] = None
+        for name, value in result.stage_ms.items():
+            self._stage_ms[name].append(value)
+        self._stage_ms["total"].append(sum(result.stage_ms.values()))
+
+    def summary(
+        self, source: str, skipped: Sequence[str], *, is_complete: bool, is_classified: bool, dispatch: str | None
+    ) -> RunSummary:
+        """The summary of all frames so far, with what is known about this machine and this Foreglow."""
+        commit, has_local_changes = checkout_state()
+        return RunSummary(
+            source=source,
+            is_complete=is_complete,
+            is_classified=is_classified,
+            num_frames=self._num_frames,
+            num_proposals=self._num_proposals,
+            num_scored=self._num_proposals if is_classified else None,
+            num_accepted=self._num_accepted if is_classified else None,
+            num_skipped=len(skipped),
+            skipped=tuple(skipped),
+            frame_sizes_px=tuple(self._sizes_px),
+            run_time_ms={name: run_time(values) for name, values in self._stage_ms.items()} or {"total": run_time([])},
+            version=metadata.version("foreglow"),
+            commit=commit,
+            has_local_changes=has_local_changes,
+            processor=processor_name(),
+            dispatch=dispatch,
+        )
+
+
+def run_time(values_ms: Sequence[float]) -> RunTime:
+    """Median, p95 and p99 (linear between ranks), in milliseconds to 0.1 us; None for no values.
+
+    >>> run_time([1.0, 2.0, 3.0])
+    {'median': 2.0, 'p95': 2.9, 'p99': 2.98}
+    """
+    if not values_ms:
+        return dict.fromkeys(("median", "p95", "p99"))
+    median, p95, p99 = np.percentile(values_ms, (50, 95, 99)).round(4).tolist()
+    return {"median": median, "p95": p95, "p99": p99}
+
+
+def checkout_state() -> tuple[str | None, bool | None]:
+    """The commit of the checkout that this package runs from and whether it has local changes; else None, None."""
+    root = Path(__file__).resolve().parents[3]
+    if not (root / ".git").exists() or not (root / "src" / "foreglow").is_dir():
+        return None, None
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        return commit, bool(_git(root, "status", "--porcelain"))
+    except (OSError, subprocess.SubprocessError):  # no git here, or a checkout that it refuses to read
+        return None, None
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()
+
+
+def processor_name() -> str:
+    """What the machine calls its processor, for example `Intel(R) Xeon(R) Gold 6338`."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()

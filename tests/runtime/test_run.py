@@ -1,0 +1,205 @@
+"""An off-line run: what it writes, and what it leaves when it fails or is interrupted."""
+
+from __future__ import annotations
+
+import errno
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.config import read_config
+from foreglow.pipeline import Pipeline
+from foreglow.runtime import OutputFolder, RunSummary, run
+from foreglow.types import Frame, FrameResult
+from tests.stand_ins import REFERENCE, ListSource, night_frames
+
+
+class Recorder:
+    """A sink that notes what is done to it, and fails where it is told to."""
+
+    def __init__(self, failing: str = "") -> None:
+        self.calls: list[str] = []
+        self._failing = failing
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        assert frame.frame == result.frame
+        self._note("write")
+
+    def close(self) -> None:
+        self._note("close")
+
+    def discard(self) -> None:
+        self._note("discard")
+
+    def _note(self, name: str) -> None:
+        self.calls.append(name)
+        if name == self._failing:
+            raise OSError(errno.ENOSPC, "No space left on device", "picture")
+
+
+def run_into(
+    path: Path, source: ListSource, sinks: list[Recorder] | None = None, limit: int | None = None
+) -> RunSummary:
+    return run(source, Pipeline(REFERENCE), OutputFolder(path), sinks=sinks or [], limit=limit, source_name="here")
+
+
+def records(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def names(path: Path) -> set[str]:
+    return {entry.name for entry in path.iterdir()}
+
+
+def test_writes_one_line_a_frame(tmp_path: Path) -> None:
+    frames = night_frames(4)
+    run_into(tmp_path, ListSource(frames))
+    lines = records(tmp_path)
+    assert [line["frame"] for line in lines] == [0, 2, 4, 6]
+    assert [line["timestamp_ns"] for line in lines] == [0, 50_000_000, 100_000_000, 150_000_000]
+    assert {line["sequence"] for line in lines} == {"S00001"}
+    for line, frame in zip(lines, frames, strict=True):
+        assert list(line) == [
+            "frame", "sequence", "timestamp_ns", "proposals_xyxy_px", "scores", "detections_xyxy_px", "stage_ms",
+        ]  # fmt: skip
+        assert line["proposals_xyxy_px"] == Pipeline(REFERENCE).step(frame).proposals.boxes_xyxy_px.tolist()
+        assert line["scores"] is None
+        assert line["detections_xyxy_px"] is None
+        assert set(line["stage_ms"]) == {"proposals"}
+
+
+def test_summary_counts_and_says_on_what(tmp_path: Path) -> None:
+    returned = run_into(tmp_path, ListSource(night_frames(3), ["a.png: expected an image"]))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary == json.loads(returned.to_json())
+    lines = records(tmp_path)
+    assert summary["source"] == "here"
+    assert summary["num_frames"] == 3
+    assert summary["num_proposals"] == sum(len(line["proposals_xyxy_px"]) for line in lines)
+    assert (summary["num_scored"], summary["num_accepted"]) == (None, None)
+    assert (summary["is_complete"], summary["is_classified"]) == (True, False)
+    assert (summary["num_skipped"], summary["skipped"]) == (1, ["a.png: expected an image"])
+    assert summary["frame_sizes_px"] == [[128, 96]]
+    assert set(summary["run_time_ms"]) == {"proposals", "total"}
+    assert all(0 < time["median"] <= time["p95"] <= time["p99"] for time in summary["run_time_ms"].values())
+    assert summary["dispatch"] is None
+    assert summary["processor"]
+    assert summary["version"]
+
+
+def test_configuration_is_written_and_reads_back_equal(tmp_path: Path) -> None:
+    run_into(tmp_path, ListSource(night_frames(1)))
+    assert read_config(tmp_path / "config.toml") == REFERENCE
+
+
+def test_results_are_the_same_twice_but_for_run_times(tmp_path: Path) -> None:
+    contents = []
+    for name in ("a", "b"):
+        run_into(tmp_path / name, ListSource(night_frames(3)))
+        contents.append([{k: v for k, v in line.items() if k != "stage_ms"} for line in records(tmp_path / name)])
+    assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(None, 5), (2, 2), (9, 5)])
+def test_limit(tmp_path: Path, limit: int | None, expected: int) -> None:
+    summary = run_into(tmp_path, ListSource(night_frames(5)), limit=limit)
+    assert (summary.num_frames, summary.is_complete) == (expected, True)
+
+
+def test_pipeline_is_reset_at_the_start_of_each_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resets: list[Pipeline] = []
+    monkeypatch.setattr(Pipeline, "reset", lambda pipeline: resets.append(pipeline))
+    frames = night_frames(2, "S00001") + night_frames(3, "S00002")
+    run_into(tmp_path, ListSource(frames))
+    assert len(resets) == 2
+
+
+def test_no_frames_give_a_valid_empty_result(tmp_path: Path) -> None:
+    run_into(tmp_path, ListSource([]))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["num_frames"] == 0
+    assert summary["run_time_ms"] == {"total": {"median": None, "p95": None, "p99": None}}
+    assert records(tmp_path) == []
+
+
+def test_sinks_get_every_frame_and_are_closed_once(tmp_path: Path) -> None:
+    sink = Recorder()
+    run_into(tmp_path, ListSource(night_frames(2)), [sink])
+    assert sink.calls == ["write", "write", "close"]
+
+
+@pytest.mark.parametrize("failing", ["write", "close"])
+def test_failing_sink_leaves_nothing_of_a_new_folder(tmp_path: Path, failing: str) -> None:
+    sink = Recorder(failing)
+    with pytest.raises(OSError, match="No space left"):
+        run_into(tmp_path / "new" / "deep", ListSource(night_frames(2)), [sink])
+    assert sink.calls[-1] == "discard"
+    assert names(tmp_path) == set()
+
+
+def test_failure_leaves_an_older_result_untouched(tmp_path: Path) -> None:
+    run_into(tmp_path, ListSource(night_frames(2)))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(OSError, match="No space left"):
+        run_into(tmp_path, ListSource(night_frames(3)), [Recorder("write")])
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_unreadable_frame_leaves_nothing(tmp_path: Path) -> None:
+    class Broken(ListSource):
+        def __iter__(self) -> Iterator[Frame]:
+            yield from night_frames(2)
+            raise ValueError("c.png: expected an image")
+
+    with pytest.raises(ValueError, match=r"c\.png"):
+        run_into(tmp_path / "out", Broken([]))
+    assert names(tmp_path) == set()
+
+
+def test_full_disk_names_the_file(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    folder = OutputFolder(tmp_path / "out")
+    folder.partial("frames.jsonl").unlink()
+    folder.partial("frames.jsonl").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as caught:
+        run(ListSource(night_frames(2)), Pipeline(REFERENCE), folder)
+    assert str(caught.value.filename).endswith("frames.jsonl.partial")
+    assert names(tmp_path) == set()
+
+
+class Interrupting(ListSource):
+    """Presses Ctrl-C `presses` times before the third frame."""
+
+    presses = 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, frame in enumerate(night_frames(6)):
+            if index == 2:
+                for _ in range(self.presses):
+                    signal.raise_signal(signal.SIGINT)
+            yield frame
+
+
+def test_interrupt_keeps_what_was_done(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    sink = Recorder()
+    summary = run_into(tmp_path, Interrupting([]), [sink])
+    assert not summary.is_complete
+    assert json.loads((tmp_path / "summary.json").read_text())["is_complete"] is False
+    assert [line["frame"] for line in records(tmp_path)] == [0, 2, 4]
+    assert sink.calls == ["write"] * 3 + ["close"]
+    assert names(tmp_path) == {"frames.jsonl", "summary.json", "config.toml"}
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_second_interrupt_stops_at_once_and_leaves_nothing(tmp_path: Path) -> None:
+    source = Interrupting([])
+    source.presses = 2
+    with pytest.raises(KeyboardInterrupt):
+        run_into(tmp_path / "out", source)
+    assert names(tmp_path) == set()

@@ -1,0 +1,129 @@
+"""Configuration: what is written reads back equal, and what is wrong is named."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.config import (
+    PRESETS,
+    ClassifierConfig,
+    PipelineConfig,
+    ProposalConfig,
+    config_to_toml,
+    preset,
+    read_config,
+)
+
+corners = st.lists(st.integers(0, 9000), min_size=2, max_size=2, unique=True).map(sorted)
+regions = st.tuples(corners, corners).map(lambda c: (c[0][0], c[1][0], c[0][1], c[1][1]))
+proposal_configs = st.builds(
+    ProposalConfig,
+    kappa=st.floats(0, 10),
+    window_px=st.integers(2, 512),
+    eps=st.floats(0, 1, exclude_min=True),
+    min_deviation=st.floats(0, 1),
+    gap_px=st.integers(1, 64),
+    max_area_px=st.floats(1e-3, 1e9) | st.just(float("inf")),
+    normalise=st.booleans(),
+    window=st.sampled_from(["published", "centred"]),
+    region_xyxy_px=st.none() | regions,
+    backend=st.sampled_from(["native", "reference"]),
+)
+paths = st.text("abc/.\\\"' é\n", min_size=1).map(Path)
+classifier_configs = st.builds(ClassifierConfig, model=st.none() | paths, score_threshold=st.floats(0, 1))
+configs = st.builds(PipelineConfig, proposals=proposal_configs, classifier=classifier_configs)
+
+
+def read_text(text: str, base: PipelineConfig | None = None) -> PipelineConfig:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "config.toml")
+        path.write_text(text, encoding="utf-8")
+        return read_config(path, base)
+
+
+@given(configs)
+def test_what_is_written_reads_back_equal(config: PipelineConfig) -> None:
+    assert read_text(config_to_toml(config)) == config
+
+
+def test_infinity_and_region_read_back() -> None:
+    proposals = ProposalConfig(max_area_px=float("inf"), region_xyxy_px=(1, 2, 30, 40))
+    config = PipelineConfig(proposals=proposals)
+    text = config_to_toml(config)
+    assert "max_area_px = inf" in text
+    assert read_text(text) == config
+
+
+def test_file_overrides_only_the_fields_it_names() -> None:
+    config = read_text("[proposals]\ngap_px = 7\n[classifier]\nsupport = 3", preset("baseline"))
+    expected = preset("baseline").proposals.model_copy(update={"gap_px": 7})
+    assert config.proposals == expected
+    assert config.classifier == ClassifierConfig(support=3)
+
+
+def test_empty_file_is_the_base() -> None:
+    assert read_text("") == PRESETS["paper"]
+    assert read_text("[proposals]", PRESETS["baseline"]) == PRESETS["baseline"]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[proposals]\nkappa = 11", "config.toml: proposals.kappa: Input should be less than or equal to 10, got 11"),
+        ("[proposals]\nkappa = nan", "proposals.kappa: .*got nan"),
+        ("[proposals]\nmax_area_px = nan", "proposals.max_area_px: .*got nan"),
+        ("[proposals]\nkappa = inf", "proposals.kappa: .*got inf"),
+        ("[proposals]\nwindow_px = 1.5", "proposals.window_px: .*got 1.5"),
+        ("[proposals]\nblur_width_px = 2", "proposals.blur_width_px: Input should be 1, 3 or 5, got 2"),
+        ("[proposals]\nregion_xyxy_px = [5, 0, 5, 9]", r"region_xyxy_px: expected 0 <= x1 < x2 .*\(5, 0, 5, 9\)"),
+        ("[proposals]\nregion_xyxy_px = [1, 2, 3]", r"proposals.region_xyxy_px.3: .*got \[1, 2, 3\]"),
+        ("[proposals]\nbackend = 'gpu'", "proposals.backend: .*'native' or 'reference', got 'gpu'"),
+        ("[proposals]\nkapa = 1", "proposals.kapa: unknown, expected one of kappa, window_px, "),
+        ("[tracker]\na = 1", "tracker: unknown, expected one of proposals, classifier"),
+        ("proposals = 3", "proposals: .*got 3"),
+        ("kappa =", "expected TOML: Invalid value"),
+        ("[classifier]\nmodel = 3", "classifier.model: .*got 3"),
+    ],
+)
+def test_wrong_file_is_named_with_field_and_value(text: str, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_text(text)
+    assert "\n" not in str(caught.value)
+
+
+@given(st.binary(max_size=80) | st.text(max_size=80).map(lambda text: ("[proposals]\n" + text).encode()))
+def test_any_file_is_read_or_refused_in_one_line(data: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "config.toml")
+        path.write_bytes(data)
+        try:
+            assert isinstance(read_config(path), PipelineConfig)
+        except ValueError as error:
+            assert str(error).startswith(str(path))  # noqa: PT017
+
+
+def test_binary_file_is_no_toml(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="expected TOML"):
+        read_config(tmp_path / "config.toml")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"absent\.toml: no such configuration file"):
+        read_config(tmp_path / "absent.toml")
+
+
+def test_unknown_preset_lists_the_known_ones() -> None:
+    with pytest.raises(ValueError, match="expected one of paper, baseline, got 'best'"):
+        preset("best")
+
+
+def test_published_parameter_sets() -> None:
+    paper, baseline = preset("paper").proposals, preset("baseline").proposals
+    assert (paper.kappa, paper.window_px, paper.min_deviation, paper.gap_px) == (0.4, 19, 0.01, 4)
+    assert (baseline.kappa, baseline.window_px, baseline.min_deviation, baseline.gap_px) == (0.5, 20, 0.005, 13)

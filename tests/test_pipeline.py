@@ -1,0 +1,60 @@
+"""The pipeline: the same result for the same frame, whoever drives it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from foreglow.pipeline import Pipeline
+from foreglow.types import Frame, FrameResult
+from tests.stand_ins import REFERENCE, night_frames, night_image
+
+
+def identity(result: FrameResult) -> tuple[object, ...]:
+    """All of a result but its run-times."""
+    detections = result.detections
+    scored = None if detections is None else (detections.scores.tolist(), detections.is_accepted.tolist())
+    return result.frame, result.timestamp_ns, result.proposals.boxes_xyxy_px.tolist(), scored
+
+
+def test_same_results_twice_and_in_any_company() -> None:
+    frames = night_frames(4)
+    pipeline = Pipeline(REFERENCE)
+    first = [identity(result) for result in pipeline.run(frames)]
+    pipeline.reset()
+    assert [identity(result) for result in pipeline.run(frames)] == first
+    assert [identity(Pipeline(REFERENCE).step(frame)) for frame in frames] == first
+    assert any(boxes for _, _, boxes, _ in first)
+
+
+def test_plain_array_equals_its_frame() -> None:
+    image = night_image(3)
+    assert identity(Pipeline(REFERENCE).step(image)) == identity(Pipeline(REFERENCE).step(Frame(image, 0)))
+
+
+def test_result_carries_the_frame_and_the_stages() -> None:
+    frame = night_frames(3)[2]
+    result = Pipeline(REFERENCE).step(frame)
+    assert (result.frame, result.timestamp_ns) == (4, 100_000_000)
+    assert list(result.stage_ms) == ["proposals"]
+    assert result.detections is None
+    assert Pipeline(REFERENCE).dispatch is None
+
+
+def test_plain_array_of_another_kind_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected uint8 or uint16, got float64"):
+        Pipeline(REFERENCE).step(np.zeros((80, 80)))
+
+
+def test_frames_are_taken_one_by_one() -> None:
+    taken = []
+
+    def source() -> Iterator[Frame]:
+        for frame in night_frames(3):
+            taken.append(frame.frame)
+            yield frame
+
+    next(Pipeline(REFERENCE).run(source()))
+    assert taken == [0]
