@@ -25,6 +25,10 @@ struct ImageView {
 // Half-open, full-frame pixels: columns x1 <= x < x2, rows y1 <= y < y2.
 struct Box {
     std::int32_t x1 = 0, y1 = 0, x2 = 0, y2 = 0;
+
+    friend bool operator==(const Box& a, const Box& b) {
+        return a.x1 == b.x1 && a.y1 == b.y1 && a.x2 == b.x2 && a.y2 == b.y2;
+    }
 };
 
 }  // namespace foreglow

@@ -1,0 +1,211 @@
+// Tests of the core without Python; meant to run under the address and undefined-behaviour sanitizers.
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <random>
+#include <stdexcept>
+#include <tuple>
+#include <vector>
+
+#include "../src/blobs.hpp"
+#include "../src/taps.hpp"
+#include "foreglow/crops.hpp"
+#include "foreglow/proposals.hpp"
+
+namespace {
+
+using foreglow::Box;
+
+int num_failed = 0, num_passed = 0;
+
+void expect(bool holds, const char* what) {
+    (holds ? num_passed : num_failed) += 1;
+    if (!holds) std::printf("FAILED: %s\n", what);
+}
+
+bool before(const Box& a, const Box& b) {
+    return std::tie(a.y1, a.x1, a.y2, a.x2) < std::tie(b.y1, b.x1, b.y2, b.x2);
+}
+
+// Noise, lamps and a gradient, in rows that are longer than the image is wide. The pixels lie on the heap exactly as
+// large as they must be, so that the sanitizer sees every read beyond them.
+template <typename Pixel>
+struct Scene {
+    std::vector<Pixel> pixels;
+    foreglow::ImageView view;
+
+    Scene(std::int32_t width, std::int32_t height, std::int32_t spare, unsigned seed) {
+        std::mt19937 random(seed);
+        const std::int64_t stride = width + spare, white = sizeof(Pixel) == 1 ? 255 : 65535;
+        pixels.resize(static_cast<std::size_t>(stride * (height - 1) + width));
+        for (std::size_t i = 0; i < pixels.size(); ++i) {
+            const auto y = static_cast<std::int64_t>(i) / stride;
+            pixels[i] = static_cast<Pixel>(y * white / (8 * height) + static_cast<std::int64_t>(random() % 4U));
+        }
+        for (int lamp = 0; lamp < 6; ++lamp) {
+            const auto left = static_cast<std::int32_t>(random() % static_cast<unsigned>(width));
+            const auto top = static_cast<std::int32_t>(random() % static_cast<unsigned>(height));
+            const auto side = static_cast<std::int32_t>(3 + random() % 30U);
+            for (std::int32_t y = top; y < std::min(height, top + side); ++y) {
+                for (std::int32_t x = left; x < std::min(width, left + side); ++x) {
+                    pixels[static_cast<std::size_t>(y * stride + x)] = static_cast<Pixel>(white - lamp * white / 9);
+                }
+            }
+        }
+        view.data = pixels.data();
+        view.width_px = width;
+        view.height_px = height;
+        view.row_stride_bytes = static_cast<std::ptrdiff_t>(stride) * static_cast<std::ptrdiff_t>(sizeof(Pixel));
+        view.pixel_type = sizeof(Pixel) == 1 ? foreglow::PixelType::u8 : foreglow::PixelType::u16;
+    }
+};
+
+// Joins pixels pair by pair: slow and plain.
+std::vector<Box> blobs_by_hand(const std::vector<std::pair<int, int>>& pixels, int gap_px) {
+    std::vector<std::size_t> parents(pixels.size());
+    for (std::size_t i = 0; i < parents.size(); ++i) parents[i] = i;
+    const auto root = [&](std::size_t i) {
+        while (parents[i] != i) i = parents[i];
+        return i;
+    };
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+        for (std::size_t j = 0; j < i; ++j) {
+            const int apart = std::max(std::abs(pixels[i].first - pixels[j].first),
+                                       std::abs(pixels[i].second - pixels[j].second));
+            if (apart <= gap_px) parents[root(i)] = root(j);
+        }
+    }
+    std::vector<Box> boxes;
+    for (std::size_t blob = 0; blob < pixels.size(); ++blob) {
+        if (root(blob) != blob) continue;
+        Box box = {1 << 30, 1 << 30, -1, -1};
+        for (std::size_t i = 0; i < pixels.size(); ++i) {
+            if (root(i) != blob) continue;
+            box = {std::min(box.x1, pixels[i].first), std::min(box.y1, pixels[i].second),
+                   std::max(box.x2, pixels[i].first + 1), std::max(box.y2, pixels[i].second + 1)};
+        }
+        boxes.push_back(box);
+    }
+    return boxes;
+}
+
+void test_blobs_equal_pairwise_joining() {
+    std::mt19937 random(1);
+    foreglow::BlobFinder finder;
+    for (int round = 0; round < 300; ++round) {
+        const int gap_px = 1 + static_cast<int>(random() % 9U), height = 1 + static_cast<int>(random() % 40U);
+        const unsigned sparseness = 2 + random() % 60U;
+        std::vector<std::pair<int, int>> pixels;
+        finder.start(gap_px);
+        for (int y = 0; y < height; ++y) {
+            std::uint64_t even[2] = {0, 0}, odd[2] = {0, 0};
+            for (int x = 0; x < 256; ++x) {
+                if (random() % (sparseness * 10) != 0 && !(sparseness < 4 && x > 200 && x < 230)) continue;
+                ((x % 2) != 0 ? odd : even)[x / 128] |= 1ULL << (x % 128 / 2);
+                pixels.emplace_back(x, y);
+            }
+            finder.add_row(even, odd, 2);
+        }
+        std::vector<Box> found = finder.boxes(), wanted = blobs_by_hand(pixels, gap_px);
+        std::sort(found.begin(), found.end(), before);
+        std::sort(wanted.begin(), wanted.end(), before);
+        expect(found == wanted, "blobs equal those joined pair by pair");
+    }
+}
+
+template <typename Pixel>
+void test_all_dispatch_levels_agree() {
+    const std::int32_t sizes[][2] = {{1, 1}, {2, 1}, {1, 9}, {64, 64}, {65, 33}, {127, 50}, {130, 129}, {333, 77},
+                                     {640, 480}, {1280, 96}, {1283, 101}, {3001, 40}};
+    for (const auto& size : sizes) {
+        for (const bool is_fine : {false, true}) {
+            const Scene<Pixel> scene(size[0], size[1], size[0] % 7, static_cast<unsigned>(size[0]));
+            foreglow::ProposalParameters parameters;
+            if (is_fine) parameters = {0.3, 31, 1e-3, 0.0, 2, 0.0, 1e9, 0.0, 1, size[0] < 64 ? 64 : size[0]};
+            parameters.window = is_fine ? foreglow::Window::centred : foreglow::Window::published;
+            std::vector<Box> first;
+            for (const auto dispatch : foreglow::available_dispatch()) {
+                foreglow::ProposalGenerator generator(parameters, dispatch);
+                generator.propose(scene.view);
+                const std::vector<Box> boxes = generator.propose(scene.view);
+                if (dispatch == foreglow::Dispatch::baseline) first = boxes;
+                expect(boxes == first, "every dispatch level finds the same boxes");
+                for (const Box& box : boxes) {
+                    expect(box.x1 >= 0 && box.y1 >= 0 && box.x1 < box.x2 && box.y1 < box.y2 && box.x2 <= size[0] &&
+                               box.y2 <= size[1],
+                           "boxes lie inside the image");
+                }
+            }
+            if (size[0] >= 640) expect(!first.empty(), "a scene with lamps has proposals");
+        }
+    }
+}
+
+void test_sizes_may_change_between_frames() {
+    foreglow::ProposalGenerator kept{foreglow::ProposalParameters{}};
+    for (const std::int32_t width : {1280, 64, 2872, 1280, 640, 641, 1}) {
+        const Scene<std::uint8_t> scene(width, width / 2 + 1, 3, 5);
+        const std::vector<Box> boxes = kept.propose(scene.view);
+        foreglow::ProposalGenerator fresh{foreglow::ProposalParameters{}};
+        expect(boxes == fresh.propose(scene.view), "an earlier frame of another size leaves no trace");
+    }
+}
+
+template <typename Pixel>
+void test_crops_at_every_border() {
+    const Scene<Pixel> scene(70, 41, 2, 3);
+    std::vector<Box> boxes;
+    for (std::int32_t x = -100; x < 170; x += 13) {
+        for (std::int32_t y = -60; y < 110; y += 7) boxes.push_back({x, y, x + 1 + (x & 15), y + 1 + (y & 31)});
+    }
+    std::vector<float> crops(boxes.size() * 32 * 32, -1.0F);
+    foreglow::extract_crops(scene.view, boxes.data(), boxes.size(), 2, 32, crops.data());
+    expect(std::all_of(crops.begin(), crops.end(), [](float value) { return value >= 0.0F && value <= 1.0F; }),
+           "crops are written whole and lie in [0, 1]");
+}
+
+void test_taps() {
+    for (const double sigma_px : {0.3, 0.8, 2.0, 50.0}) {
+        for (const std::int32_t size : {1, 3, 5}) {
+            const auto kernel = foreglow::gaussian_taps(size, sigma_px);
+            expect(std::abs(kernel[0] + 2 * kernel[1] + 2 * kernel[2] - 1.0) < 1e-12, "taps sum to one");
+            const auto whole = foreglow::whole_taps(kernel, 1020);
+            expect(whole.sum == whole.taps[0] + 2 * (whole.taps[1] + whole.taps[2]), "whole taps state their sum");
+            if (sigma_px >= 0.8) expect(whole.relative_error < 1e-5, "whole taps are as good as single precision");
+        }
+    }
+    for (std::int64_t length = 1; length < 6; ++length) {
+        for (std::int64_t i = -9; i < 15; ++i) {
+            const std::int64_t inside = foreglow::mirrored(i, length);
+            expect(inside >= 0 && inside < length, "mirrored indices lie inside");
+        }
+    }
+    expect(foreglow::mirrored(-1, 4) == 1 && foreglow::mirrored(4, 4) == 2, "the border itself is not repeated");
+}
+
+void test_bad_parameters_are_refused() {
+    foreglow::ProposalParameters parameters;
+    parameters.gap_px = 0;
+    bool is_refused = false;
+    try {
+        foreglow::ProposalGenerator generator(parameters);
+    } catch (const std::invalid_argument&) {
+        is_refused = true;
+    }
+    expect(is_refused, "a gap of 0 is refused");
+}
+
+}  // namespace
+
+int main() {
+    test_blobs_equal_pairwise_joining();
+    test_all_dispatch_levels_agree<std::uint8_t>();
+    test_all_dispatch_levels_agree<std::uint16_t>();
+    test_sizes_may_change_between_frames();
+    test_crops_at_every_border<std::uint8_t>();
+    test_crops_at_every_border<std::uint16_t>();
+    test_taps();
+    test_bad_parameters_are_refused();
+    std::printf("%d passed, %d failed\n", num_passed, num_failed);
+    return num_failed == 0 ? 0 : 1;
+}
