@@ -22,8 +22,9 @@ import torch
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.learning import import_weights
+from foreglow.learning.probes import render_probes
 from foreglow.types import Proposals
-from tests.learning.networks import random_network
+from tests.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
 
 
@@ -41,6 +42,19 @@ def test_published_scores(tmp_path: Path, fold: float | None, tolerance: float) 
         expected = np.array(golden["dataset_sup2_minmax_score"])
         np.testing.assert_allclose(detections.scores, expected, rtol=0, atol=tolerance)
         np.testing.assert_array_equal(detections.is_accepted, expected > 0.5)
+
+
+def test_folding_holds_beyond_its_own_probes(tmp_path: Path) -> None:
+    """Crops from another seed than those that folding tried."""
+    weights = shared_file("data/pvdn_weights_pretrained.pt")
+    crops = render_probes(64, 64, seed=12345)
+    scores = []
+    for name, fold in (("all", None), ("folded", 1e-3)):
+        path = import_weights(weights, tmp_path / name, fold).path
+        scores.append(1 / (1 + np.exp(-onnx_logits(path.read_bytes(), crops).astype(np.float64))))
+    change = np.abs(scores[1] - scores[0])
+    assert np.quantile(change, 0.9) < 1e-3
+    assert change.max() < 5e-3
 
 
 def save(path: Path, **changes: Any) -> Path:
