@@ -67,28 +67,29 @@ class OnnxClassifier:
 
     def _logits(self, crops: NDArray[np.float32]) -> NDArray[np.float32]:
         """One logit a crop, shape (N,)."""
-        logits = np.empty(len(crops), np.float32)
-        for start in range(0, len(crops), _MAX_BATCH):
-            batch = crops[start : start + _MAX_BATCH]
-            output: NDArray[np.float32] = self._session.run(self._outputs, {self._input: batch})[0]
-            if output.shape not in ((len(batch),), (len(batch), 1)):
-                raise ValueError(
-                    f"{self._path}: output: expected one logit for each of {len(batch)} crops, got shape {output.shape}"
-                )
-            logits[start : start + _MAX_BATCH] = output.reshape(-1)
+        batches = [self._run(crops[start : start + _MAX_BATCH]) for start in range(0, len(crops), _MAX_BATCH)]
+        logits = batches[0] if len(batches) == 1 else np.concatenate(batches)
         if not np.isfinite(logits).all():
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
         return logits
 
+    def _run(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
+        output: NDArray[np.float32] = self._session.run(self._outputs, {self._input: batch})[0]
+        if output.shape not in ((len(batch),), (len(batch), 1)):
+            raise ValueError(
+                f"{self._path}: output: expected one logit for each of {len(batch)} crops, got shape {output.shape}"
+            )
+        return output.reshape(-1)
+
 
 def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 / (1 + exp(-x)) without overflow, float32.
+    """1 / (1 + exp(-x)) as (1 + tanh(x / 2)) / 2: cannot overflow, within 1e-7, float32.
 
     >>> _sigmoid(np.array([-1000, 0, 1000], np.float32)).tolist()
     [0.0, 0.5, 1.0]
     """
-    small = np.exp(-np.abs(logits))
-    return np.asarray(np.where(logits >= 0, 1, small) / (1 + small), np.float32)
+    half = np.float32(0.5)
+    return np.asarray(np.tanh(logits * half) * half + half, np.float32)
 
 
 def _open(path: Path, num_threads: int) -> InferenceSession:
