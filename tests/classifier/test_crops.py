@@ -18,16 +18,17 @@ from tests.shared_data import shared_file
 SIZE_PX = 64
 
 
-def crop(image: NDArray[Any], box: tuple[int, int, int, int], support: int = 2, size_px: int = SIZE_PX) -> NDArray[Any]:
+def crop(image: Any, box: tuple[int, int, int, int], support: int = 2, size_px: int = SIZE_PX) -> NDArray[Any]:
     crops = _native.extract_crops(image, np.array([box], np.int32), support, size_px)
     assert crops.shape == (1, 1, size_px, size_px)
     assert crops.dtype == np.float32
-    return crops[0, 0]
+    result: NDArray[np.float32] = crops[0, 0]
+    return result
 
 
-def expected_crop(image: NDArray[Any], region: tuple[int, int, int, int], size_px: int = SIZE_PX) -> NDArray[Any]:
+def expected_crop(image: Any, region: tuple[int, int, int, int], size_px: int = SIZE_PX) -> NDArray[Any]:
     left, top, right, bottom = region
-    part = np.ascontiguousarray(image[top:bottom, left:right])
+    part: Any = np.ascontiguousarray(image[top:bottom, left:right])
     levels = cv2.resize(part, (size_px, size_px), interpolation=cv2.INTER_LINEAR).astype(np.float64)
     span = levels.max() - levels.min()
     return (levels - levels.min()) / span if span else np.zeros_like(levels)
@@ -38,7 +39,7 @@ def test_golden_crops(name: str) -> None:
     boxes = json.loads(shared_file(f"reference/golden/{name}_proposals.json").read_text())["proposals"]
     with np.load(shared_file(f"reference/golden/{name}_stages.npz")) as stages:
         expected = stages["crops_dataset"]
-    image = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
+    image: Any = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
     assert image is not None
     crops = _native.extract_crops(image, np.array(boxes, np.int32), 2, SIZE_PX)
     np.testing.assert_allclose(crops[:, 0], expected, rtol=0, atol=1e-6)
@@ -61,10 +62,10 @@ def test_equals_opencv(
     box_size: tuple[int, int],
     support: int,
     size_px: int,
-    dtype: type,
+    dtype: type[np.uint8] | type[np.uint16],
 ) -> None:
     """8 bit: the very grey levels. 16 bit: each level within one of OpenCV's, so a stretched value within two."""
-    image = np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
+    image: Any = np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
     (x, y), (width, height) = corner, box_size
     centre_x, centre_y = x + width // 2, y + height // 2
     left, right = max(centre_x - support * width, 0), min(centre_x + support * width, shape[1])

@@ -10,7 +10,8 @@ namespace foreglow {
 // The region of a box of w x h around (cx, cy) = (x1 + w / 2, y1 + h / 2), integer division, spans
 // cx - support * w .. cx + support * w and cy - support * h .. cy + support * h, cut at the image's border. It is
 // resized bilinearly (half-pixel centres, no smoothing, rounded to whole grey levels) and stretched to [0, 1] by its
-// own minimum and maximum; a flat crop is all zero.
+// own minimum and maximum; a flat crop is all zero. The grey levels are those of OpenCV's INTER_LINEAR: equal for 8 bit,
+// within one of 65,535 for 16 bit.
 //
 // A region that has no pixel inside the image gives a crop of zeros.
 void extract_crops(const ImageView& image, const Box* boxes, std::size_t num_boxes, std::int32_t support,

@@ -1,0 +1,45 @@
+"""Networks in torch, each on one screen. Importing this module needs the `train` extra."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class ArtifactNetwork(nn.Module):
+    """The paper's classifier: is the light artifact in this crop the light of an oncoming vehicle?
+
+    Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N,). No convolution is padded. Batch normalisation follows
+    ReLU and pooling, as in the published code, whose names of the parameters are kept.
+
+    Source: Ewecker et al., arXiv 2107.11302, figure of the network; published code for what it leaves open.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(1, 32, 5)
+        self.conv2 = nn.Conv2d(32, 64, 3, bias=False)
+        self.batch2 = nn.BatchNorm2d(64)
+        self.conv3 = nn.Conv2d(64, 64, 5)
+        self.conv4 = nn.Conv2d(64, 128, 3, bias=False)
+        self.batch4 = nn.BatchNorm2d(128)
+        self.conv5 = nn.Conv2d(128, 128, 5)
+        self.conv6 = nn.Conv2d(128, 256, 3, bias=False)
+        self.batch6 = nn.BatchNorm2d(256)
+        self.int_out = nn.ModuleDict(
+            {"afc1": nn.Linear(256, 128), "afc2": nn.Linear(128, 64), "afc3": nn.Linear(64, 1)}
+        )
+        self.dropout = nn.Dropout(0.2)
+
+    def forward(self, crops: Tensor) -> Tensor:
+        """One logit a crop."""
+        x = torch.relu(self.conv1(crops))  # 60
+        x = self.batch2(nn.functional.max_pool2d(torch.relu(self.conv2(x)), 2))  # 58 -> 29
+        x = torch.relu(self.conv3(x))  # 25
+        x = self.batch4(nn.functional.max_pool2d(torch.relu(self.conv4(x)), 2))  # 23 -> 11
+        x = torch.relu(self.conv5(x))  # 7
+        x = self.batch6(nn.functional.avg_pool2d(torch.relu(self.conv6(x)), 5))  # 5 -> 1
+        x = self.dropout(torch.relu(self.int_out["afc1"](x.flatten(1))))
+        x = torch.relu(self.int_out["afc2"](x))
+        logits: Tensor = self.int_out["afc3"](x)
+        return logits[:, 0]

@@ -1,0 +1,163 @@
+"""`OnnxClassifier`: scores in the proposals' order, and one clear line for every unusable model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.config import ClassifierConfig
+from foreglow.types import Proposals
+
+pytest.importorskip("onnx")
+
+from onnx import TensorProto, helper, numpy_helper
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (120, 160)).astype(np.uint8)
+SIZE_PX = 16
+
+
+def proposals(count: int) -> Proposals:
+    random = np.random.default_rng(count)
+    corners = random.integers(0, 100, (count, 2))
+    return Proposals(np.concatenate([corners, corners + random.integers(1, 20, (count, 2))], axis=1).astype(np.int32))
+
+
+def write_model(
+    path: Path,
+    shape: tuple[Any, ...] = ("N", 1, SIZE_PX, SIZE_PX),
+    output_shape: tuple[Any, ...] = ("N",),
+    kind: int = TensorProto.FLOAT,
+    gain: float = 8.0,
+    axes: tuple[int, ...] = (1, 2, 3),
+    copies: int = 1,
+) -> Path:
+    """A model whose logit is gain x (mean of the crop - 1/2); NaN for a gain of NaN."""
+    constants = [
+        numpy_helper.from_array(np.array(value, helper.tensor_dtype_to_np_dtype(kind)), name)
+        for name, value in (("half", 0.5), ("gain", gain))
+    ]
+    nodes = [
+        helper.make_node("ReduceMean", ["crops"], ["mean"], axes=axes, keepdims=0),
+        helper.make_node("Sub", ["mean", "half"], ["centred"]),
+        helper.make_node("Mul", ["centred", "gain"], ["once"]),
+        helper.make_node("Concat", ["once"] * copies, ["logits"], axis=0),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "test",
+        [helper.make_tensor_value_info("crops", kind, shape)],
+        [helper.make_tensor_value_info("logits", kind, output_shape)],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 40])
+def test_scores_are_the_sigmoid_of_the_logits(tmp_path: Path, count: int) -> None:
+    classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx")))
+    assert classifier.size_px == SIZE_PX
+    boxes = proposals(count)
+    detections = classifier.classify(IMAGE, boxes)
+    np.testing.assert_array_equal(detections.boxes_xyxy_px, boxes.boxes_xyxy_px)
+    from foreglow import _native
+
+    crops = _native.extract_crops(IMAGE, boxes.boxes_xyxy_px, 2, SIZE_PX).astype(np.float64)
+    expected = 1 / (1 + np.exp(-8 * (crops.mean(axis=(1, 2, 3)) - 0.5)))
+    np.testing.assert_allclose(detections.scores, expected, atol=1e-6)
+    np.testing.assert_array_equal(detections.is_accepted, detections.scores > 0.5)
+
+
+def test_threshold_support_and_strides(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model.onnx")
+    strict = OnnxClassifier(ClassifierConfig(model=model, score_threshold=1.0))
+    assert not strict.classify(IMAGE, proposals(9)).is_accepted.any()
+    usual = OnnxClassifier(ClassifierConfig(model=model)).classify(IMAGE, proposals(9)).scores
+    wide = OnnxClassifier(ClassifierConfig(model=model, support=4)).classify(IMAGE, proposals(9)).scores
+    assert not np.array_equal(usual, wide)
+    strided = np.repeat(IMAGE, 2, axis=1)[:, ::2]
+    classifier = OnnxClassifier(ClassifierConfig(model=model, num_threads=2))
+    np.testing.assert_array_equal(classifier.classify(strided, proposals(9)).scores, usual)
+
+
+def test_no_proposals_do_not_run_the_model(tmp_path: Path) -> None:
+    classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=float("nan"))))
+    detections = classifier.classify(IMAGE, Proposals(np.zeros((0, 4), np.int32)))
+    assert len(detections) == 0
+    assert detections.scores.dtype == np.float32
+
+
+def test_extreme_logits_do_not_overflow(tmp_path: Path) -> None:
+    classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=1e6)))
+    assert set(classifier.classify(IMAGE, proposals(20)).scores) <= {0.0, 1.0}
+
+
+def test_scores_are_float32_with_column_of_logits(tmp_path: Path) -> None:
+    """The mean over rows and columns leaves shape (N, 1)."""
+    plain = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "plain.onnx")))
+    column = write_model(tmp_path / "column.onnx", output_shape=("N", 1), axes=(2, 3))
+    detections = OnnxClassifier(ClassifierConfig(model=column)).classify(IMAGE, proposals(5))
+    np.testing.assert_allclose(detections.scores, plain.classify(IMAGE, proposals(5)).scores, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shape": ("N", 3, 16, 16)}, "got 3 channels"),
+        ({"shape": ("N", 1, 16, 24)}, r"expected shape \(N, 1, S, S\)"),
+        ({"shape": ("N", 1, "H", "W")}, r"expected shape \(N, 1, S, S\)"),
+        ({"shape": (1, 1, 16, 16), "output_shape": (1,)}, "fixed batch of 1"),
+        ({"shape": ("N", 16, 16), "axes": (1, 2)}, "got 3 dimensions"),
+        ({"kind": TensorProto.DOUBLE}, r"expected float32, got tensor\(double\)"),
+        ({"output_shape": ("N", 16), "axes": (1, 2)}, r"output logits: expected shape \(N,\) or \(N, 1\)"),
+        ({"output_shape": ("N", 1, 16), "axes": (2,)}, r"output logits: expected shape \(N,\) or \(N, 1\)"),
+    ],
+)
+def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    model = write_model(tmp_path / "model.onnx", **changes)
+    with pytest.raises(ValueError, match=message) as caught:
+        OnnxClassifier(ClassifierConfig(model=model))
+    assert str(model) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_output_found_when_run(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model.onnx", output_shape=("K",), copies=2)
+    with pytest.raises(ValueError, match="expected one logit for each of 3 crops"):
+        OnnxClassifier(ClassifierConfig(model=model)).classify(IMAGE, proposals(3))
+
+
+def test_not_finite_output(tmp_path: Path) -> None:
+    classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=float("nan"))))
+    with pytest.raises(ValueError, match="expected finite logits"):
+        classifier.classify(IMAGE, proposals(3))
+
+
+def test_missing_and_unset_model(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such model file"):
+        OnnxClassifier(ClassifierConfig(model=tmp_path / "none.onnx"))
+    with pytest.raises(ValueError, match=r"classifier\.model: expected the path"):
+        OnnxClassifier(ClassifierConfig())
+
+
+@pytest.mark.parametrize("content", [b"", b"this is not a model", bytes(100)])
+def test_not_a_model(tmp_path: Path, content: bytes) -> None:
+    model = tmp_path / "model.onnx"
+    model.write_bytes(content)
+    with pytest.raises(ValueError, match=r"model\.onnx: expected an ONNX model") as caught:
+        OnnxClassifier(ClassifierConfig(model=model))
+    assert "\n" not in str(caught.value)
+
+
+def test_truncated_model(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model.onnx")
+    content = model.read_bytes()
+    for length in range(1, len(content), 40):
+        model.write_bytes(content[:length])
+        with pytest.raises(ValueError, match=r"model\.onnx: "):
+            OnnxClassifier(ClassifierConfig(model=model))
