@@ -89,10 +89,6 @@ double ExactBlur::at(std::int64_t x, std::int64_t y) const {
     return value / unit;
 }
 
-double ExactBlur::level(std::uint32_t sum) const {
-    return static_cast<double>(static_cast<std::int32_t>(sum) - black);  // 32 bits, so that compilers vectorise it
-}
-
 double ExactBlur::sum_over(const Box& window) const {
     double total = 0.0;
     // Rows and columns at most two beyond the window take part; a mirrored one counts where it comes from.

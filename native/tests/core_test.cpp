@@ -101,7 +101,8 @@ void test_blobs_equal_pairwise_joining() {
             std::uint64_t even[2] = {0, 0}, odd[2] = {0, 0};
             for (int x = 0; x < 256; ++x) {
                 if (random() % (sparseness * 10) != 0 && !(sparseness < 4 && x > 200 && x < 230)) continue;
-                ((x % 2) != 0 ? odd : even)[x / 128] |= 1ULL << (x % 128 / 2);
+                std::uint64_t* plane = x % 2 != 0 ? odd : even;
+                plane[x / 128] |= 1ULL << (x % 128 / 2);
                 pixels.emplace_back(x, y);
             }
             finder.add_row(even, odd, 2);
