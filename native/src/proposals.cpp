@@ -41,6 +41,9 @@ const ProposalParameters& checked(const ProposalParameters& p) {
 
 std::int64_t round_up(std::int64_t value, std::int64_t quantum) { return (value + quantum - 1) / quantum * quantum; }
 
+// What counts as equal, in units of the dynamic range; see ROUNDING in foreglow/proposals/reference.py.
+constexpr double rounding = 1e-10;
+
 // The part of a local mean's window along one axis: positions first .. last - 1.
 struct Span {
     std::int64_t first, last;
@@ -314,7 +317,7 @@ private:
                 const double mean = area > 0.0 ? exact.sum_over(window) / area : 0.0;
                 const double value = exact.at(x, y), difference = value - mean;
                 const double contrast = difference / (1.0 - difference + parameters_.eps);
-                const bool is_above = value > mean * (1.0 + parameters_.kappa * (1.0 - contrast));
+                const bool is_above = value > mean * (1.0 + parameters_.kappa * (1.0 - contrast)) + rounding;
                 const std::uint64_t mask = 1ULL << bit;
                 std::uint64_t& bits = bits_[static_cast<std::size_t>(word)];
                 bits = is_above ? bits | mask : bits & ~mask;
@@ -339,7 +342,7 @@ private:
             const auto width = static_cast<double>(box.x2 - box.x1);
             const double area = width * static_cast<double>(box.y2 - box.y1);
             if (area < sizes_.min_area_px || area > sizes_.max_area_px || width < sizes_.min_width_px) continue;
-            if (!(exact.deviation(box, scratch_) > parameters_.min_deviation)) continue;
+            if (!(exact.deviation(box, scratch_) > parameters_.min_deviation + rounding)) continue;
             const std::int32_t f = sizes_.reduction;
             boxes_.push_back({box.x1 * f + left, box.y1 * f + top, box.x2 * f + left, box.y2 * f + top});
         }

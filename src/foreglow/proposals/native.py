@@ -25,6 +25,11 @@ class NativeProposer:
         """The instruction set in use: `baseline`, `avx2` or `avx512`."""
         return self._generator.dispatch
 
+    @property
+    def num_doubtful(self) -> int:
+        """Pixels of the last frame that lay too close to the threshold for single precision."""
+        return self._generator.num_doubtful
+
     def propose(self, image: Image) -> Proposals:
         """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
         if image.strides[1] != image.itemsize:
