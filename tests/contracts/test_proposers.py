@@ -13,15 +13,19 @@ from tests.proposals.frames import night_like_frame
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)
 
 
+def config_of(backend: str, **fields: object) -> ProposalConfig:
+    return ProposalConfig.model_validate({"reference_width_px": 320, **fields, "backend": backend})
+
+
 def boxes_of(backend: str, image: Image, **fields: object) -> list[list[int]]:
-    config = ProposalConfig.model_validate({"reference_width_px": 320, **fields, "backend": backend})
-    return make_proposer(config).propose(image).boxes_xyxy_px.tolist()
+    boxes: list[list[int]] = make_proposer(config_of(backend, **fields)).propose(image).boxes_xyxy_px.tolist()
+    return boxes
 
 
 def lamps(seed: int = 0, width_px: int = 320, height_px: int = 240) -> Image:
     """Noise under 100 and a handful of hard lamps, away from the border."""
     generator = np.random.default_rng(seed)
-    image = generator.integers(10, 14, (height_px, width_px)).astype(np.uint8)
+    image: Image = generator.integers(10, 14, (height_px, width_px)).astype(np.uint8)
     for _ in range(5):
         x, y = int(generator.integers(50, width_px - 70)), int(generator.integers(50, height_px - 70))
         image[y : y + int(generator.integers(4, 16)), x : x + int(generator.integers(6, 20))] = 100
@@ -33,7 +37,7 @@ def test_boxes_are_sorted_inside_and_of_the_right_type(backend: str) -> None:
     num_boxes = 0
     for _ in range(20):
         image = night_like_frame(generator, 321, 239)
-        proposals = make_proposer(ProposalConfig(reference_width_px=320, backend=backend)).propose(image)
+        proposals = make_proposer(config_of(backend)).propose(image)
         boxes = proposals.boxes_xyxy_px
         assert boxes.dtype == np.int32
         assert not boxes.flags.writeable
@@ -53,7 +57,7 @@ def test_flat_frames_of_any_size_have_no_proposals(backend: str, shape: tuple[in
 
 
 def test_the_same_frame_gives_the_same_boxes_whatever_came_before(backend: str) -> None:
-    proposer = make_proposer(ProposalConfig(reference_width_px=320, backend=backend))
+    proposer = make_proposer(config_of(backend))
     image = lamps()
     first = proposer.propose(image).boxes_xyxy_px.tolist()
     proposer.propose(np.full((100, 500), 9, np.uint16))
@@ -68,13 +72,14 @@ def test_strides_do_not_matter(backend: str) -> None:
     padded[:, 40:360] = image
     spread = np.zeros((480, 960), np.uint8)
     spread[::2, ::3] = image
-    for view in (
+    views: list[Image] = [
         padded[:, 40:360],
         spread[::2, ::3],
-        np.asfortranarray(image),
+        image.copy(order="F"),
         image[::-1].copy()[::-1],
         image[:, ::-1].copy()[:, ::-1],
-    ):
+    ]
+    for view in views:
         assert boxes_of(backend, view) == wanted != []
 
 
@@ -107,8 +112,7 @@ def test_a_region_is_the_frame_cut_to_it(backend: str) -> None:
     inside = boxes_of(backend, image, region_xyxy_px=(30, 20, 290, 220))
     # The cut-out as a frame of its own, at the same scale.
     alone = boxes_of(backend, image[20:220, 30:290], reference_width_px=260)
-    same_scale = ProposalConfig(reference_width_px=320, backend=backend, region_xyxy_px=(0, 0, 320, 240))
-    assert make_proposer(same_scale).propose(image).boxes_xyxy_px.tolist() == boxes_of(backend, image)
+    assert boxes_of(backend, image, region_xyxy_px=(0, 0, 320, 240)) == boxes_of(backend, image)
     assert inside == [[x1 + 30, y1 + 20, x2 + 30, y2 + 20] for x1, y1, x2, y2 in alone] != []
 
 

@@ -37,7 +37,8 @@ def night_like_frame(generator: np.random.Generator, width_px: int, height_px: i
             0, 1
         )
     level *= generator.choice([1.0, 1.0, 0.25, 0.04])
-    return np.clip(level * white, 0, white).astype(np.uint16 if is_wide else np.uint8)
+    level = np.clip(level * white, 0, white)
+    return level.astype(np.uint16) if is_wide else level.astype(np.uint8)
 
 
 def any_config(generator: np.random.Generator, width_px: int) -> ProposalConfig:
@@ -48,21 +49,22 @@ def any_config(generator: np.random.Generator, width_px: int) -> ProposalConfig:
     if generator.random() < 0.3:
         x1, y1 = (int(v) for v in generator.integers(0, 40, 2))
         region = (x1, y1, x1 + int(generator.integers(1, 200)), y1 + int(generator.integers(1, 200)))
-    return ProposalConfig(
-        kappa=float(generator.choice([0.0, 0.25, 0.4, 0.55, 1.5])),
-        window_px=int(generator.integers(2, 60)),
-        eps=float(generator.choice([1e-3, 0.3])),
-        min_deviation=float(generator.choice([0.0, 0.005, 0.01, 0.05])),
-        gap_px=int(generator.integers(1, 14)),
-        min_area_px=float(generator.choice([0, 11])),
-        max_area_px=float(generator.choice([1999, np.inf])),
-        min_width_px=float(generator.choice([0, 6])),
-        reduction=int(generator.choice([1, 2, 2, 3, 12])),
-        reference_width_px=int(max(64, width_px * generator.choice([0.5, 1.0, 1.0, 1.7]))),
-        normalise=bool(generator.random() < 0.8),
-        blur_width_px=int(generator.choice([1, 3, 5, 5])),
-        blur_height_px=int(generator.choice([1, 3, 3])),
-        blur_sigma_px=float(generator.choice([0.4, 2.0, 2.0, 30.0])),
-        window=str(generator.choice(["published", "published", "centred"])),
-        region_xyxy_px=region,
-    )
+    fields: dict[str, object] = {
+        "kappa": float(generator.choice([0.0, 0.25, 0.4, 0.55, 1.5])),
+        "window_px": int(generator.integers(2, 60)),
+        "eps": float(generator.choice([1e-3, 0.3])),
+        "min_deviation": float(generator.choice([0.0, 0.005, 0.01, 0.05])),
+        "gap_px": int(generator.integers(1, 14)),
+        "min_area_px": float(generator.choice([0, 11])),
+        "max_area_px": float(generator.choice([1999, np.inf])),
+        "min_width_px": float(generator.choice([0, 6])),
+        "reduction": int(generator.choice([1, 2, 2, 3, 12])),
+        "reference_width_px": int(max(64, width_px * generator.choice([0.5, 1.0, 1.0, 1.7]))),
+        "normalise": bool(generator.random() < 0.8),
+        "blur_width_px": int(generator.choice([1, 3, 5, 5])),
+        "blur_height_px": int(generator.choice([1, 3, 3])),
+        "blur_sigma_px": float(generator.choice([0.4, 2.0, 2.0, 30.0])),
+        "window": str(generator.choice(["published", "published", "centred"])),
+        "region_xyxy_px": region,
+    }
+    return ProposalConfig.model_validate(fields)

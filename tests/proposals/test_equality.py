@@ -54,19 +54,28 @@ def test_wide_camera_frames() -> None:
 
 @pytest.mark.parametrize("window", ["published", "centred"])
 def test_pixels_at_the_threshold_are_decided_in_double_precision(window: str) -> None:
-    """Builds a frame whose pixels crowd around the threshold, so that single precision alone must fail."""
+    """Puts kappa just below and above the value at which a pixel at a blob's edge is set: far closer than single
+    precision can tell, and the blob's box depends on it."""
     generator = np.random.default_rng(3)
-    num_doubtful = 0
-    for _ in range(40):
-        image = generator.integers(9, 13, (96, 320)).astype(np.uint8)
-        image[40:60, 100:140] += 4
-        image[0, 0] = generator.integers(20, 40)
-        kappa = float(generator.uniform(0.02, 0.3))
-        config = ProposalConfig(
-            kappa=kappa, min_deviation=0, min_area_px=0, min_width_px=0, reference_width_px=320, window=window
-        )
-        assert_equal_boxes(image, config, f"kappa {kappa}")
-        proposer = NativeProposer(config)
-        proposer.propose(image)
-        num_doubtful += proposer.num_doubtful
-    assert num_doubtful > 0, "nothing was in doubt, so nothing was tested"
+    num_edges = num_doubtful = 0
+    for number in range(12):
+        image = night_like_frame(generator, 320, 200, is_wide=number % 3 == 0)
+        fields = {"min_deviation": 0.0, "min_area_px": 0.0, "min_width_px": 0.0, "reference_width_px": 320}
+        config = ProposalConfig.model_validate({**fields, "window": window, "max_area_px": np.inf})
+        stages = ReferenceProposer(config).stages(image)
+        assert stages is not None
+        difference = stages.blurred - stages.mean
+        with np.errstate(divide="ignore", invalid="ignore"):
+            critical = (stages.blurred / stages.mean - 1) / (1 - difference / (1 - difference + config.eps))
+        candidates = critical[(critical > 0.2) & (critical < 1.0) & (stages.mean > 0.01)]
+        for kappa in generator.permutation(candidates)[:20]:
+            sides = [config.model_copy(update={"kappa": float(kappa * factor)}) for factor in (1 - 1e-8, 1 + 1e-8)]
+            for side in sides:
+                assert_equal_boxes(image, side, f"frame {number}, kappa {side.kappa!r}")
+            below, above = (ReferenceProposer(side).propose(image).boxes_xyxy_px.tolist() for side in sides)
+            num_edges += below != above
+            proposer = NativeProposer(sides[0])
+            proposer.propose(image)
+            num_doubtful += proposer.num_doubtful
+    assert num_edges > 10, "the chosen pixels decide no box, so nothing was tested"
+    assert num_doubtful >= num_edges

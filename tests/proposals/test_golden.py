@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 
 from foreglow import _native
 from foreglow.config import preset
+from foreglow.datasets import read_image
 from foreglow.proposals import NativeProposer, ReferenceProposer
 from foreglow.types import Image
 from tests.shared_data import shared_file
@@ -18,8 +18,7 @@ GOLDEN = {"paper": "optimised", "baseline": "baseline"}
 
 
 def real_frame() -> Image:
-    image: Image = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_UNCHANGED)
-    return image
+    return read_image(shared_file("data/pvdn_frame_047433.png"))
 
 
 def golden_boxes(name: str) -> list[list[int]]:

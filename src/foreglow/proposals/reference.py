@@ -136,7 +136,7 @@ def block_sums(image: Image, reduction: int) -> NDArray[np.int64]:
     """
     height, width = image.shape[0] // reduction, image.shape[1] // reduction
     whole = image[: height * reduction, : width * reduction].astype(np.int64)
-    return whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3))
+    return np.asarray(whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3)))
 
 
 def normalised(sums: NDArray[np.int64], full_scale: int, config: ProposalConfig) -> NDArray[np.float64]:
