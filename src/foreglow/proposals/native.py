@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from foreglow import _native
 from foreglow.config import ProposalConfig
+from foreglow.proposals.region import region_inside
 from foreglow.types import Image, Proposals
 
 
@@ -26,7 +29,11 @@ class NativeProposer:
         return self._generator.dispatch
 
     def propose(self, image: Image) -> Proposals:
-        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
-        if image.strides[1] != image.itemsize:
-            image = np.ascontiguousarray(image)
-        return Proposals(self._generator.propose(image))
+        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
+
+        Raises:
+            ValueError: If the configured region lies outside the image.
+        """
+        region_inside(self.config, *image.shape)
+        pixels: Any = image if image.strides[1] == image.itemsize else np.ascontiguousarray(image)
+        return Proposals(self._generator.propose(pixels))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foreglow.config import ProposalConfig
+from foreglow.proposals.region import region_inside
 from foreglow.types import Image, Proposals
 
 
@@ -79,12 +80,16 @@ class ReferenceProposer:
         self.config = config
 
     def propose(self, image: Image) -> Proposals:
-        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
+        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
+
+        Raises:
+            ValueError: If the configured region lies outside the image.
+        """
         config = self.config
-        x_offset_px, y_offset_px, region = cut_region(image, config)
+        x_offset_px, y_offset_px, _ = cut_region(image, config)
         sizes = working_sizes(config, image.shape[1])
         stages = self.stages(image)
-        if stages is None or region.size == 0:
+        if stages is None:
             return Proposals(np.zeros((0, 4), np.int32))
         boxes = []
         for rows, columns in ndimage.find_objects(stages.labels):
@@ -116,10 +121,10 @@ class ReferenceProposer:
 
 
 def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:
-    """Left and top of the considered region in pixels, and the view of `image` inside it (may be empty)."""
+    """Left and top of the considered region in pixels, and the view of `image` inside it."""
     height_px, width_px = image.shape
-    x1, y1, x2, y2 = config.region_xyxy_px or (0, 0, width_px, height_px)
-    return x1, y1, image[y1 : min(y2, height_px), x1 : min(x2, width_px)]
+    x1, y1, x2, y2 = region_inside(config, height_px, width_px)
+    return x1, y1, image[y1:y2, x1:x2]
 
 
 def block_sums(image: Image, reduction: int) -> NDArray[np.int64]:
@@ -132,7 +137,7 @@ def block_sums(image: Image, reduction: int) -> NDArray[np.int64]:
     """
     height, width = image.shape[0] // reduction, image.shape[1] // reduction
     whole = image[: height * reduction, : width * reduction].astype(np.int64)
-    return whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3))
+    return np.asarray(whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3)))
 
 
 def normalised(sums: NDArray[np.int64], full_scale: int, config: ProposalConfig) -> NDArray[np.float64]:
@@ -160,7 +165,9 @@ def blur(image: NDArray[np.float64], config: ProposalConfig) -> NDArray[np.float
     """`image` under a Gaussian; borders are mirrored about the border pixel (... 2 1 | 0 1 2 ...)."""
     across = gaussian_taps(config.blur_width_px, config.blur_sigma_px)
     down = gaussian_taps(config.blur_height_px, config.blur_sigma_px)
-    blurred = ndimage.correlate1d(ndimage.correlate1d(image, across, axis=1, mode="mirror"), down, axis=0, mode="mirror")
+    blurred = ndimage.correlate1d(
+        ndimage.correlate1d(image, across, axis=1, mode="mirror"), down, axis=0, mode="mirror"
+    )
     return np.asarray(blurred, np.float64)
 
 
