@@ -35,6 +35,8 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             line, code = "interrupted", 130
+        except BrokenPipeError:  # whoever reads the output, such as `head`, has seen enough
+            raise
         except (ValueError, OSError, ModuleNotFoundError) as error:
             is_ours = not isinstance(error, ModuleNotFoundError) or error.name in EXTRAS
             if ctx.params["debug"] or not is_ours:
