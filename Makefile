@@ -33,6 +33,10 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/mypy
+	$(BIN)/python -m pytest --quiet
+	$(BIN)/cmake -S native -B build/sanitized -DFOREGLOW_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
+	MAKEFLAGS= $(BIN)/cmake --build build/sanitized
+	build/sanitized/core_test
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector

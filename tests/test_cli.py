@@ -237,6 +237,36 @@ def test_source_that_would_be_overwritten(tmp_path: Path, config: Path) -> None:
     assert (tmp_path / "overlay.png").read_bytes() == PNG
 
 
+def test_results_do_not_join_the_images(folder: Path, config: Path) -> None:
+    before = names(folder)
+    assert "expected another folder" in complaint("run", folder, "--out", folder, "--config", config, "--video")
+    assert names(folder) == before
+
+
+def test_region_outside_the_frame(tmp_path: Path, folder: Path, config: Path) -> None:
+    with config.open("a") as file:
+        file.write("region_xyxy_px = [128, 0, 200, 50]\n")
+    line = complaint("run", folder, "--out", tmp_path / "out", "--config", config)
+    assert (
+        "proposals.region_xyxy_px: expected a part of the frame, [128, 0, 200, 50] lies outside its 128x96 px" in line
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user whom file modes stop")
+def test_unreadable_image_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+    (folder / "000000.png").chmod(0)
+    line = complaint("run", folder / "000000.png", "--out", tmp_path / "out", "--config", config)
+    assert "000000.png: cannot be read: Permission denied" in line
+
+
+def test_pvdn_as_a_whole_names_a_split(tmp_path: Path) -> None:
+    (tmp_path / "PVDN" / "day" / "val" / "labels").mkdir(parents=True)
+    (tmp_path / "PVDN" / "day" / "val" / "labels" / "sequences.json").write_text("{}")
+    for path in (tmp_path / "PVDN", tmp_path / "PVDN" / "day"):
+        assert "one split of PVDN, such as " in complaint("run", path, "--out", tmp_path / "out")
+
+
 def test_demo_needs_a_source(tmp_path: Path) -> None:
     assert "make demo SOURCE=path" in complaint("demo", "--out", tmp_path / "out")
 
@@ -278,8 +308,22 @@ def test_error_of_a_process_has_no_traceback(tmp_path: Path) -> None:
     assert "Traceback" in subprocess.run([*command[:3], "--debug", *command[3:]], capture_output=True, text=True).stderr
 
 
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path, config: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    try:
+        done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert names(tmp_path / "out") == RESULTS
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path) -> None:
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
     images = tmp_path / "many"
     images.mkdir()
     for k in range(3000):
@@ -290,7 +334,7 @@ def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path) -
     partial = out / "frames.jsonl.partial"
     while not (partial.exists() and partial.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(interrupt)
     assert process.wait(20) == 130
     summary = json.loads((out / "summary.json").read_text())
     assert summary["is_complete"] is False

@@ -17,17 +17,18 @@ STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 TOOLS = {"learning", "evaluation", "runtime"}
 
 ALLOWED: dict[str, set[str]] = {
+    "files": set(),
     "types": set(),
     "geometry": {"types"},
     "photometry": {"types", "geometry"},
     "config": {"types", "geometry", "photometry"},
     **{stage: VALUES | {"_native"} for stage in STAGES},
     "pipeline": VALUES | STAGES,
-    "datasets": VALUES,
-    "simulation": VALUES | {"datasets"},
-    **{tool: VALUES | STAGES | {"pipeline", "datasets", "simulation"} for tool in TOOLS},
-    "reports": VALUES | TOOLS,
-    "cli": VALUES | STAGES | TOOLS | {"pipeline", "datasets", "simulation", "reports", ""},
+    "datasets": VALUES | {"files"},
+    "simulation": VALUES | {"files", "datasets"},
+    **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in TOOLS},
+    "reports": VALUES | TOOLS | {"files"},
+    "cli": VALUES | STAGES | TOOLS | {"files", "pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},
 }
 """For every part, the other parts that it may import; "" is the package itself."""

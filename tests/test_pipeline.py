@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from foreglow.config import PipelineConfig
 from foreglow.pipeline import Pipeline
+from foreglow.proposals import BACKENDS
 from foreglow.types import Frame, FrameResult
 from tests.stand_ins import REFERENCE, night_frames, night_image
 
@@ -58,3 +60,23 @@ def test_frames_are_taken_one_by_one() -> None:
 
     next(Pipeline(REFERENCE).run(source()))
     assert taken == [0]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("region", [(128, 0, 200, 50), (0, 96, 50, 200), (500, 500, 501, 501)])
+def test_region_outside_the_frame_is_an_error(backend: str, region: tuple[int, int, int, int]) -> None:
+    proposals = REFERENCE.proposals.model_copy(update={"backend": backend, "region_xyxy_px": region})
+    with pytest.raises(ValueError, match=r"region_xyxy_px: expected a part of the frame, \[.*128x96 px"):
+        Pipeline(PipelineConfig(proposals=proposals)).step(night_image())
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_region_that_reaches_beyond_the_frame_is_cut(backend: str) -> None:
+    whole, larger = (
+        REFERENCE.proposals.model_copy(update={"backend": backend, "region_xyxy_px": region})
+        for region in (None, (0, 0, 2**31 - 1, 2**31 - 1))
+    )
+    expected = Pipeline(PipelineConfig(proposals=whole)).step(night_image()).proposals.boxes_xyxy_px
+    found = Pipeline(PipelineConfig(proposals=larger)).step(night_image()).proposals.boxes_xyxy_px
+    assert len(expected) > 0
+    assert found.tolist() == expected.tolist()

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <string>
 #include <tuple>
 
 #include "adaptive_threshold.hpp"
@@ -68,7 +69,6 @@ public:
         const WorkingSizes sizes = working_sizes(parameters_, frame.width_px);
         require(sizes.reduction <= 64, "image: too wide for reference_width_px");
         const Box region = considered(frame);
-        if (region.x1 >= region.x2 || region.y1 >= region.y2) return boxes_;
         image_.reduce(cut(frame, region), sizes.reduction, kernels_);
         if (image_.width == 0 || image_.height == 0) return boxes_;
         if (!threshold_.start(image_, sizes.half_window_px)) return boxes_;
@@ -86,12 +86,17 @@ public:
     std::int64_t num_doubtful() const { return num_doubtful_; }
 
 private:
-    // The considered region, cut at the frame's border; empty where it lies outside.
+    // The considered region, cut at the frame's border; looking at nothing, frame after frame, cannot be meant.
     Box considered(const ImageView& frame) const {
-        const Box whole = {0, 0, frame.width_px, frame.height_px};
-        if (!parameters_.region) return whole;
-        const Box& region = *parameters_.region;
-        return {region.x1, region.y1, std::min(region.x2, whole.x2), std::min(region.y2, whole.y2)};
+        const Box region = parameters_.region.value_or(Box{0, 0, frame.width_px, frame.height_px});
+        if (region.x1 >= frame.width_px || region.y1 >= frame.height_px) {
+            const auto text = [](std::int32_t value) { return std::to_string(value); };
+            throw std::invalid_argument("proposals.region_xyxy_px: expected a part of the frame, [" + text(region.x1) +
+                                        ", " + text(region.y1) + ", " + text(region.x2) + ", " + text(region.y2) +
+                                        "] lies outside its " + text(frame.width_px) + "x" + text(frame.height_px) +
+                                        " px");
+        }
+        return {region.x1, region.y1, std::min(region.x2, frame.width_px), std::min(region.y2, frame.height_px)};
     }
 
     static ImageView cut(const ImageView& frame, const Box& region) {

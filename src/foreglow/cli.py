@@ -6,6 +6,7 @@ so that help is there at once.
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -14,8 +15,8 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
-    from foreglow.datasets.source import OnError
-    from foreglow.runtime import FrameSource, OutputFolder, ResultSink, RunSummary
+    from foreglow.datasets import FrameSource, OnError
+    from foreglow.runtime import OutputFolder, ResultSink, RunSummary
 
 EXTRAS = {"onnx": "train", "torch": "train"}
 """Optional modules, and the extra that installs each."""
@@ -34,6 +35,8 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             line, code = "interrupted", 130
+        except BrokenPipeError:  # whoever reads the output, such as `head`, has seen enough
+            raise
         except (ValueError, OSError, ModuleNotFoundError) as error:
             is_ours = not isinstance(error, ModuleNotFoundError) or error.name in EXTRAS
             if ctx.params["debug"] or not is_ours:
@@ -52,12 +55,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Source = Annotated[
-    Path, typer.Argument(help="An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence.")
-]
-ModelOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="ONNX model that classifies the proposals; overrides the file's.")
-]
+# readable=False leaves unreadable files to the readers, whose errors take one line.
+_argument = functools.partial(typer.Argument, readable=False)
+_file = functools.partial(typer.Option, readable=False, metavar="FILE")
+_folder = functools.partial(typer.Option, readable=False, metavar="DIR")
+
+_SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
+Source = Annotated[Path, _argument(metavar="SOURCE", help=_SOURCE_HELP)]
+ModelOption = Annotated[Path | None, _file(help="ONNX model that classifies the proposals; overrides the file's.")]
 
 
 def _show_version(is_wanted: bool) -> None:
@@ -80,10 +85,10 @@ def _options(
 @app.command()
 def run(
     source: Source,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; made if need be.")],
+    out: Annotated[Path, _folder(help="Folder for the results; made if need be.")],
     preset: Annotated[str, typer.Option(metavar="paper|baseline", help="Parameters to start from.")] = "paper",
     model: ModelOption = None,
-    config: Annotated[Path | None, typer.Option(metavar="FILE", help="TOML whose fields override the preset.")] = None,
+    config: Annotated[Path | None, _file(help="TOML whose fields override the preset.")] = None,
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,
@@ -98,18 +103,18 @@ def run(
 
 @app.command()
 def evaluate(
-    split: Annotated[Path, typer.Argument(help="A PVDN split, such as PVDN/day/val.")],
-    predictions: Annotated[Path, typer.Option(metavar="FILE", help="frames.jsonl of a run, or PVDN's JSON.")],
+    split: Annotated[Path, _argument(metavar="SPLIT", help="A PVDN split, such as PVDN/day/val.")],
+    predictions: Annotated[Path, _file(help="frames.jsonl of a run, or PVDN's JSON.")],
     threshold: Annotated[float, typer.Option(help="A box counts when its score is above this.")] = 0.5,
-    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write them as JSON.")] = None,
+    json_file: Annotated[Path | None, _file("--json", help="Also write them as JSON.")] = None,
 ) -> None:
     """Compare predicted boxes with a split's key points: precision, recall, F and the box quality."""
     import json
 
     import rich
 
-    from foreglow.datasets.atomic import write_atomic
     from foreglow.evaluation import evaluate_split
+    from foreglow.files import write_atomic
     from foreglow.reports.tables import box_quality_table
 
     quality = evaluate_split(split, predictions, threshold)
@@ -120,8 +125,10 @@ def evaluate(
 
 @app.command("import-weights")
 def import_weights(
-    weights: Annotated[Path, typer.Argument(help="The published classifier's weights, a plain state dict.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The ONNX model to write.")],
+    weights: Annotated[
+        Path, _argument(metavar="WEIGHTS", help="The published classifier's weights, a plain state dict.")
+    ],
+    out: Annotated[Path, _file(help="The ONNX model to write.")],
     fold: Annotated[
         float | None,
         typer.Option(metavar="TOLERANCE", help="Remove channels that vary less than this, as in --fold 1e-3."),
@@ -137,8 +144,8 @@ def import_weights(
 
 @app.command()
 def download(
-    dataset: Annotated[str, typer.Argument(help="The data set: pvdn.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to put it.")] = Path("PVDN"),
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="The data set: pvdn.")],
+    out: Annotated[Path, _folder(help="Where to put it.")] = Path("PVDN"),
 ) -> None:
     """Fetch a data set."""
     if dataset != "pvdn":
@@ -150,8 +157,8 @@ def download(
 
 @app.command()
 def demo(
-    source: Annotated[Path | None, typer.Argument(help="What to run on, as in `run`.")] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("demo_output"),
+    source: Annotated[Path | None, _argument(metavar="SOURCE", help="What to run on, as in `run`.")] = None,
+    out: Annotated[Path, _folder(help="Folder for the results.")] = Path("demo_output"),
     model: ModelOption = None,
 ) -> None:
     """Run on SOURCE with annotated pictures, and say where to look."""
@@ -206,6 +213,8 @@ def _run(
 
     if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
         raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
+    if source.resolve() == out.resolve() and source.is_dir():  # a picture in it would be a source of the next run
+        raise ValueError(f"{out}: expected another folder for the results than the source")
     frames = open_source(source, on_error=cast("OnError", on_error))
     pipeline = Pipeline(configuration)
     folder = OutputFolder(out)

@@ -16,8 +16,13 @@ Dispatch: TypeAlias = Literal["auto", "baseline", "avx2", "avx512"]
 """Instruction set of the native core: `auto` takes the best one that the processor has."""
 
 
+Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
+"""A row or column of a frame, pixels."""
+
+
 class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class ProposalConfig(_Frozen):
@@ -48,7 +53,7 @@ class ProposalConfig(_Frozen):
         window: `published` reads columns x-h+1..x+h and rows y-h+1..y+h without row 0 and column 0, h = window_px//2,
             as the published code does; `centred` reads x-h..x+h, y-h..y+h.
         region_xyxy_px: Part of the frame that is looked at, half-open, full-frame pixels of the actual frame; None
-            for all of it. A region larger than the frame is cut.
+            for all of it. A region larger than the frame is cut; one outside the frame is an error.
 
     Source: Ewecker et al., arXiv 2107.11302, eq. for T and the parameter table; published code for the rest.
     """
@@ -68,7 +73,7 @@ class ProposalConfig(_Frozen):
     blur_height_px: Literal[1, 3] = 3
     blur_sigma_px: Annotated[float, Field(gt=0, le=100)] = 2.0
     window: Literal["published", "centred"] = "published"
-    region_xyxy_px: tuple[int, int, int, int] | None = None
+    region_xyxy_px: Annotated[tuple[Corner, Corner, Corner, Corner], Field(strict=False)] | None = None
     backend: Literal["native", "reference"] = "native"
     dispatch: Dispatch = "auto"
 
@@ -78,6 +83,10 @@ class ProposalConfig(_Frozen):
             x1, y1, x2, y2 = self.region_xyxy_px
             if not (0 <= x1 < x2 and 0 <= y1 < y2):
                 raise ValueError(f"region_xyxy_px: expected 0 <= x1 < x2 and 0 <= y1 < y2, got {self.region_xyxy_px}")
+        if self.min_area_px > self.max_area_px:
+            raise ValueError(
+                f"min_area_px: expected at most max_area_px, {self.max_area_px:g}, got {self.min_area_px:g}"
+            )
         return self
 
 
@@ -92,7 +101,7 @@ class ClassifierConfig(_Frozen):
         num_threads: Threads of the inference.
     """
 
-    model: Path | None = None
+    model: Annotated[Path, Field(strict=False)] | None = None
     support: Annotated[int, Field(ge=1, le=16)] = 2
     score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -161,3 +164,17 @@ def test_truncated_model(tmp_path: Path) -> None:
         model.write_bytes(content[:length])
         with pytest.raises(ValueError, match=r"model\.onnx: "):
             OnnxClassifier(ClassifierConfig(model=model))
+
+
+def test_classifier_reports_to_nobody(tmp_path: Path) -> None:
+    model, home = write_model(tmp_path / "model.onnx"), tmp_path / "home"
+    home.mkdir()
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
+    code = (
+        "import pathlib, sys, foreglow.classifier as c, foreglow.config as f\n"
+        "c.OnnxClassifier(f.ClassifierConfig(model=pathlib.Path(sys.argv[1])))"
+    )
+    command = [sys.executable, "-c", code, str(model)]
+    done = subprocess.run(command, env=environment | {"HOME": str(home)}, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+    assert list(home.rglob("*")) == []

@@ -116,8 +116,10 @@ def test_a_region_is_the_frame_cut_to_it(backend: str) -> None:
     assert inside == [[x1 + 30, y1 + 20, x2 + 30, y2 + 20] for x1, y1, x2, y2 in alone] != []
 
 
-def test_a_region_outside_the_frame_has_no_proposals(backend: str) -> None:
-    assert boxes_of(backend, lamps(), region_xyxy_px=(320, 0, 400, 240)) == []
+@pytest.mark.parametrize("region", [(320, 0, 400, 240), (0, 240, 9, 999)])
+def test_a_region_outside_the_frame_is_an_error(backend: str, region: tuple[int, int, int, int]) -> None:
+    with pytest.raises(ValueError, match=r"region_xyxy_px: expected a part of the frame, \[.*320x240 px"):
+        boxes_of(backend, lamps(), region_xyxy_px=region)
 
 
 def test_a_wider_gap_joins_lamps(backend: str) -> None:

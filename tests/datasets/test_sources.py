@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.datasets import PVDN, FrameCache, FrameSource, ImageFolder, Video, download_pvdn, open_source
-from foreglow.datasets.atomic import open_atomic, write_atomic
 from foreglow.datasets.image_folder import natural_key
 from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import make_pvdn
@@ -186,21 +185,6 @@ def test_a_cache_that_cannot_be(tmp_path: Path) -> None:
         FrameCache(tmp_path / "file")
     with pytest.raises(ValueError, match="limit_bytes: expected 0 or more, got -1"):
         FrameCache(tmp_path, limit_bytes=-1)
-
-
-def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    write_atomic(path, b"old")
-    with pytest.raises(OSError, match=r"No space left on device: '.*a\.json'"):
-        _fail_inside(path)
-    assert path.read_bytes() == b"old"
-    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
-
-
-def _fail_inside(path: Path) -> None:
-    with open_atomic(path) as file:
-        file.write(b"half of the ne")
-        raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def _fake_kagglehub(monkeypatch: pytest.MonkeyPatch, download: Any) -> types.SimpleNamespace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,7 @@ def torch_logits(layers: Layers, crops: NDArray[np.float32]) -> NDArray[np.float
 
 
 def onnx_logits(model: bytes, crops: NDArray[np.float32]) -> NDArray[np.float32]:
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort
 
     session = ort.InferenceSession(model, providers=["CPUExecutionProvider"])

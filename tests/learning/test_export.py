@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -64,12 +65,10 @@ def test_failed_write_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pyt
     path = tmp_path / "model.onnx"
     path.write_text("old")
 
-    def fill_disk(self: Path, payload: bytes) -> int:
-        with self.open("wb") as file:
-            file.write(payload[:10])
-        raise OSError("No space left on device")
+    def refuse(self: Path, target: Path) -> None:  # noqa: ARG001
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", fill_disk)
+    monkeypatch.setattr(Path, "replace", refuse)
     with pytest.raises(OSError, match="No space"):
         write_onnx(random_layers((1,) * 8), path, {})
     assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]

@@ -41,13 +41,13 @@ def night_like_frame(generator: np.random.Generator, width_px: int, height_px: i
     return level.astype(np.uint16) if is_wide else level.astype(np.uint8)
 
 
-def any_config(generator: np.random.Generator, width_px: int) -> ProposalConfig:
+def any_config(generator: np.random.Generator, width_px: int, height_px: int) -> ProposalConfig:
     """A configuration near one of the presets, or anywhere in the allowed space."""
     if generator.random() < 0.3:
         return ProposalConfig(reference_width_px=max(64, width_px))
     region = None
     if generator.random() < 0.3:
-        x1, y1 = (int(v) for v in generator.integers(0, 40, 2))
+        x1, y1 = (int(generator.integers(min(40, side_px))) for side_px in (width_px, height_px))
         region = (x1, y1, x1 + int(generator.integers(1, 200)), y1 + int(generator.integers(1, 200)))
     fields: dict[str, object] = {
         "kappa": float(generator.choice([0.0, 0.25, 0.4, 0.55, 1.5])),

@@ -32,7 +32,9 @@ def test_small_frames_with_any_configuration(batch: int) -> None:
         width_px = int(generator.choice(WIDTHS_PX))
         height_px = int(generator.integers(1, 160))
         image = night_like_frame(generator, width_px, height_px, is_wide=bool(generator.random() < 0.3))
-        num_boxes += assert_equal_boxes(image, any_config(generator, width_px), f"batch {batch}, frame {number}")
+        num_boxes += assert_equal_boxes(
+            image, any_config(generator, width_px, height_px), f"batch {batch}, frame {number}"
+        )
     assert num_boxes > 75, "frames without boxes compare nothing"
 
 

@@ -32,6 +32,14 @@ def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path:
     assert contents(tmp_path) == {"config.toml": "new", "frames.jsonl": "new", "notes.txt": "old"}
 
 
+def test_publishing_removes_what_a_killed_run_left(tmp_path: Path) -> None:
+    (tmp_path / "overlay.mp4.partial").write_text("half")
+    folder = OutputFolder(tmp_path)
+    folder.write_text("frames.jsonl", "new")
+    folder.publish()
+    assert contents(tmp_path) == {"frames.jsonl": "new"}
+
+
 def test_discarding_removes_only_what_it_made(tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
     folder = OutputFolder(tmp_path / "kept" / "a" / "b")

@@ -64,6 +64,7 @@ public:
     ProposalGenerator& operator=(ProposalGenerator&&) noexcept;
 
     // Boxes in full-frame pixels, sorted by y1, x1, y2, x2; valid until the next call.
+    // Throws std::invalid_argument when the considered region lies outside the image.
     const std::vector<Box>& propose(const ImageView& image);
 
     Dispatch dispatch() const;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,9 +97,12 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
     """A sequential session on the CPU that does not spin while it waits."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
+    # Newer versions would keep a device id in the home folder and report to their makers. Read when they are loaded.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort
     from onnxruntime.capi import onnxruntime_pybind11_state as errors
 
+    ort.disable_telemetry_events()  # where someone else loaded it before
     options = ort.SessionOptions()
     options.intra_op_num_threads = num_threads
     options.inter_op_num_threads = 1

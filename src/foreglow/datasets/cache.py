@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.datasets.atomic import open_atomic
 from foreglow.datasets.images import NPY_ERRORS, read_image
+from foreglow.files import open_atomic
 from foreglow.types import Image
 
 _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})

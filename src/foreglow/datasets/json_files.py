@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from foreglow.datasets.atomic import write_atomic
+from foreglow.files import write_atomic
 
 Model = TypeVar("Model", bound=BaseModel)
 

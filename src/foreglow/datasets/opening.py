@@ -40,6 +40,9 @@ def open_source(
     if path.is_dir():
         if is_split(path) or split_of_sequence(path) is not None:
             return PVDN(path, on_error=on_error, cache=cache)
+        splits = [labels.parents[1] for depth in ("*", "*/*") for labels in path.glob(f"{depth}/labels/sequences.json")]
+        if splits:
+            raise ValueError(f"{path}: expected one split of PVDN, such as {min(splits)}")
         return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)

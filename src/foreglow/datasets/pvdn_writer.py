@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 
-from foreglow.datasets.atomic import write_atomic
 from foreglow.datasets.json_files import Record, read_json, write_json
 from foreglow.datasets.pvdn import PVDN
 from foreglow.datasets.pvdn_schema import (
@@ -28,6 +27,7 @@ from foreglow.datasets.pvdn_schema import (
     SequencesFile,
     Vehicle,
 )
+from foreglow.files import write_atomic
 from foreglow.types import Frame, Image
 
 CAMERA_CONFIGURATIONS = tuple(CameraConfiguration(camera="Cam01", cycle=cycle) for cycle in Cycle)

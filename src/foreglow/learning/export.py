@@ -13,7 +13,6 @@ The graph computes what `Layers` says, in an arrangement of its own. All of it i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.files import write_atomic
 from foreglow.learning.layers import NUM_CONVOLUTIONS, POOLED, SIZE_PX, Layers
 
 if TYPE_CHECKING:
@@ -42,13 +42,7 @@ def write_onnx(layers: Layers, path: Path, metadata: Mapping[str, str]) -> None:
     Raises:
         OSError: If the file cannot be written; nothing is left behind then.
     """
-    payload = build_onnx(layers, metadata).SerializeToString(deterministic=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(payload)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_atomic(path, build_onnx(layers, metadata).SerializeToString(deterministic=True))
 
 
 def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:

@@ -20,7 +20,11 @@ class Proposer(Protocol):
     """Finds boxes that may hold a light artifact."""
 
     def propose(self, image: Image) -> Proposals:
-        """The proposals of `image` (height, width), uint8 or uint16, any strides; sorted by y1, x1, y2, x2."""
+        """The proposals of `image` (height, width), uint8 or uint16, any strides; sorted by y1, x1, y2, x2.
+
+        Raises:
+            ValueError: If the configured region lies outside the image.
+        """
         ...
 
 

@@ -29,6 +29,10 @@ class NativeProposer:
         return self._generator.num_doubtful
 
     def propose(self, image: Image) -> Proposals:
-        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
+        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
+
+        Raises:
+            ValueError: If the configured region lies outside the image.
+        """
         adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
         return Proposals(self._generator.propose(adjacent))

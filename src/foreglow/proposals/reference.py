@@ -83,12 +83,16 @@ class ReferenceProposer:
         self.config = config
 
     def propose(self, image: Image) -> Proposals:
-        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
+        """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
+
+        Raises:
+            ValueError: If the configured region lies outside the image.
+        """
         config = self.config
-        x_offset_px, y_offset_px, region = cut_region(image, config)
+        x_offset_px, y_offset_px, _ = cut_region(image, config)
         sizes = working_sizes(config, image.shape[1])
         stages = self.stages(image)
-        if stages is None or region.size == 0:
+        if stages is None:
             return Proposals(np.zeros((0, 4), np.int32))
         boxes = []
         for rows, columns in ndimage.find_objects(stages.labels):
@@ -120,9 +124,18 @@ class ReferenceProposer:
 
 
 def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:
-    """Left and top of the considered region in pixels, and the view of `image` inside it (may be empty)."""
+    """Left and top of the considered region in pixels, and the view of `image` inside it.
+
+    Raises:
+        ValueError: If the region lies outside the image: looking at nothing, frame after frame, cannot be meant.
+    """
     height_px, width_px = image.shape
     x1, y1, x2, y2 = config.region_xyxy_px or (0, 0, width_px, height_px)
+    if x1 >= width_px or y1 >= height_px:
+        raise ValueError(
+            f"proposals.region_xyxy_px: expected a part of the frame, "
+            f"{[x1, y1, x2, y2]} lies outside its {width_px}x{height_px} px"
+        )
     return x1, y1, image[y1 : min(y2, height_px), x1 : min(x2, width_px)]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from av.container import OutputContainer
 from av.video.stream import VideoStream
 
+from foreglow.files import naming
 from foreglow.reports.overlay import Picture, annotate
 from foreglow.reports.tone import Tone
 from foreglow.types import Frame, FrameResult
@@ -117,7 +118,7 @@ class PictureSink:
             OSError: If the file cannot be written; the message names the path.
         """
         if self._picture is not None:
-            with _naming(self._path):
+            with naming(self._path):
                 png = cv2.imencode(".png", self._picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]
                 self._path.write_bytes(png.tobytes())
 

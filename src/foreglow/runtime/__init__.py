@@ -1,7 +1,7 @@
 """Driving the pipeline: off-line over a source for now; the live loop comes later."""
 
 from foreglow.runtime.folder import RESULT_NAMES, OutputFolder
-from foreglow.runtime.run import FrameSource, ResultSink, run
+from foreglow.runtime.run import ResultSink, run
 from foreglow.runtime.summary import RunSummary
 
-__all__ = ["RESULT_NAMES", "FrameSource", "OutputFolder", "ResultSink", "RunSummary", "run"]
+__all__ = ["RESULT_NAMES", "OutputFolder", "ResultSink", "RunSummary", "run"]

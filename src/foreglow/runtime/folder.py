@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
+
+from foreglow.files import naming
 
 RESULT_NAMES = ("frames.jsonl", "overlay.mp4", "overlay.png", "config.toml", "summary.json")
 """Every name that a run may write; `summary.json` is published last, so where it exists the set is whole."""
@@ -44,7 +45,7 @@ class OutputFolder:
         """Where to write the result called `name` until it is published."""
         if name not in RESULT_NAMES:
             raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
-        return self._partials.setdefault(name, self.path / f"{name}.partial")
+        return self._partials.setdefault(name, _partial(self.path, name))
 
     def write_text(self, name: str, text: str) -> None:
         """Writes the whole result called `name`.
@@ -64,6 +65,7 @@ class OutputFolder:
                 partial.replace(self.path / name)
             else:
                 (self.path / name).unlink(missing_ok=True)
+                _partial(self.path, name).unlink(missing_ok=True)  # of a run that was killed
         self._partials.clear()
 
     def discard(self) -> None:
@@ -77,12 +79,6 @@ class OutputFolder:
                 folder.rmdir()
 
 
-@contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Puts `path` into an OSError that does not say which file it is about, such as one of a full disk."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None or error.filename is not None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error
+def _partial(folder: Path, name: str) -> Path:
+    """Where the result called `name` is written until it is published."""
+    return folder / f"{name}.partial"

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from foreglow.runtime.folder import naming
+from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
 
 

@@ -5,42 +5,20 @@ from __future__ import annotations
 import itertools
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from types import FrameType
 from typing import Protocol
 
 from foreglow.config import config_to_toml
+from foreglow.datasets import FrameSource
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.folder import OutputFolder
 from foreglow.runtime.records import FrameRecords
 from foreglow.runtime.summary import RunSummary, Tally
 from foreglow.types import Frame, FrameResult
 
-
-class FrameSource(Protocol):
-    """Where frames come from."""
-
-    @property
-    def name(self) -> str:
-        """What the source is called."""
-        ...
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Frames in a second; None where that is unknown."""
-        ...
-
-    @property
-    def num_frames(self) -> int | None:
-        """How many frames there are if none is bad; None where that is unknown."""
-        ...
-
-    @property
-    def skipped(self) -> Sequence[str]:
-        """One line for every file passed over so far: its path and why."""
-        ...
-
-    def __iter__(self) -> Iterator[Frame]: ...
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+"""Ctrl-C, and what `kill` and job schedulers send."""
 
 
 class ResultSink(Protocol):
@@ -62,7 +40,8 @@ class ResultSink(Protocol):
 class InterruptFlag:
     """While entered, the first Ctrl-C only sets a flag, so that the frame at hand is finished; a second one raises.
 
-    Does nothing outside the main thread, where Python delivers no signals.
+    A plain `kill` (SIGTERM), as job schedulers send it, counts as Ctrl-C. Does nothing outside the main thread, where
+    Python delivers no signals.
     """
 
     is_set = False
@@ -70,12 +49,13 @@ class InterruptFlag:
     def __enter__(self) -> InterruptFlag:
         self._is_main = threading.current_thread() is threading.main_thread()
         if self._is_main:
-            self._previous = signal.signal(signal.SIGINT, self._interrupt)
+            self._previous = {number: signal.signal(number, self._interrupt) for number in INTERRUPTS}
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._is_main:
-            signal.signal(signal.SIGINT, self._previous)
+            for number, handler in self._previous.items():
+                signal.signal(number, handler)
 
     def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
         if self.is_set:
