@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from foreglow import _native
 from foreglow.config import ProposalConfig
 from foreglow.types import Image, Proposals
@@ -25,8 +23,12 @@ class NativeProposer:
         """The instruction set in use: `baseline`, `avx2` or `avx512`."""
         return self._generator.dispatch
 
+    @property
+    def num_doubtful(self) -> int:
+        """Pixels of the last frame that lay too close to the threshold for single precision."""
+        return self._generator.num_doubtful
+
     def propose(self, image: Image) -> Proposals:
         """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
-        if image.strides[1] != image.itemsize:
-            image = np.ascontiguousarray(image)
-        return Proposals(self._generator.propose(image))
+        adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
+        return Proposals(self._generator.propose(adjacent))

@@ -16,6 +16,10 @@ from scipy import ndimage
 from foreglow.config import ProposalConfig
 from foreglow.types import Image, Proposals
 
+ROUNDING = 1e-10
+"""What counts as equal, in units of the dynamic range: where a flat patch ties with its own mean, sums in double
+precision differ by up to 1e-11, while one grey level of 16 bits is 1e-5. Ties are not above the threshold."""
+
 
 @dataclass(frozen=True, slots=True)
 class WorkingSizes:
@@ -94,7 +98,7 @@ class ReferenceProposer:
                 continue
             inside = stages.blurred[rows, columns]
             deviation = np.abs(inside - inside.mean()).mean()  # paper: mean absolute deviation filter s
-            if deviation > config.min_deviation:
+            if deviation > config.min_deviation + ROUNDING:
                 boxes.append((rows.start, columns.start, rows.stop, columns.stop))
         y1x1y2x2 = np.array(sorted(boxes), np.int32).reshape(-1, 4)
         boxes_xyxy_px = y1x1y2x2[:, [1, 0, 3, 2]] * sizes.reduction
@@ -132,7 +136,7 @@ def block_sums(image: Image, reduction: int) -> NDArray[np.int64]:
     """
     height, width = image.shape[0] // reduction, image.shape[1] // reduction
     whole = image[: height * reduction, : width * reduction].astype(np.int64)
-    return whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3))
+    return np.asarray(whole.reshape(height, reduction, width, reduction).sum(axis=(1, 3)))
 
 
 def normalised(sums: NDArray[np.int64], full_scale: int, config: ProposalConfig) -> NDArray[np.float64]:
@@ -160,7 +164,9 @@ def blur(image: NDArray[np.float64], config: ProposalConfig) -> NDArray[np.float
     """`image` under a Gaussian; borders are mirrored about the border pixel (... 2 1 | 0 1 2 ...)."""
     across = gaussian_taps(config.blur_width_px, config.blur_sigma_px)
     down = gaussian_taps(config.blur_height_px, config.blur_sigma_px)
-    blurred = ndimage.correlate1d(ndimage.correlate1d(image, across, axis=1, mode="mirror"), down, axis=0, mode="mirror")
+    blurred = ndimage.correlate1d(
+        ndimage.correlate1d(image, across, axis=1, mode="mirror"), down, axis=0, mode="mirror"
+    )
     return np.asarray(blurred, np.float64)
 
 
@@ -189,13 +195,13 @@ def local_mean(image: NDArray[np.float64], half_window_px: int, window: str) -> 
 def exceeds_threshold(
     image: NDArray[np.float64], mean: NDArray[np.float64], kappa: float, eps: float
 ) -> NDArray[np.bool_]:
-    """True where I > T, with T = mu (1 + kappa (1 - D / (1 - D + eps))) and D = I - mu.
+    """True where I > T by more than `ROUNDING`, with T = mu (1 + kappa (1 - D / (1 - D + eps))) and D = I - mu.
 
     Source: arXiv 2107.11302, dynamic threshold; `eps` from the published code.
     """
     difference = image - mean
     threshold = mean * (1.0 + kappa * (1.0 - difference / (1.0 - difference + eps)))
-    return np.asarray(image > threshold)
+    return np.asarray(image > threshold + ROUNDING)
 
 
 def label_blobs(binary: NDArray[np.bool_], gap_px: int) -> NDArray[np.int32]:
