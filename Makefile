@@ -40,6 +40,7 @@ check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector
+	$(BIN)/python -m benchmarks.classifier
 
 # The picture of the README, from a generated frame.
 picture: $(VENV)/.dev

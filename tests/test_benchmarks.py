@@ -1,0 +1,81 @@
+"""The benchmarks run and write figures, and the OpenCV chain is an honest opponent. No test looks at a run-time."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
+from benchmarks.synthetic_frames import night_frame
+from foreglow.config import PRESETS, ProposalConfig
+from foreglow.proposals import NativeProposer, ReferenceProposer
+from tests.shared_data import SHARED
+
+
+@pytest.fixture(scope="module")
+def frame() -> Any:
+    return night_frame(seed=1, range_m=75.0)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_opencv_chain_finds_the_same_boxes(preset: str, frame: Any) -> None:
+    config = PRESETS[preset].proposals
+    proposer = OpenCvProposer(config)
+    expected = ReferenceProposer(config).propose(frame).boxes_xyxy_px
+    assert len(expected)
+    with one_opencv_thread():
+        for _ in range(2):  # its buffers carry nothing over
+            np.testing.assert_array_equal(proposer.propose(frame).boxes_xyxy_px, expected)
+            assert len(proposer.propose(np.zeros_like(frame))) == 0
+
+
+@pytest.mark.parametrize("size_px", [(640, 480), (96, 70)])
+def test_opencv_chain_at_the_borders(size_px: tuple[int, int]) -> None:
+    width_px, height_px = size_px
+    config = ProposalConfig(reference_width_px=width_px, min_area_px=1, min_width_px=1)
+    image = np.full((height_px, width_px), 20, np.uint8)
+    for top, left in ((0, 0), (0, width_px - 8), (height_px - 6, 0), (height_px - 6, width_px - 8)):
+        image[top : top + 6, left : left + 8] = 200
+    image[height_px // 2, width_px // 2] = 250
+    expected = NativeProposer(config).propose(image).boxes_xyxy_px
+    assert len(expected) >= 4
+    np.testing.assert_array_equal(OpenCvProposer(config, width_px, height_px).propose(image).boxes_xyxy_px, expected)
+
+
+def test_opencv_chain_refuses_other_reductions() -> None:
+    with pytest.raises(ValueError, match="reduced by two, got 640x480"):
+        OpenCvProposer(ProposalConfig(), 640, 480)
+
+
+def figures(value: Any) -> Iterator[float]:
+    """All numbers in a value read from JSON."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for part in value:
+            yield from figures(part)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
+
+
+def test_benchmarks_write_their_figures(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from benchmarks import classifier, detector
+
+    detector.main(["--quick", "--out", str(tmp_path / "new" / "detector.json")])
+    classifier.main(["--quick", "--out", str(tmp_path / "classifier.json")])
+    results = json.loads((tmp_path / "new" / "detector.json").read_text())
+    results |= json.loads((tmp_path / "classifier.json").read_text())
+    assert {row["preset"] for row in results["proposals"]} == set(PRESETS)
+    assert all(row["equals_reference"] for row in results["proposals"])
+    assert str(SHARED) not in json.dumps(results)
+    assert results["machine"]["processor"]
+    for part in ("proposals", "detector", "classifier"):
+        assert all(math.isfinite(number) and number >= 0 for number in figures(results[part]))
+        assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in results[part])
