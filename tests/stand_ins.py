@@ -56,8 +56,6 @@ def result_of(
 ) -> FrameResult:
     """A result with these boxes, classified where scores are given."""
     array: NDArray[np.int32] = np.array(boxes, np.int32).reshape(-1, 4)
-    detections = None
-    if scores is not None:
-        values = np.array(scores, np.float32)
-        detections = Detections(array, values, values > threshold)
-    return FrameResult(frame.frame, frame.timestamp_ns, Proposals(array), detections, {"proposals": 0.25})
+    proposals = Proposals(array)
+    detections = None if scores is None else Detections(proposals, np.array(scores, np.float32), threshold)
+    return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, {"proposals": 0.25})

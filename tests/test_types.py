@@ -51,22 +51,24 @@ def test_proposals_refuse_unfit_boxes(boxes: Any, complaint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scores", "is_accepted", "complaint"),
+    ("scores", "complaint"),
     [
-        (np.zeros(1, np.float32), np.zeros(2, bool), r"scores: expected float32 of shape \(2,\)"),
-        (np.zeros(2), np.zeros(2, bool), "scores: expected float32 .*got float64"),
-        (np.zeros(2, np.float32), np.zeros(2, int), "is_accepted: expected bool"),
-        (np.array([0.5, np.nan], np.float32), np.zeros(2, bool), r"expected values in \[0, 1\]"),
-        (np.array([0.5, 1.5], np.float32), np.zeros(2, bool), r"expected values in \[0, 1\]"),
+        (np.zeros(1, np.float32), r"scores: expected float32 of shape \(2,\)"),
+        (np.zeros(2), "scores: expected float32 .*got float64"),
+        (np.array([0.5, np.nan], np.float32), r"expected values in \[0, 1\]"),
+        (np.array([0.5, 1.5], np.float32), r"expected values in \[0, 1\]"),
+        (np.array([-0.1, 0.5], np.float32), r"expected values in \[0, 1\]"),
     ],
 )
-def test_detections_refuse_unfit_scores(scores: Any, is_accepted: Any, complaint: str) -> None:
+def test_detections_refuse_unfit_scores(scores: Any, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        Detections(BOXES, scores, is_accepted)
+        Detections(Proposals(BOXES), scores, 0.5)
 
 
 def test_accepted_boxes() -> None:
-    detections = Detections(BOXES, np.array([0.2, 0.9], np.float32), np.array([False, True]))
+    detections = Detections(Proposals(BOXES), np.array([0.2, 0.9], np.float32), 0.2)
+    assert detections.is_accepted.tolist() == [True, True]  # the float32 nearest to 0.2 is above 0.2
+    detections = Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.5)  # not above 0.5
     assert detections.accepted_boxes_xyxy_px.tolist() == [[2, 3, 9, 8]]
     assert len(detections) == 2
 

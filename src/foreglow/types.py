@@ -28,19 +28,6 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _checked_boxes(boxes: NDArray[Any], owner: str) -> NDArray[Any]:
-    """Read-only int32 boxes of shape (N, 4), or ValueError naming `owner` and the offending field."""
-    boxes = np.asarray(boxes)
-    if boxes.ndim != 2 or boxes.shape[1] != 4:
-        raise ValueError(f"{owner}.boxes_xyxy_px: expected shape (N, 4), got {boxes.shape}")
-    if boxes.dtype != np.int32:
-        raise ValueError(f"{owner}.boxes_xyxy_px: expected int32, got {boxes.dtype}")
-    if boxes.size and not (boxes[:, :2] < boxes[:, 2:]).all():
-        bad = int(np.flatnonzero(~(boxes[:, :2] < boxes[:, 2:]).all(axis=1))[0])
-        raise ValueError(f"{owner}.boxes_xyxy_px: box {bad} is {boxes[bad].tolist()}, expected x1 < x2 and y1 < y2")
-    return _frozen(boxes)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One grey camera image and when it was taken.
@@ -98,7 +85,18 @@ class Proposals:
     boxes_xyxy_px: Boxes
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes_xyxy_px", _checked_boxes(self.boxes_xyxy_px, "Proposals"))
+        boxes = self.boxes_xyxy_px
+        if boxes.ndim != 2 or boxes.shape[1] != 4:
+            raise ValueError(f"Proposals.boxes_xyxy_px: expected shape (N, 4), got {boxes.shape}")
+        if boxes.dtype != np.int32:
+            raise ValueError(f"Proposals.boxes_xyxy_px: expected int32, got {boxes.dtype}")
+        is_ordered = boxes[:, :2] < boxes[:, 2:]
+        if not np.logical_and.reduce(is_ordered, axis=None):
+            bad = int(np.flatnonzero(~is_ordered.all(axis=1))[0])
+            raise ValueError(
+                f"Proposals.boxes_xyxy_px: box {bad} is {boxes[bad].tolist()}, expected x1 < x2 and y1 < y2"
+            )
+        object.__setattr__(self, "boxes_xyxy_px", _frozen(boxes))
 
     def __len__(self) -> int:
         return len(self.boxes_xyxy_px)
@@ -106,37 +104,43 @@ class Proposals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """All proposals of a frame with their scores, in the proposals' order.
+    """All proposals of a frame with their scores.
 
     Attributes:
-        boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels: the proposals' boxes.
-        scores: Shape (N,), float32 in [0, 1]: how sure the classifier is of a light artifact.
-        is_accepted: Shape (N,), bool: score above the configured threshold.
+        proposals: The proposals that were scored.
+        scores: Shape (N,), float32 in [0, 1], one for each proposal: how sure the classifier is of a light artifact.
+        score_threshold: A proposal is accepted when its score is above this.
 
     Raises:
-        ValueError: If shapes or dtypes disagree, or a score is outside [0, 1] or NaN.
+        ValueError: If the scores' shape or dtype is wrong, or one is outside [0, 1] or NaN.
     """
 
-    boxes_xyxy_px: Boxes
+    proposals: Proposals
     scores: NDArray[np.float32]
-    is_accepted: NDArray[np.bool_]
+    score_threshold: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes_xyxy_px", _checked_boxes(self.boxes_xyxy_px, "Detections"))
-        count = len(self.boxes_xyxy_px)
-        for name, dtype in (("scores", np.float32), ("is_accepted", np.bool_)):
-            values = getattr(self, name)
-            if values.shape != (count,) or values.dtype != dtype:
-                raise ValueError(
-                    f"Detections.{name}: expected {np.dtype(dtype)} of shape ({count},), "
-                    f"got {values.dtype} of shape {values.shape}"
-                )
-            object.__setattr__(self, name, _frozen(values))
-        if count and not (self.scores.min() >= 0.0 and self.scores.max() <= 1.0):
+        scores, count = self.scores, len(self.proposals)
+        if scores.shape != (count,) or scores.dtype != np.float32:
+            raise ValueError(
+                f"Detections.scores: expected float32 of shape ({count},), got {scores.dtype} of shape {scores.shape}"
+            )
+        if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
+        object.__setattr__(self, "scores", _frozen(scores))
 
     def __len__(self) -> int:
-        return len(self.boxes_xyxy_px)
+        return len(self.proposals)
+
+    @property
+    def boxes_xyxy_px(self) -> Boxes:
+        """All scored boxes, shape (N, 4), int32, half-open, full-frame pixels."""
+        return self.proposals.boxes_xyxy_px
+
+    @property
+    def is_accepted(self) -> NDArray[np.bool_]:
+        """Shape (N,): which boxes are light artifacts; compared in double precision, as when files are evaluated."""
+        return np.asarray(self.scores.astype(np.float64) > self.score_threshold)
 
     @property
     def accepted_boxes_xyxy_px(self) -> Boxes:

@@ -13,7 +13,7 @@ pytest.importorskip("onnx")
 
 import torch
 
-from foreglow.learning.export import build_onnx, write_onnx
+from foreglow.learning.export import build_onnx, phase_filters, write_onnx
 from foreglow.learning.layers import layers_from_state
 from foreglow.learning.probes import render_probes
 from tests.learning.networks import onnx_logits, random_layers, random_network, torch_logits
@@ -23,6 +23,7 @@ from tests.learning.networks import onnx_logits, random_layers, random_network, 
     "channels",
     [
         (5, 8, 27, 11, 56, 3, 128, 12),  # conv1, conv2 and conv4 in phases
+        (9, 8, 9, 11, 9, 3, 20, 8),  # the same with conv1 in four phases
         (5, 13, 9, 5, 9, 3, 20, 8),  # conv4 in phases alone
         (13, 6, 8, 14, 5, 2, 4, 3),  # conv2 in phases without conv1
         (14, 18, 22, 13, 17, 9, 6, 5),  # no phases
@@ -34,6 +35,25 @@ def test_onnx_equals_definition(channels: tuple[int, ...]) -> None:
     crops = render_probes(3, 64, seed=1)
     logits = onnx_logits(build_onnx(layers, {}).SerializeToString(), crops)
     np.testing.assert_allclose(logits, torch_logits(layers, crops), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("reads", "writes"), [((1, 1), (1, 1)), ((1, 1), (2, 2)), ((1, 2), (2, 2)), ((2, 2), (2, 2)), ((1, 1), (1, 3))]
+)
+def test_filters_in_phases_compute_the_same_convolution(reads: tuple[int, int], writes: tuple[int, int]) -> None:
+    generator = np.random.default_rng(4)
+    weight, image = generator.normal(size=(3, 2, 3, 3)), generator.normal(size=(1, 2, 14, 14))
+    expected = torch.nn.functional.conv2d(torch.from_numpy(image), torch.from_numpy(weight))
+    filters = torch.from_numpy(phase_filters(weight, reads, writes))
+    stride = (writes[0] // reads[0], writes[1] // reads[1])
+    result = torch.nn.functional.conv2d(in_phases(torch.from_numpy(image), reads), filters, stride=stride)
+    np.testing.assert_allclose(result.numpy(), in_phases(expected, writes).numpy(), atol=1e-12)
+
+
+def in_phases(image: torch.Tensor, phases: tuple[int, int]) -> torch.Tensor:
+    """Each pixel of a block as channels of its own, phase by phase, rows first."""
+    rows, columns = phases
+    return torch.cat([image[:, :, row::rows, column::columns] for row in range(rows) for column in range(columns)], 1)
 
 
 def test_onnx_equals_network_with_batch_normalisation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 # Crops of one run: bounds the memory, and the activations of the first layers stay in the second-level cache.
 _MAX_BATCH = 8
+_HALF = np.float32(0.5)
 
 
 class OnnxClassifier:
@@ -58,21 +60,16 @@ class OnnxClassifier:
         Raises:
             ValueError: If the model writes something else than one finite logit a crop.
         """
-        boxes = proposals.boxes_xyxy_px
+        boxes, threshold = proposals.boxes_xyxy_px, self.config.score_threshold
         if len(boxes) == 0:
-            return Detections(boxes, np.zeros(0, np.float32), np.zeros(0, np.bool_))
+            return Detections(proposals, np.zeros(0, np.float32), threshold)
         pixels: Any = image if image.strides[1] == image.itemsize else np.ascontiguousarray(image)
         crops = _native.extract_crops(pixels, np.ascontiguousarray(boxes), self.config.support, self._size_px)
-        scores = _sigmoid(self._logits(crops))
-        return Detections(boxes, scores, scores > self.config.score_threshold)
-
-    def _logits(self, crops: NDArray[np.float32]) -> NDArray[np.float32]:
-        """One logit a crop, shape (N,)."""
         batches = [self._run(crops[start : start + _MAX_BATCH]) for start in range(0, len(crops), _MAX_BATCH)]
         logits = batches[0] if len(batches) == 1 else np.concatenate(batches)
-        if not np.isfinite(logits).all():
+        if not math.isfinite(np.add.reduce(logits)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
-        return logits
+        return Detections(proposals, _sigmoid(logits), threshold)
 
     def _run(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         output: NDArray[np.float32] = self._session.run(self._outputs, {self._input: batch})[0]
@@ -89,8 +86,11 @@ def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     >>> _sigmoid(np.array([-1000, 0, 1000], np.float32)).tolist()
     [0.0, 0.5, 1.0]
     """
-    half = np.float32(0.5)
-    return np.asarray(np.tanh(logits * half) * half + half, np.float32)
+    scores = logits * _HALF
+    np.tanh(scores, scores)
+    scores *= _HALF
+    scores += _HALF
+    return scores
 
 
 def _open(path: Path, num_threads: int) -> InferenceSession:

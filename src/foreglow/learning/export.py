@@ -7,7 +7,7 @@ The graph computes what `Layers` says, in an arrangement of its own. All of it i
 - A narrow convolution followed by the largest of 2x2 is written as one convolution of stride 2 with four times the
   channels, one for each place in the 2x2, and the largest over these four ("phases"). ONNX Runtime computes 8 or 16
   channels at the price of one, and a narrow layer leaves most of them idle.
-- conv1, when it precedes such a layer, is written in phases too, so that conv2 reads them with filters of 2x2.
+- conv1, when it precedes such a layer, is written in phases too: its block is fuller and the filters of conv2 are small.
 - Channel counts above 8 are filled up to multiples of four with zeros, without which a slower convolution is taken.
 """
 
@@ -31,6 +31,8 @@ _OPSET, _IR_VERSION = 17, 8
 _READ_PX = SIZE_PX - 2
 _MAX_CHANNELS_IN_PHASES = 12
 _MAX_UNFILLED_CHANNELS = 8
+# Channels that ONNX Runtime computes at a time with AVX-512; fewer inputs than these are read as they are.
+_BLOCK = 16
 
 
 def write_onnx(layers: Layers, path: Path, metadata: Mapping[str, str]) -> None:
@@ -52,20 +54,18 @@ def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
     graph = _Graph()
     layers = _filled_up(layers)
     name, size_px = graph.cut("crops", _READ_PX), _READ_PX
-    is_first_in_phases = _is_narrow(layers, 0) and _is_narrow(layers, 1)
+    phases = (1, 1)  # of the image called `name`
     for index in range(NUM_CONVOLUTIONS):
         weight, bias = layers.weights[index], layers.biases[index]
         size_px -= weight.shape[2] - 1
-        if index == 0 and is_first_in_phases:
-            name = graph.convolution(name, in_phases(weight), np.tile(bias, 4), stride=2)
-        elif index in POOLED and _is_narrow(layers, index):
-            reads_phases = index == 1 and is_first_in_phases
-            filters = between_phases(weight) if reads_phases else in_phases(weight)
-            name = graph.convolution(name, filters, np.tile(bias, 4), stride=1 if reads_phases else 2)
+        is_pooled_next = index == 0 and _is_narrow(layers, 0) and _is_narrow(layers, 1)
+        if index in POOLED and _is_narrow(layers, index):
+            name, phases = graph.convolution(name, weight, bias, phases, (2, 2)), (1, 1)
             size_px //= 2
             name = graph.largest_phase(name, len(bias), size_px)
         else:
-            name = graph.convolution(name, weight, bias, stride=1)
+            wanted = _phases_of_first(len(bias)) if is_pooled_next else (1, 1)
+            name, phases = graph.convolution(name, weight, bias, phases, wanted), wanted
             if index in POOLED:
                 size_px //= 2
                 name = graph.node("MaxPool", name, kernel_shape=[2, 2], strides=[2, 2])
@@ -91,45 +91,41 @@ def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
     return model
 
 
-def in_phases(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Filters of stride 2 that compute a convolution at the four places of each 2x2.
+def phase_filters(
+    weight: NDArray[np.float64], reads: tuple[int, int] = (1, 1), writes: tuple[int, int] = (1, 1)
+) -> NDArray[np.float64]:
+    """Filters that compute the same convolution from an input in phases, to an output in phases.
+
+    An image in phases of (R, C) has the pixel (r, c) of each block of R x C pixels as channels of their own: channel
+    (r C + c) x channels + channel. The stride that belongs to the filters is `writes` over `reads`, axis by axis.
 
     Args:
-        weight: Shape (C, inputs, side, side).
+        weight: Shape (outputs, inputs, rows, columns).
+        reads: Phases (rows, columns) of the input.
+        writes: Phases of the output, whole multiples of those of the input.
 
     Returns:
-        Shape (4 C, inputs, side + 1, side + 1): first all channels at the upper left, then upper right, lower left,
-        lower right.
+        Shape (outputs x phases written, inputs x phases read, rows, columns), rows and columns in blocks read.
     """
-    channels, inputs, side, _ = weight.shape
-    result = np.zeros((4, channels, inputs, side + 1, side + 1))
-    for phase in range(4):
-        row, column = divmod(phase, 2)
-        result[phase, :, :, row : row + side, column : column + side] = weight
-    return result.reshape(4 * channels, inputs, side + 1, side + 1)
-
-
-def between_phases(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Filters of 2x2 that read an input in phases and compute a 3x3 convolution in phases.
-
-    Args:
-        weight: Shape (C, inputs, 3, 3).
-
-    Returns:
-        Shape (4 C, 4 inputs, 2, 2), phases ordered as in `in_phases` on both sides.
-    """
-    channels, inputs = weight.shape[:2]
-    result = np.zeros((4, channels, 4, inputs, 2, 2))
-    for phase in range(4):
-        for tap in range(9):
-            row, column = (place + shift for place, shift in zip(divmod(phase, 2), divmod(tap, 3), strict=True))
-            read_phase = 2 * (row % 2) + column % 2
-            result[phase, :, read_phase, :, row // 2, column // 2] = weight[:, :, tap // 3, tap % 3]
-    return result.reshape(4 * channels, 4 * inputs, 2, 2)
+    outputs, inputs, *sides = weight.shape
+    cells = [-(-(write - 1 + side) // read) for side, read, write in zip(sides, reads, writes, strict=True)]
+    result = np.zeros((*writes, outputs, *reads, inputs, *cells))
+    for place in np.ndindex(*writes):
+        for tap in np.ndindex(*sides):
+            (row, row_phase), (column, column_phase) = (
+                divmod(at + shift, read) for at, shift, read in zip(place, tap, reads, strict=True)
+            )
+            result[(*place, slice(None), row_phase, column_phase, slice(None), row, column)] = weight[(..., *tap)]
+    return result.reshape(outputs * writes[0] * writes[1], inputs * reads[0] * reads[1], *cells)
 
 
 def _is_narrow(layers: Layers, index: int) -> bool:
     return len(layers.biases[index]) <= _MAX_CHANNELS_IN_PHASES
+
+
+def _phases_of_first(num_channels: int) -> tuple[int, int]:
+    """Phases in which conv1 is written for a narrow conv2: side by side while that stays below one block of 16."""
+    return (1, 2) if 2 * num_channels < _BLOCK else (2, 2)
 
 
 def _filled_up(layers: Layers) -> Layers:
@@ -173,15 +169,18 @@ class _Graph:
         bounds = (self.constant(values) for values in ([0, 0], [size_px, size_px], [2, 3]))
         return self.node("Slice", name, *bounds)
 
-    def convolution(self, name: str, weight: NDArray[Any], bias: NDArray[Any], stride: int) -> str:
-        """A convolution and ReLU."""
+    def convolution(
+        self, name: str, weight: NDArray[Any], bias: NDArray[Any], reads: tuple[int, int], writes: tuple[int, int]
+    ) -> str:
+        """A convolution and ReLU, from an image in phases `reads` to one in phases `writes`."""
+        filters = phase_filters(weight, reads, writes)
         result = self.node(
             "Conv",
             name,
-            self.constant(weight),
-            self.constant(bias),
-            kernel_shape=list(weight.shape[2:]),
-            strides=[stride, stride],
+            self.constant(filters),
+            self.constant(np.tile(bias, writes[0] * writes[1])),
+            kernel_shape=list(filters.shape[2:]),
+            strides=[write // read for read, write in zip(reads, writes, strict=True)],
         )
         return self.node("Relu", result)
 
