@@ -127,6 +127,15 @@ def test_bad_image_among_many(tmp_path: Path, folder: Path, config: Path) -> Non
     assert "000001.png" in summary["skipped"][0]
 
 
+def test_nothing_but_bad_images(tmp_path: Path, folder: Path, config: Path) -> None:
+    for path in folder.iterdir():
+        path.write_text("no image")
+    line = complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--on-error", "skip")
+    assert "expected a readable frame" in line
+    assert "000000.png" in line
+    assert not (tmp_path / "out").exists()
+
+
 def truncated(data: bytes) -> bytes:
     return data[: len(data) // 2]
 

@@ -7,7 +7,7 @@ The graph computes what `Layers` says, in an arrangement of its own. All of it i
 - A narrow convolution followed by the largest of 2x2 is written as one convolution of stride 2 with four times the
   channels, one for each place in the 2x2, and the largest over these four ("phases"). ONNX Runtime computes 8 or 16
   channels at the price of one, and a narrow layer leaves most of them idle.
-- conv1, when it precedes such a layer, is written in phases too: its block is fuller and the filters of conv2 are small.
+- conv1, when it precedes such a layer, is written in phases too: its block is fuller, and conv2 has small filters.
 - Channel counts above 8 are filled up to multiples of four with zeros, without which a slower convolution is taken.
 """
 

@@ -87,7 +87,8 @@ def run(
         source_name: What the summary calls the source; empty takes its own name.
 
     Raises:
-        ValueError: If a frame is unreadable and the source stops at it, or its content is unfit.
+        ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
+            be read.
         OSError: If a result cannot be written; the message names the path.
     """
     tally = Tally()
@@ -106,6 +107,8 @@ def run(
                 tally.add(frame, result)
                 if interrupt.is_set:
                     break
+            if not tally.num_frames and source.skipped:
+                raise ValueError(f"{source_name or source.name}: expected a readable frame; {source.skipped[0]}")
             for taker in takers:
                 taker.close()
         summary = tally.summary(

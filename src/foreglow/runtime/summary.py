@@ -69,7 +69,7 @@ class Tally:
     """Counts and run-times, gathered frame by frame."""
 
     def __init__(self) -> None:
-        self._num_frames = 0
+        self.num_frames = 0
         self._num_proposals = 0
         self._num_accepted = 0
         self._sizes_px: dict[tuple[int, int], None] = {}
@@ -77,7 +77,7 @@ class Tally:
 
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Counts one frame."""
-        self._num_frames += 1
+        self.num_frames += 1
         self._num_proposals += len(result.proposals)
         if result.detections is not None:
             self._num_accepted += int(result.detections.is_accepted.sum())
@@ -95,7 +95,7 @@ class Tally:
             source=source,
             is_complete=is_complete,
             is_classified=is_classified,
-            num_frames=self._num_frames,
+            num_frames=self.num_frames,
             num_proposals=self._num_proposals,
             num_scored=self._num_proposals if is_classified else None,
             num_accepted=self._num_accepted if is_classified else None,
