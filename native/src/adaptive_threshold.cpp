@@ -27,7 +27,7 @@ AdaptiveThreshold::AdaptiveThreshold(const ProposalParameters& parameters, const
 bool AdaptiveThreshold::start(const WorkingImage& image, std::int32_t half_window_px) {
     image_ = &image;
     half_window_px_ = half_window_px;
-    next_ = entered_ = num_doubtful_ = 0;
+    next_ = entered_ = entering_slot_ = centre_slot_ = num_doubtful_ = 0;
     black_ = parameters_.normalise ? image.darkest : 0;
     range_ = (parameters_.normalise ? image.brightest : image.full_scale) - black_;
     if (range_ == 0) return false;
@@ -161,17 +161,20 @@ void AdaptiveThreshold::enter_row(std::int64_t y) {
     }
     step.outer = outer_tap_;
     step.centre = centre_tap_;
-    step.leaving = y - window_rows_ >= first_ ? level_row(y - window_rows_) : no_levels_.data();
+    step.levels = level_row(entering_slot_);  // where the row lies that leaves
+    step.leaving = y - window_rows_ >= first_ ? step.levels : no_levels_.data();
     step.length = plane_;
-    step.levels = level_row(y);
     step.even_sums = column_sums(even);
     step.odd_sums = column_sums(odd);
     step.running = running_.data() + pad_;
     step.running_length = plane_ + pad_;
     kernels_.step_window(step);
+    entering_slot_ = slot_after(entering_slot_);
     if (y < first_) std::fill(column_sums_.begin(), column_sums_.end(), 0U);
-    // The published window never reads column 0: every running sum starts behind it.
-    if (first_ == 1) std::fill(running_.begin(), running_.begin() + pad_, column_sums(even)[0]);
+    if (first_ == 1) {  // the published window never reads column 0: every running sum starts behind it
+        std::fill(running_.begin(), running_.begin() + pad_, column_sums(even)[0]);
+        column_sums(even)[0] = 0;
+    }
 }
 
 void AdaptiveThreshold::update_areas(std::int64_t num_rows) {
@@ -188,36 +191,39 @@ void AdaptiveThreshold::update_areas(std::int64_t num_rows) {
 void AdaptiveThreshold::threshold_row(std::int64_t y) {
     const Span rows = span(y, image_->height);
     update_areas(std::max<std::int64_t>(rows.last - rows.first, 1));
-    bool has_doubt = false;
-    for (std::int64_t parity : {even, odd}) {
-        // The window spans start .. stop relative to the even column of the pair.
-        const std::int64_t start = parity - before_, stop = parity + after_;
-        const auto halved = [](std::int64_t value) { return (value - (value & 1)) / 2; };  // towards minus infinity
-        const std::uint32_t* running = running_.data() + pad_;
-        ThresholdRow row{};
-        row.levels = level_row(y) + parity * plane_;
-        row.inverse_areas = inverse_areas_.data() + parity * plane_;
-        row.quick_areas = quick_areas_.data() + parity * plane_;
-        row.quick_slack = static_cast<float>(4.0 + parameters_.kappa);
-        row.quick_most = quick_most_;
-        row.pairs_stop = running + halved(stop + 1) - 1;
-        row.pairs_start = running + halved(start + 1) - 1;
-        row.single_start = (start & 1) != 0 ? column_sums(odd) + halved(start) : nullptr;
-        row.single_stop = (stop & 1) == 0 ? column_sums(even) + stop / 2 : nullptr;
-        row.num_words = words_;
-        row.unit_plus_eps = static_cast<float>(unit_ * (1.0 + parameters_.eps));
-        row.kappa = static_cast<float>(parameters_.kappa);
-        row.tolerance = tolerance_;
-        row.tolerance_slope = tolerance_slope_;
-        row.surely_black = surely_black_;
-        row.above = bits_.data() + parity * words_;
-        row.doubt = doubt_.data() + parity * words_;
-        has_doubt |= kernels_.exceed(row);
+    // The window of an even column spans start .. stop, relative to it.
+    const std::int64_t start = -before_, stop = after_;
+    const auto halved = [](std::int64_t value) { return (value - (value & 1)) / 2; };  // towards minus infinity
+    const auto column = [&](std::int64_t x) { return column_sums(x & 1) + halved(x); };
+    const std::uint32_t* running = running_.data() + pad_;
+    ThresholdRow row{};
+    row.length = plane_;
+    row.levels = level_row(centre_slot_);
+    row.inverse_areas = inverse_areas_.data();
+    row.quick_areas = quick_areas_.data();
+    row.quick_slack = static_cast<float>(4.0 + parameters_.kappa);
+    row.quick_most = quick_most_;
+    row.pairs_stop = running + halved(stop + 1) - 1;
+    row.pairs_start = running + halved(start + 1) - 1;
+    row.single_start = (start & 1) != 0 ? column(start) : nullptr;
+    row.single_stop = (stop & 1) == 0 ? column(stop) : nullptr;
+    row.leaving = column(start);
+    row.entering = column(stop + 1);
+    row.unit_plus_eps = static_cast<float>(unit_ * (1.0 + parameters_.eps));
+    row.kappa = static_cast<float>(parameters_.kappa);
+    row.tolerance = tolerance_;
+    row.tolerance_slope = tolerance_slope_;
+    row.surely_black = surely_black_;
+    row.above = bits_.data();
+    row.doubt = doubt_.data();
+    const bool has_doubt = kernels_.exceed(row);
+    centre_slot_ = slot_after(centre_slot_);
+    for (std::int64_t parity : {even, odd}) {  // nothing beyond the image counts
         const std::int64_t used = num_columns(parity);
         for (std::int64_t word = used / 64; word < words_; ++word) {
             const std::uint64_t inside = word * 64 < used ? (1ULL << (used % 64)) - 1 : 0;
-            row.above[word] &= inside;
-            row.doubt[word] &= inside;
+            bits_[static_cast<std::size_t>(parity * words_ + word)] &= inside;
+            doubt_[static_cast<std::size_t>(parity * words_ + word)] &= inside;
         }
     }
     if (has_doubt) settle_doubt(y, rows);

@@ -60,7 +60,8 @@ private:
     void settle_doubt(std::int64_t y, Span rows);
 
     float* blurred_row(std::int64_t y) { return blurred_rows_.data() + (y % 3) * 2 * plane_; }
-    float* level_row(std::int64_t y) { return levels_.data() + (y % window_rows_) * 2 * plane_; }
+    float* level_row(std::int64_t slot) { return levels_.data() + slot * 2 * plane_; }
+    std::int64_t slot_after(std::int64_t slot) const { return slot + 1 == window_rows_ ? 0 : slot + 1; }
     std::uint32_t* column_sums(std::int64_t parity) { return column_sums_.data() + parity * (plane_ + 2 * pad_) + pad_; }
     std::int64_t num_columns(std::int64_t parity) const { return (image_->width + 1 - parity) / 2; }
     Span span(std::int64_t position, std::int64_t length) const;
@@ -75,6 +76,7 @@ private:
     std::int32_t half_window_px_ = 0;
     std::int64_t black_ = 0, range_ = 1;  // the sum that counts as 0, and the distance from it that counts as 1
     std::int64_t next_ = 0, entered_ = 0;
+    std::int64_t entering_slot_ = 0, centre_slot_ = 0;  // places in the ring of levels: of the next row to enter, of next_
     std::int64_t num_doubtful_ = 0;
 
     // The window reaches from `before_` pixels before its centre to `after_` behind it and never reads a row or column

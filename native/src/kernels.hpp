@@ -34,22 +34,23 @@ struct WindowStep {
     std::int64_t running_length;          // ... constant beyond `length`
 };
 
-// One plane of one row of the threshold test.
+// One row of the threshold test. Arrays of two planes hold the even columns, then, `length` further on, the odd ones.
 struct ThresholdRow {
-    const float* levels;                // blurred image, this plane
-    const float* inverse_areas;         // one over the window's number of pixels, this plane
-    const float* quick_areas;           // the same, times a factor that no pixel above the threshold stays below ...
-    float quick_slack, quick_most;      // ... in levels, unless it is above quick_most
-    const std::uint32_t* pairs_stop;    // running sums of pairs at the window's end ...
-    const std::uint32_t* pairs_start;   // ... and before its start
-    const std::uint32_t* single_start;  // a column that belongs to the window without its partner, or nullptr
-    const std::uint32_t* single_stop;
-    std::int64_t num_words;
+    std::int64_t length;         // of a plane
+    const float* levels;         // blurred image
+    const float* inverse_areas;  // one over the window's number of pixels
+    const float* quick_areas;    // the same, times a factor that no pixel above the threshold stays below ...
+    float quick_slack, quick_most;  // ... in levels, unless it is above quick_most
+    // The window of an even column: running sums of pairs at its end and before its start, and a column at either end
+    // that belongs to it without its partner, or nullptr.
+    const std::uint32_t *pairs_stop, *pairs_start, *single_start, *single_stop;
+    // The window of the odd column next to it: the first column goes, another comes.
+    const std::uint32_t *leaving, *entering;
     float unit_plus_eps;  // (1 + eps) in levels
     float kappa;
     float tolerance, tolerance_slope;  // doubt below tolerance + tolerance_slope * mean ...
     float surely_black;                // ... unless the level is at most this
-    std::uint64_t* above;              // bit i: the pixel exceeds the threshold
+    std::uint64_t* above;              // bit i: the pixel exceeds the threshold; words of the even plane, then the odd
     std::uint64_t* doubt;              // bit i: too close for single precision
 };
 

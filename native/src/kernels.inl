@@ -76,52 +76,68 @@ void step_window(const WindowStep& arguments) {
     for (; i < step.running_length; i += num_lanes) store(step.running + i, before);
 }
 
+// Sums over the windows of the even columns from element i on, and of the odd ones.
 template <bool has_single_start, bool has_single_stop>
-bool exceed_plane(const ThresholdRow& row) {
+inline void sum_windows(const ThresholdRow& row, std::int64_t i, Floats totals[2]) {
+    Words sum = load<Words>(row.pairs_stop + i) - load<Words>(row.pairs_start + i);
+    if constexpr (has_single_start) sum += load<Words>(row.single_start + i);
+    if constexpr (has_single_stop) sum += load<Words>(row.single_stop + i);
+    totals[0] = to_floats(reinterpret_cast<Ints>(sum));
+    totals[1] = to_floats(reinterpret_cast<Ints>(sum - load<Words>(row.leaving + i) + load<Words>(row.entering + i)));
+}
+
+template <bool has_single_start, bool has_single_stop>
+bool exceed_row(const ThresholdRow& arguments) {
+    const ThresholdRow row = arguments;  // a copy that no store through a pointer can be thought to change
     const Floats unit = splat(row.unit_plus_eps), kappa = splat(row.kappa), zero = splat(level_zero);
     const Floats tolerance_zero = splat(row.tolerance), slope = splat(row.tolerance_slope);
     const Floats quick_slack = splat(level_zero - row.quick_slack), quick_most = splat(level_zero + row.quick_most);
     const Floats surely_black = splat(row.surely_black);
-    const auto window_total = [&row](std::int64_t i) {
-        Words sum = load<Words>(row.pairs_stop + i) - load<Words>(row.pairs_start + i);
-        if constexpr (has_single_start) sum += load<Words>(row.single_start + i);
-        if constexpr (has_single_stop) sum += load<Words>(row.single_stop + i);
-        return to_floats(reinterpret_cast<Ints>(sum));
-    };
+    const std::int64_t num_words = row.length / 64;
     std::uint64_t any = 0;
-    for (std::int64_t word = 0; word < row.num_words; ++word) {
-        std::uint64_t candidates = 0, above = 0, doubt = 0;
+    for (std::int64_t word = 0; word < num_words; ++word) {
+        std::uint64_t candidates[2] = {0, 0};
         for (int part = 0; part < 64; part += num_lanes) {
             const std::int64_t i = word * 64 + part;
-            const Floats least = smaller(window_total(i) * load<Floats>(row.quick_areas + i) + quick_slack, quick_most);
-            candidates |= greater_mask(load<Floats>(row.levels + i), least) << part;
+            Floats totals[2];
+            sum_windows<has_single_start, has_single_stop>(row, i, totals);
+            for (int parity = 0; parity < 2; ++parity) {
+                const std::int64_t at = parity * row.length + i;
+                const Floats least = smaller(totals[parity] * load<Floats>(row.quick_areas + at) + quick_slack, quick_most);
+                candidates[parity] |= greater_mask(load<Floats>(row.levels + at), least) << part;
+            }
         }
-        while (candidates != 0) {  // hardly ever, at night
-            const int part = __builtin_ctzll(candidates) / num_lanes * num_lanes;
-            candidates &= ~(((1ULL << num_lanes) - 1) << part);
-            const std::int64_t i = word * 64 + part;
-            const Floats mean = window_total(i) * load<Floats>(row.inverse_areas + i);
-            const Floats value = load<Floats>(row.levels + i) - zero;
-            // I > T without a division, D = I - mean: D (1 + eps - D) > kappa mean (1 + eps - 2 D).
-            const Floats difference = value - mean;
-            const Floats rest = unit - difference;
-            const Floats excess = difference * rest - kappa * mean * (rest - difference);
-            const Floats tolerance = tolerance_zero + slope * mean;
-            above |= greater_mask(excess, Floats{}) << part;
-            doubt |= (greater_mask(tolerance, magnitude(excess)) & greater_mask(value, surely_black)) << part;
+        for (int parity = 0; parity < 2; ++parity) {
+            std::uint64_t above = 0, doubt = 0;
+            while (candidates[parity] != 0) {  // hardly ever, at night
+                const int part = __builtin_ctzll(candidates[parity]) / num_lanes * num_lanes;
+                candidates[parity] &= ~(((1ULL << num_lanes) - 1) << part);
+                const std::int64_t i = word * 64 + part, at = parity * row.length + i;
+                Floats totals[2];
+                sum_windows<has_single_start, has_single_stop>(row, i, totals);
+                const Floats mean = totals[parity] * load<Floats>(row.inverse_areas + at);
+                const Floats value = load<Floats>(row.levels + at) - zero;
+                // I > T without a division, D = I - mean: D (1 + eps - D) > kappa mean (1 + eps - 2 D).
+                const Floats difference = value - mean;
+                const Floats rest = unit - difference;
+                const Floats excess = difference * rest - kappa * mean * (rest - difference);
+                const Floats tolerance = tolerance_zero + slope * mean;
+                above |= greater_mask(excess, Floats{}) << part;
+                doubt |= (greater_mask(tolerance, magnitude(excess)) & greater_mask(value, surely_black)) << part;
+            }
+            row.above[parity * num_words + word] = above;
+            row.doubt[parity * num_words + word] = doubt;
+            any |= doubt;
         }
-        row.above[word] = above;
-        row.doubt[word] = doubt;
-        any |= doubt;
     }
     return any != 0;
 }
 
 bool exceed(const ThresholdRow& row) {
     if (row.single_start != nullptr) {
-        return row.single_stop != nullptr ? exceed_plane<true, true>(row) : exceed_plane<true, false>(row);
+        return row.single_stop != nullptr ? exceed_row<true, true>(row) : exceed_row<true, false>(row);
     }
-    return row.single_stop != nullptr ? exceed_plane<false, true>(row) : exceed_plane<false, false>(row);
+    return row.single_stop != nullptr ? exceed_row<false, true>(row) : exceed_row<false, false>(row);
 }
 
 }  // namespace

@@ -41,10 +41,4 @@ WholeTaps whole_taps(const HalfKernel& kernel, std::int64_t largest_value) {
     return best;
 }
 
-std::int64_t mirrored(std::int64_t index, std::int64_t length) {
-    if (length == 1) return 0;
-    while (index < 0 || index >= length) index = index < 0 ? -index : 2 * (length - 1) - index;
-    return index;
-}
-
 }  // namespace foreglow

@@ -23,6 +23,10 @@ struct WholeTaps {
 WholeTaps whole_taps(const HalfKernel& kernel, std::int64_t largest_value);
 
 // Index of a row or column outside an image of `length`, mirrored about the border pixel (... 2 1 | 0 1 2 ...).
-std::int64_t mirrored(std::int64_t index, std::int64_t length);
+inline std::int64_t mirrored(std::int64_t index, std::int64_t length) {
+    if (length == 1) return 0;
+    while (index < 0 || index >= length) index = index < 0 ? -index : 2 * (length - 1) - index;
+    return index;
+}
 
 }  // namespace foreglow
