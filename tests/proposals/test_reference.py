@@ -27,6 +27,45 @@ def test_sizes_scale_with_the_width(width_px: int, reduction: int, half_window_p
     assert sizes.max_area_px == pytest.approx(1999 * ratio**2)
 
 
+def test_gap_and_limits_scale_with_the_width() -> None:
+    """2872 columns are reduced by 4 to 718, which is 1.121875 times the 640 that the sizes are meant for."""
+    sizes = reference.working_sizes(ProposalConfig(gap_px=13, min_area_px=100, min_width_px=10), 2872)
+    assert sizes.gap_px == 15  # 14.58
+    assert sizes.min_area_px == pytest.approx(125.86, abs=0.01)
+    assert sizes.min_width_px == pytest.approx(11.22, abs=0.01)
+    assert reference.working_sizes(ProposalConfig(gap_px=13), 64).gap_px == 1
+
+
+def test_normalisation() -> None:
+    sums = np.array([[100, 204], [612, 1020]])
+    own = reference.normalised(sums, 1020, ProposalConfig())
+    np.testing.assert_allclose(own, [[0, 104 / 920], [512 / 920, 1]], rtol=1e-15)
+    full = reference.normalised(sums, 1020, ProposalConfig(normalise=False))
+    np.testing.assert_allclose(full, sums / 1020, rtol=1e-15)
+    stages = ReferenceProposer(ProposalConfig(normalise=False)).stages(np.full((64, 1280), 51, np.uint8))
+    assert stages is not None
+    np.testing.assert_allclose(stages.blurred, 0.2, atol=1e-12)
+
+
+def test_blur_spreads_a_point_as_the_product_of_its_kernels() -> None:
+    image = np.zeros((9, 11))
+    image[4, 5] = 1.0
+    blurred = reference.blur(image, ProposalConfig(blur_sigma_px=0.7))
+    across = np.exp(-0.5 * (np.arange(-2, 3) / 0.7) ** 2)
+    down = np.exp(-0.5 * (np.arange(-1, 2) / 0.7) ** 2)
+    wanted = np.outer(down / down.sum(), across / across.sum())
+    np.testing.assert_allclose(blurred[3:6, 3:8], wanted, atol=1e-15)
+    assert blurred.sum() == pytest.approx(1.0)
+
+
+def test_blur_mirrors_about_the_border_pixel() -> None:
+    image = np.zeros((6, 6))
+    image[0, 1] = 1.0
+    blurred = reference.blur(image, ProposalConfig(blur_width_px=3, blur_height_px=1))
+    side = np.exp(-0.125)
+    assert blurred[0, 0] == pytest.approx(2 * side / (1 + 2 * side))  # column 1 is seen on both sides
+
+
 @pytest.mark.parametrize("window", ["published", "centred"])
 @pytest.mark.parametrize("half_window_px", [1, 4, 9])
 def test_local_mean_equals_plain_loops(window: str, half_window_px: int) -> None:
@@ -56,6 +95,19 @@ def test_threshold_in_closed_form() -> None:
     # For D -> 0 the threshold is mean (1 + kappa), which a pixel at the mean stays below for any kappa > 0.
     assert not reference.exceeds_threshold(mean, mean, kappa=1e-6, eps=1e-3).any()
     assert not reference.exceeds_threshold(np.zeros(1), np.zeros(1), kappa=0.0, eps=1e-3).any()
+
+
+def test_threshold_by_hand() -> None:
+    """I = 0.5, mu = 0.2, eps = 0.1: D = 0.3, D / (1 - D + eps) = 0.375, so that kappa = 1.5 / 0.625 = 2.4 ties."""
+    value, mean = np.array([0.5]), np.array([0.2])
+    assert reference.exceeds_threshold(value, mean, kappa=2.4 - 1e-6, eps=0.1).all()
+    assert not reference.exceeds_threshold(value, mean, kappa=2.4 + 1e-6, eps=0.1).any()
+
+
+def test_a_tie_is_not_above_the_threshold() -> None:
+    mean = np.array([0.5])
+    for excess, is_above in [(0.0, False), (1e-11, False), (1e-9, True)]:
+        assert reference.exceeds_threshold(mean + excess, mean, kappa=0.0, eps=1e-3).all() == is_above
 
 
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 10), st.floats(0, 10))
