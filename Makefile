@@ -5,7 +5,7 @@ PYTHON ?= python3
 SOURCE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
 VENV := .venv
 BIN := $(VENV)/bin
-NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name CMakeLists.txt)
+NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
 .PHONY: demo test check bench picture clean
