@@ -5,7 +5,6 @@ All channels against folded, one thread. Uses the published weights where they a
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from functools import partial
@@ -15,7 +14,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.material import imported_models
-from benchmarks.timing import CONSOLE, RESULTS, Contender, Row, in_ms, interleaved, table, write_results
+from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, options, table, write_results
 from foreglow import _native
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
@@ -58,10 +57,7 @@ def classifier_table(rows: Sequence[Row], weights: str) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "classifier.json", help="the figures as JSON")
-    parser.add_argument("--quick", action="store_true", help="few repetitions: shows that it runs, not how quickly")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, "classifier", arguments)
     weights, rows = measure(2 if given.quick else 40)
     CONSOLE.print(classifier_table(rows, weights))
     write_results(given.out, {"weights": weights, "classifier": rows})

@@ -6,7 +6,6 @@ generated frame and random weights, and says so.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from rich.table import Table
 from benchmarks.material import benchmark_frame, imported_models
 from benchmarks.memory import memory_growth
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
-from benchmarks.timing import CONSOLE, RESULTS, Contender, Row, in_ms, interleaved, table, write_results
+from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, options, table, write_results
 from foreglow import _native
 from foreglow.config import PRESETS, ClassifierConfig, PipelineConfig, ProposalConfig
 from foreglow.pipeline import Pipeline
@@ -127,10 +126,7 @@ def memory_table(rows: Sequence[Row]) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "detector.json", help="the figures as JSON")
-    parser.add_argument("--quick", action="store_true", help="few repetitions: shows that it runs, not how quickly")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, "detector", arguments)
     effort = QUICK if given.quick else Effort()
     frame, image = benchmark_frame()
     CONSOLE.print(f"Frame: {frame}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import platform
 import time
@@ -85,6 +86,14 @@ def interleaved(contenders: Mapping[str, Contender], rounds: int, warm_up: int =
                 if number >= 0:
                     samples_ms[name][number, index] = taken_ns / 1e6
     return {name: RunTimes(samples) for name, samples in samples_ms.items()}
+
+
+def options(description: str | None, name: str, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options of a benchmark's command: `out`, a path, by default `RESULTS`/`name`.json, and `quick`."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--out", type=Path, default=RESULTS / f"{name}.json", help="the figures as JSON")
+    parser.add_argument("--quick", action="store_true", help="few repetitions: shows that it runs, not how quickly")
+    return parser.parse_args(arguments)
 
 
 def table(title: str, texts: Sequence[str], figures: Sequence[str]) -> Table:

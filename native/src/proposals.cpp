@@ -39,6 +39,9 @@ const ProposalParameters& checked(const ProposalParameters& p) {
     return p;
 }
 
+// Keeps the sums of a block within 32 bits; far beyond any camera.
+constexpr std::int32_t max_reduction = 64;
+
 }  // namespace
 
 WorkingSizes working_sizes(const ProposalParameters& p, std::int32_t width_px) {
@@ -67,7 +70,11 @@ public:
         boxes_.clear();
         num_doubtful_ = 0;
         const WorkingSizes sizes = working_sizes(parameters_, frame.width_px);
-        require(sizes.reduction <= 64, "image: too wide for reference_width_px");
+        if (sizes.reduction > max_reduction) {
+            throw std::invalid_argument("proposals.reference_width_px: expected frames that are reduced by at most " +
+                                        std::to_string(max_reduction) + ", one of " + std::to_string(frame.width_px) +
+                                        " columns is reduced by " + std::to_string(sizes.reduction));
+        }
         const Box region = considered(frame);
         image_.reduce(cut(frame, region), sizes.reduction, kernels_);
         if (image_.width == 0 || image_.height == 0) return boxes_;

@@ -131,7 +131,9 @@ def import_weights(
     out: Annotated[Path, _file(help="The ONNX model to write.")],
     fold: Annotated[
         float | None,
-        typer.Option(metavar="TOLERANCE", help="Remove channels that vary less than this, as in --fold 1e-3."),
+        typer.Option(
+            metavar="TOLERANCE", help="Remove channels while no score changes by more than this, such as 1e-3."
+        ),
     ] = None,
 ) -> None:
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""

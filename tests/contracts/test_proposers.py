@@ -122,6 +122,13 @@ def test_a_region_outside_the_frame_is_an_error(backend: str, region: tuple[int,
         boxes_of(backend, lamps(), region_xyxy_px=region)
 
 
+def test_a_frame_far_too_wide_for_its_reference_is_an_error(backend: str) -> None:
+    image = np.zeros((64, 64 * 64), np.uint8)
+    assert boxes_of(backend, image, reference_width_px=64, reduction=1) == []  # reduced by 64
+    with pytest.raises(ValueError, match="reduced by at most 64, one of 4096 columns is reduced by 128"):
+        boxes_of(backend, image, reference_width_px=64, reduction=2)
+
+
 def test_a_wider_gap_joins_lamps(backend: str) -> None:
     image = np.full((240, 320), 10, np.uint8)
     image[100:110, 100:112] = 90

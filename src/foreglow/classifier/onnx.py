@@ -130,12 +130,7 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
 
 def _checked_input(path: Path, session: InferenceSession) -> tuple[str, int]:
     """Name and side of the model's only input."""
-    inputs = session.get_inputs()
-    if len(inputs) != 1:
-        raise ValueError(f"{path}: inputs: expected one, got {len(inputs)}")
-    name, kind, shape = inputs[0].name, inputs[0].type, _shape(inputs[0])
-    if kind != "tensor(float)":
-        raise ValueError(f"{path}: input {name}: expected float32, got {kind}")
+    name, shape = _only(path, session.get_inputs(), "input")
     expected = "expected shape (N, 1, S, S) with a free N and a fixed S"
     if len(shape) != 4:
         raise ValueError(f"{path}: input {name}: {expected}, got {len(shape)} dimensions {shape}")
@@ -151,17 +146,16 @@ def _checked_input(path: Path, session: InferenceSession) -> tuple[str, int]:
 
 def _checked_output(path: Path, session: InferenceSession) -> str:
     """Name of the model's only output; what its shape leaves open is checked on every run."""
-    outputs = session.get_outputs()
-    if len(outputs) != 1:
-        raise ValueError(f"{path}: outputs: expected one, got {len(outputs)}")
-    name, kind, shape = outputs[0].name, outputs[0].type, _shape(outputs[0])
-    if kind != "tensor(float)":
-        raise ValueError(f"{path}: output {name}: expected float32, got {kind}")
+    name, shape = _only(path, session.get_outputs(), "output")
     if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] != 1):
         raise ValueError(f"{path}: output {name}: expected shape (N,) or (N, 1) with a free N, got {shape}")
-    return str(name)
+    return name
 
 
-def _shape(node: Any) -> tuple[int | str | None, ...]:
-    """The shape of a model's input or output; free dimensions are names or None."""
-    return tuple(node.shape)
+def _only(path: Path, nodes: list[Any], what: str) -> tuple[str, tuple[int | str | None, ...]]:
+    """Name and shape of the only one of a model's inputs or outputs; free dimensions are names or None."""
+    if len(nodes) != 1:
+        raise ValueError(f"{path}: {what}s: expected one, got {len(nodes)}")
+    if nodes[0].type != "tensor(float)":
+        raise ValueError(f"{path}: {what} {nodes[0].name}: expected float32, got {nodes[0].type}")
+    return str(nodes[0].name), tuple(nodes[0].shape)

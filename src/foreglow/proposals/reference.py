@@ -20,6 +20,9 @@ ROUNDING = 1e-10
 """What counts as equal, in units of the dynamic range: where a flat patch ties with its own mean, sums in double
 precision differ by up to 1e-11, while one grey level of 16 bits is 1e-5. Ties are not above the threshold."""
 
+MAX_REDUCTION = 64
+"""Frame pixels for each working pixel, along each axis: keeps the sums of a block within 32 bits in every back end."""
+
 
 @dataclass(frozen=True, slots=True)
 class WorkingSizes:
@@ -43,12 +46,20 @@ class WorkingSizes:
 def working_sizes(config: ProposalConfig, width_px: int) -> WorkingSizes:
     """The sizes of `config` for a frame of `width_px` columns; the rule is in `ProposalConfig`.
 
+    Raises:
+        ValueError: If the frame would be reduced by more than `MAX_REDUCTION`.
+
     >>> working_sizes(ProposalConfig(), 1280)
     WorkingSizes(reduction=2, half_window_px=9, gap_px=4, min_area_px=11.0, max_area_px=1999.0, min_width_px=6.0)
     >>> working_sizes(ProposalConfig(), 2560).reduction
     4
     """
     reduction = max(1, int(config.reduction * width_px / config.reference_width_px + 0.5))
+    if reduction > MAX_REDUCTION:
+        raise ValueError(
+            f"proposals.reference_width_px: expected frames that are reduced by at most {MAX_REDUCTION}, "
+            f"one of {width_px} columns is reduced by {reduction}"
+        )
     ratio = (width_px // reduction) / (config.reference_width_px / config.reduction)
     return WorkingSizes(
         reduction=reduction,

@@ -131,8 +131,9 @@ def _marks(result: FrameResult, measures: Measures, size_px: tuple[int, int]) ->
         boxes = result.proposals.boxes_xyxy_px.tolist()
         return [_Mark(_around(box, measures, size_px), PROPOSAL_BGR, measures.thin_px, "") for box in boxes]
     marks = []
-    for index in np.argsort(detections.is_accepted, kind="stable").tolist():
-        is_accepted = bool(detections.is_accepted[index])
+    accepted = detections.is_accepted
+    for index in np.argsort(accepted, kind="stable").tolist():
+        is_accepted = bool(accepted[index])
         marks.append(
             _Mark(
                 _around(detections.boxes_xyxy_px[index].tolist(), measures, size_px),
