@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -20,12 +20,14 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 """A row or column of a frame, pixels."""
 
 
-class _Frozen(BaseModel):
+class FrozenModel(BaseModel):
+    """A frozen set of parameters: unknown fields, NaN, infinity and values of another type are errors."""
+
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class ProposalConfig(_Frozen):
+class ProposalConfig(FrozenModel):
     """Parameters of the proposal stage; the defaults are the paper's optimum with the published code's unstated steps.
 
     All sizes are pixels of the *working image*, for a frame of `reference_width_px` columns. A frame of W columns
@@ -90,7 +92,7 @@ class ProposalConfig(_Frozen):
         return self
 
 
-class ClassifierConfig(_Frozen):
+class ClassifierConfig(FrozenModel):
     """Parameters of the classification stage.
 
     Attributes:
@@ -107,7 +109,7 @@ class ClassifierConfig(_Frozen):
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1
 
 
-class PipelineConfig(_Frozen):
+class PipelineConfig(FrozenModel):
     """The configuration of the whole pipeline, one section a stage."""
 
     proposals: ProposalConfig = ProposalConfig()
@@ -143,32 +145,56 @@ def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfi
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such configuration file")
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected TOML: {error}") from error
+    given = read_toml(path)
     merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
     for section, fields in given.items():
         known = merged.get(section)
         merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields
+    return validated(PipelineConfig, merged, str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What the TOML file `path` holds.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML; the message names the path and the place.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such configuration file")
     try:
-        return PipelineConfig.model_validate(merged)
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected TOML: {error}") from error
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(model: type[Model], fields: Any, origin: str) -> Model:
+    """`fields` as a `model`.
+
+    Raises:
+        ValueError: If a field is unknown, missing, of another type or out of range; the message names `origin`, the
+            first such field and what was expected.
+    """
+    try:
+        return model.model_validate(fields)
     except ValidationError as error:
-        raise ValueError(f"{path}: {_first_complaint(error)}") from error
+        raise ValueError(f"{origin}: {_first_complaint(model, error)}") from error
 
 
-def _first_complaint(error: ValidationError) -> str:
+def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     """The first field that is wrong, what was expected and what was found, as one line."""
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"]) or "configuration"
     if first["type"] == "value_error":  # one of our own checks, which says all of it
         return f"{field}.{first['ctx']['error']}"
     if first["type"] == "extra_forbidden":
-        section = PipelineConfig.model_fields.get(str(first["loc"][0])) if len(first["loc"]) > 1 else None
-        model = type(section.default) if section is not None else PipelineConfig
-        return f"{field}: unknown, expected one of {', '.join(model.model_fields)}"
+        section = model.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 2 else None
+        owner = model if section is None else section.annotation
+        known = owner.model_fields if isinstance(owner, type) and issubclass(owner, BaseModel) else {}
+        return f"{field}: unknown" + (f", expected one of {', '.join(known)}" if known else "")
     return f"{field}: {first['msg']}, got {first['input']!r}"
 
 

@@ -1,0 +1,162 @@
+"""Coordinate frames: the world, a vehicle, a camera and its pixels; the only file that knows them.
+
+* World: x east, y north, z up, metres.
+* Vehicle: x forward, y left, z up, metres; the origin lies on the road under the middle of the rear axle.
+* Camera and lamp: x along the axis, y left, z up, metres, like the vehicle.
+* Image: x = column to the right, y = row downwards, pixels; the centre of the upper left pixel is (0.5, 0.5).
+
+A rotation `world_from_vehicle` has the vehicle's forward, left and up as columns, written in the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+NUM_UNDISTORTION_STEPS = 20
+"""Fixed-point steps that invert the distortion; ordinary lenses are below 1e-9 after ten."""
+
+
+def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
+    """Rotation dst_from_body, shape (3, 3): yaw to the left about z, then pitch upwards, then roll to the right.
+
+    >>> rotation(pitch_rad=0.1)[2, 0] > 0  # the nose goes up
+    True
+    """
+    cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where a body is and how it is turned: dst_from_body.
+
+    Attributes:
+        position_m: Shape (3,), the body's origin in the outer frame.
+        rotation: Shape (3, 3), columns are the body's forward, left and up in the outer frame.
+
+    Raises:
+        ValueError: If a shape is wrong, a value is not finite, or the matrix is no rotation.
+    """
+
+    position_m: Floats
+    rotation: Floats
+
+    def __post_init__(self) -> None:
+        position, turned = np.array(self.position_m, np.float64), np.array(self.rotation, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise ValueError(f"Pose.position_m: expected three finite numbers, got {self.position_m!r}")
+        if turned.shape != (3, 3) or not np.allclose(turned @ turned.T, np.eye(3), atol=1e-6):
+            raise ValueError(f"Pose.rotation: expected a rotation of shape (3, 3), got {self.rotation!r}")
+        for name, array in (("position_m", position), ("rotation", turned)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def to_outer(self, points_body: ArrayLike) -> Floats:
+        """Points of shape (..., 3) of the body, in the outer frame."""
+        return np.asarray(points_body, np.float64) @ self.rotation.T + self.position_m
+
+    def to_body(self, points_outer: ArrayLike) -> Floats:
+        """Points of shape (..., 3) of the outer frame, in the body's."""
+        return np.asarray((np.asarray(points_outer, np.float64) - self.position_m) @ self.rotation)
+
+    def __matmul__(self, inner: Pose) -> Pose:
+        """The pose in this one's outer frame of a body that has the pose `inner` in this one's."""
+        return Pose(self.to_outer(inner.position_m), self.rotation @ inner.rotation)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole camera with Brown-Conrady distortion.
+
+    Attributes:
+        width_px: Columns of the image.
+        height_px: Rows of the image.
+        focal_px: Focal lengths fx, fy.
+        centre_px: Principal point cx, cy.
+        distortion: k1, k2, p1, p2, k3, no unit (OpenCV's order).
+        vehicle_from_camera: Pose of the camera in the vehicle.
+
+    Raises:
+        ValueError: If a size is not positive or a number is not finite.
+    """
+
+    width_px: int
+    height_px: int
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    vehicle_from_camera: Pose
+
+    def __post_init__(self) -> None:
+        if self.width_px < 1 or self.height_px < 1:
+            raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
+        if not (np.isfinite(self.focal_px).all() and min(self.focal_px) > 0):
+            raise ValueError(f"Camera.focal_px: expected two positive numbers, got {self.focal_px}")
+        for name in ("centre_px", "distortion"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
+
+    def scaled(self, width_px: int, height_px: int) -> Camera:
+        """The same camera with an image of another size: the field of view stays."""
+        fx, fy = width_px / self.width_px, height_px / self.height_px
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            focal_px=(self.focal_px[0] * fx, self.focal_px[1] * fy),
+            centre_px=(self.centre_px[0] * fx, self.centre_px[1] * fy),
+        )
+
+    def project(self, points_camera: ArrayLike) -> Floats:
+        """Pixels (x, y), shape (..., 2), of points of shape (..., 3) in the camera's frame; NaN behind the camera.
+
+        Beyond the field of view the distortion polynomial may fold back; check pixels against the image's size and
+        the angle.
+        """
+        points = np.asarray(points_camera, np.float64)
+        forward = np.where(points[..., 0] > 1e-9, points[..., 0], np.nan)
+        u, v = self._distorted(-points[..., 1] / forward, -points[..., 2] / forward)
+        return np.stack([self.centre_px[0] + self.focal_px[0] * u, self.centre_px[1] + self.focal_px[1] * v], -1)
+
+    def rays(self, pixels: ArrayLike) -> Floats:
+        """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2).
+
+        >>> mount = Pose(np.zeros(3), np.eye(3))
+        >>> camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (-0.2, 0.05, 1e-3, 0.0, 0.0), mount)
+        >>> np.allclose(camera.project(camera.rays([[3.0, 40.0]])), [[3.0, 40.0]])
+        True
+        """
+        points = np.asarray(pixels, np.float64)
+        distorted = (points - self.centre_px) / self.focal_px
+        u, v = distorted[..., 0], distorted[..., 1]
+        if any(self.distortion):
+            for _ in range(NUM_UNDISTORTION_STEPS):
+                du, dv = self._distorted(u, v)
+                u, v = u + distorted[..., 0] - du, v + distorted[..., 1] - dv
+        rays = np.stack([np.ones_like(u), -u, -v], -1)
+        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+    @cached_property
+    def pixel_solid_angle_sr(self) -> float:
+        """Solid angle of a pixel at the principal point, steradian."""
+        return 1.0 / (self.focal_px[0] * self.focal_px[1])
+
+    def _distorted(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """Source: Brown, Decentering distortion of lenses, 1966, in OpenCV's notation."""
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = u * u + v * v
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return (
+            u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u),
+            v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v,
+        )

@@ -1,0 +1,75 @@
+"""Lamps as lighting engineers describe them: intensity tables, and the illuminance that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foreglow.geometry import Floats, Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntensityTable:
+    """Luminous intensity over directions, in the lamp's frame: x along its axis, y left, z up.
+
+    Attributes:
+        azimuths_deg: Shape (A,), growing in equal steps, positive to the left: atan2(y, x).
+        elevations_deg: Shape (E,), growing in equal steps, positive upwards: atan2(z, hypot(x, y)).
+        intensities_cd: Shape (E, A), float32, candela; 0 outside the table.
+
+    Raises:
+        ValueError: If a grid is not growing in equal steps, the shapes differ, or a value is negative or not finite.
+    """
+
+    azimuths_deg: Floats
+    elevations_deg: Floats
+    intensities_cd: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        for name in ("azimuths_deg", "elevations_deg"):
+            grid = np.array(getattr(self, name), np.float64)
+            steps = np.diff(grid)
+            if grid.ndim != 1 or len(grid) < 2 or not np.allclose(steps, steps[0], atol=1e-6) or steps[0] <= 0:
+                raise ValueError(f"IntensityTable.{name}: expected at least two angles growing in equal steps")
+            object.__setattr__(self, name, grid)
+        table = np.array(self.intensities_cd, np.float32)
+        if table.shape != (len(self.elevations_deg), len(self.azimuths_deg)):
+            raise ValueError(
+                f"IntensityTable.intensities_cd: expected shape "
+                f"({len(self.elevations_deg)}, {len(self.azimuths_deg)}), got {table.shape}"
+            )
+        if not (np.isfinite(table).all() and (table >= 0).all()):
+            raise ValueError("IntensityTable.intensities_cd: expected finite values of at least 0")
+        table.flags.writeable = False
+        object.__setattr__(self, "intensities_cd", table)
+
+    def towards(self, directions: ArrayLike) -> Floats:
+        """Intensity in cd, shape (...), towards `directions` of shape (..., 3) in the lamp's frame; bilinear."""
+        x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+        columns = (np.degrees(np.arctan2(y, x)) - self.azimuths_deg[0]) / (self.azimuths_deg[1] - self.azimuths_deg[0])
+        elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        rows = (elevations - self.elevations_deg[0]) / (self.elevations_deg[1] - self.elevations_deg[0])
+        num_rows, num_columns = self.intensities_cd.shape
+        is_inside = (columns >= 0) & (columns <= num_columns - 1) & (rows >= 0) & (rows <= num_rows - 1)
+        column = np.clip(np.floor(columns), 0, num_columns - 2).astype(np.intp)
+        row = np.clip(np.floor(rows), 0, num_rows - 2).astype(np.intp)
+        u, v = np.clip(columns - column, 0, 1), np.clip(rows - row, 0, 1)
+        table = self.intensities_cd
+        upper = table[row, column] * (1 - u) + table[row, column + 1] * u
+        lower = table[row + 1, column] * (1 - u) + table[row + 1, column + 1] * u
+        return np.asarray(np.where(is_inside, upper * (1 - v) + lower * v, 0.0))
+
+    @property
+    def luminous_flux_lm(self) -> float:
+        """Integral of the intensity over the table's solid angle, lumen; trapezoidal rule."""
+        elevations = np.radians(self.elevations_deg)
+        over_azimuth = np.trapezoid(self.intensities_cd.astype(np.float64), np.radians(self.azimuths_deg), axis=1)
+        return float(np.trapezoid(over_azimuth * np.cos(elevations), elevations))
+
+
+def illuminance_lx(table: IntensityTable, world_from_lamp: Pose, points_world: ArrayLike) -> Floats:
+    """Illuminance in lx, shape (...), at points of shape (..., 3) facing the lamp, with nothing in between."""
+    points = world_from_lamp.to_body(points_world)
+    return np.asarray(table.towards(points) / np.sum(points * points, -1))

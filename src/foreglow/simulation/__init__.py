@@ -1,0 +1,1 @@
+"""Night drives from physics: frames with exact labels, as another source beside the data sets."""

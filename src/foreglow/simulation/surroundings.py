@@ -1,0 +1,206 @@
+"""What stands beside the road, as a part of a `Scene`, and the small types that every part of a scene is made of."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from foreglow.config import FrozenModel
+
+Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+"""Pairs (position, value) with growing positions."""
+
+Span: TypeAlias = tuple[float, float]
+"""From one arc length to another, metres."""
+
+Positive: TypeAlias = Annotated[float, Field(gt=0)]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Side: TypeAlias = Literal["left", "right"]
+
+SIGN_KINDS = ("chevron_left", "chevron_right", "round", "triangle", "rectangle", "post_marker")
+SignKind: TypeAlias = Literal["chevron_left", "chevron_right", "round", "triangle", "rectangle", "post_marker"]
+
+
+class SpecModel(FrozenModel):
+    """A part of a scene; lists, as TOML and JSON have them, become tuples."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_tuples(cls, fields: Any) -> Any:
+        return {name: _as_tuple(value) for name, value in fields.items()} if isinstance(fields, dict) else fields
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(_as_tuple(part) for part in value) if isinstance(value, list | tuple) else value
+
+
+class Rail(SpecModel):
+    """A guardrail.
+
+    Attributes:
+        side: Side of the road.
+        span_m: From and to.
+        offset_m: From the edge of the carriageway to the rail's face.
+        post_spacing_m: Between posts.
+    """
+
+    side: Side
+    span_m: Span
+    offset_m: Positive = 0.8
+    post_spacing_m: Positive = 4.0
+
+
+class Wall(SpecModel):
+    """A wall along the road.
+
+    Attributes:
+        side: Side of the road.
+        span_m: From and to.
+        offset_m: From the edge of the carriageway.
+        height_m: Above the ground.
+        material: What it is made of.
+    """
+
+    side: Side
+    span_m: Span
+    offset_m: Positive = 2.0
+    height_m: Positive = 1.2
+    material: Literal["concrete", "brick", "plaster", "rock"] = "concrete"
+
+
+class Sign(SpecModel):
+    """A retroreflective sign that faces traffic going along the road, or coming.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Where it stands.
+        kind: Its shape and picture.
+        offset_m: From the edge of the carriageway.
+        height_m: Of its lower edge above the ground.
+        size_m: Its width.
+        faces_oncoming: Whether oncoming traffic reads it; then its dull back is seen.
+    """
+
+    side: Side
+    s_m: float
+    kind: SignKind
+    offset_m: Positive = 1.2
+    height_m: NonNegative = 1.8
+    size_m: Positive = 0.6
+    faces_oncoming: bool = False
+
+
+class Woods(SpecModel):
+    """Trees along one side.
+
+    Attributes:
+        side: Side of the road.
+        span_m: From and to.
+        offset_m: From the edge of the carriageway to the first trees.
+        depth_m: How far the trees reach from there.
+        spacing_m: Mean distance between trees; with `depth_m` 0 they stand in a row.
+        leaves: 0 bare to 1 in full leaf.
+        height_m: Of a tree.
+        has_undergrowth: Whether bushes stand between and before them.
+    """
+
+    side: Side
+    span_m: Span
+    offset_m: Positive = 5.0
+    depth_m: NonNegative = 25.0
+    spacing_m: Positive = 4.0
+    leaves: Share = 0.5
+    height_m: Positive = 12.0
+    has_undergrowth: bool = True
+
+
+class House(SpecModel):
+    """A house with a gable roof.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Where its middle is.
+        offset_m: From the edge of the carriageway to its front.
+        size_m: Length along the road, depth and height of the walls.
+        num_lit_windows: How many windows shine, at most eight.
+        window_cd_m2: Luminance of a lit window.
+        yaw_deg: Turned away from standing along the road.
+    """
+
+    side: Side
+    s_m: float
+    offset_m: Positive = 8.0
+    size_m: tuple[Positive, Positive, Positive] = (10.0, 8.0, 5.0)
+    num_lit_windows: Annotated[int, Field(ge=0, le=8)] = 2
+    window_cd_m2: NonNegative = 30.0
+    yaw_deg: float = 0.0
+
+
+class StreetLamp(SpecModel):
+    """A lamp on a pole.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Where it stands.
+        offset_m: From the edge of the carriageway.
+        height_m: Of the light above the ground.
+        intensity_cd: Straight down; 0 is a lamp that is out.
+    """
+
+    side: Side
+    s_m: float
+    offset_m: Positive = 1.5
+    height_m: Positive = 6.0
+    intensity_cd: NonNegative = 900.0
+
+
+class Verge(SpecModel):
+    """The ground beside the carriageway, on one side.
+
+    Attributes:
+        bank_m: Height that the ground gains within a few metres; negative falls away.
+        bank_offset_m: From the edge of the carriageway to where that begins.
+        ditch_m: Depth of a ditch before it.
+        ground: What covers it.
+        snow: Share of it under snow, drifts first.
+        grass_height_m: Of the blades; 0 is mown.
+        grass_per_m2: Blades near the road.
+    """
+
+    bank_m: Annotated[float, Field(ge=-10, le=15)] = 0.5
+    bank_offset_m: NonNegative = 2.0
+    ditch_m: NonNegative = 0.2
+    ground: Literal["grass_ground", "soil", "gravel", "pavement"] = "grass_ground"
+    snow: Share = 0.0
+    grass_height_m: NonNegative = 0.12
+    grass_per_m2: NonNegative = 20.0
+
+
+class SurroundingsSpec(SpecModel):
+    """What stands beside the road.
+
+    Attributes:
+        left: The ground to the left.
+        right: The ground to the right.
+        rails: Guardrails.
+        walls: Walls.
+        signs: Traffic signs and chevrons.
+        woods: Rows of trees and forests.
+        houses: Houses.
+        street_lamps: Lamps on poles.
+        delineator_spacing_m: Between posts with reflectors on both sides; 0 leaves them out.
+        num_bushes: Single bushes.
+    """
+
+    left: Verge = Verge()
+    right: Verge = Verge()
+    rails: tuple[Rail, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    signs: tuple[Sign, ...] = ()
+    woods: tuple[Woods, ...] = ()
+    houses: tuple[House, ...] = ()
+    street_lamps: tuple[StreetLamp, ...] = ()
+    delineator_spacing_m: NonNegative = 50.0
+    num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
