@@ -25,7 +25,7 @@ NUM_UNDISTORTION_STEPS = 20
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
     """Rotation dst_from_body, shape (3, 3): yaw to the left about z, then pitch upwards, then roll to the right.
 
-    >>> rotation(pitch_rad=0.1)[2, 0] > 0  # the nose goes up
+    >>> bool(rotation(pitch_rad=0.1)[2, 0] > 0)  # the nose goes up
     True
     """
     cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
