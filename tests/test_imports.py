@@ -27,7 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},
     **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in TOOLS},
-    "reports": VALUES | TOOLS | {"files"},
+    "reports": VALUES | TOOLS | {"files", "simulation"},
     "cli": VALUES | STAGES | TOOLS | {"files", "pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},
 }
