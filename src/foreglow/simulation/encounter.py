@@ -15,8 +15,8 @@ EYE_M, LAMP_M = 1.25, 0.65
 BLOCKING_HEIGHT_M = 1.2
 """A bank or a wall of at least this height hides a car behind it."""
 
-NUM_SAMPLES = 48
-TIME_STEP_S = 0.1
+NUM_SAMPLES = 32
+TIME_STEP_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) ->
     lane = road.half_width_m / 2
     eye, lamp = road.points([ego_s_m, other_s_m], [-lane, lane], [EYE_M, LAMP_M])
     line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (lamp - eye)
-    places = np.arange(ego_s_m, other_s_m + 2.0, 2.0)
+    places = np.arange(ego_s_m, other_s_m + 3.0, 3.0)
     centre = road.points(places)
     nearest = np.argmin(((line[:, None, :2] - centre[None, :, :2]) ** 2).sum(-1), axis=1)
     heading = road.heading_rad(places[nearest])
