@@ -3,16 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foreglow.simulation.motion import (
+from foreglow.simulation.kinematics import (
     BodyMotion,
     driving_direction,
     ego_state,
-    exposure_poses,
-    is_oncoming,
     vehicle_state,
 )
 from foreglow.simulation.road import Road, branch_road, interpolated
-from foreglow.simulation.scene import Branch, EgoSpec, RoadSpec, Scene, VehicleSpec
+from foreglow.simulation.scene import Branch, EgoSpec, RoadSpec, VehicleSpec
 
 STRAIGHT = Road(RoadSpec())
 SMOOTH = BodyMotion(0, 0.0)
@@ -42,11 +40,9 @@ def test_oncoming_cars_face_us_on_their_lane() -> None:
 
 def test_lanes_and_directions() -> None:
     assert driving_direction(VehicleSpec(lane="own")) == 1
-    assert is_oncoming(VehicleSpec())
-    assert not is_oncoming(VehicleSpec(lane="own"))
-    assert not is_oncoming(VehicleSpec(beam="off"))
-    assert is_oncoming(VehicleSpec(lane="parked_left", is_towards=True))
-    assert not is_oncoming(VehicleSpec(lane="parked_left", is_towards=False))
+    assert driving_direction(VehicleSpec()) == -1
+    assert driving_direction(VehicleSpec(lane="parked_left", is_towards=True)) == -1
+    assert driving_direction(VehicleSpec(lane="parked_left", is_towards=False)) == 1
 
 
 def test_a_parked_car_stands() -> None:
@@ -83,10 +79,3 @@ def test_timetable_goes_on_beyond_its_ends() -> None:
     places, speeds = interpolated(((1.0, 10.0), (2.0, 30.0)), [0.0, 1.5, 3.0])
     assert np.allclose(places, [-10.0, 20.0, 50.0])
     assert np.allclose(speeds, 20.0)
-
-
-def test_poses_of_an_exposure_lie_its_duration_apart() -> None:
-    scene = Scene(ego=EgoSpec(timetable=((0.0, 20.0), (10.0, 220.0)), body_motion=0.0))
-    begin, end, duration = exposure_poses(scene, STRAIGHT, SMOOTH, 1.0)
-    assert duration == scene.sensor.day_exposure_s
-    assert end.position_m[0] - begin.position_m[0] == pytest.approx(20.0 * duration)

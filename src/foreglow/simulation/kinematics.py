@@ -8,7 +8,7 @@ import numpy as np
 
 from foreglow.geometry import Pose, rotation
 from foreglow.simulation.road import Road, interpolated
-from foreglow.simulation.scene import EgoSpec, Scene, VehicleSpec
+from foreglow.simulation.scene import EgoSpec, VehicleSpec
 
 EGO_WHEELBASE_M = 2.8
 STREAM = 1
@@ -89,19 +89,6 @@ def driving_direction(vehicle: VehicleSpec) -> int:
     if vehicle.lane == "oncoming":
         return -1
     return -1 if vehicle.is_towards else 1
-
-
-def is_oncoming(vehicle: VehicleSpec) -> bool:
-    """Whether its headlamps, if any are lit, point our way at some time."""
-    return vehicle.lane != "own" and driving_direction(vehicle) < 0 and vehicle.beam != "off"
-
-
-def exposure_poses(scene: Scene, road: Road, body: BodyMotion, time_s: float) -> tuple[Pose, Pose, float]:
-    """Ego poses at the begin and the end of the exposure around `time_s`, and its duration in s."""
-    sensor = scene.sensor
-    duration = sensor.day_exposure_s if sensor.exposure == "day" else sensor.night_exposure_s
-    begin = ego_state(scene.ego, road, body, time_s - duration / 2).pose
-    return begin, ego_state(scene.ego, road, body, time_s + duration / 2).pose, duration
 
 
 def _lateral_m(vehicle: VehicleSpec, road: Road) -> float:
