@@ -70,6 +70,14 @@ MATERIALS: tuple[Material, ...] = (
     Material("paint_light", "vehicle", 0.45, 0.04, 0.2),
     Material("glass", "vehicle", 0.02, 0.05, 0.08),
     Material("tyre", "vehicle", 0.04, 0.0, 0.8),
+    Material("sign_dark", "sign", 0.08, 0.04, 0.35, retroreflection=6.0),
+    Material("plate", "vehicle", 0.50, 0.04, 0.4, retroreflection=15.0),
+    Material("rear_reflector", "vehicle", 0.10, 0.04, 0.2, retroreflection=120.0),
+    Material("contour_tape", "vehicle", 0.30, 0.04, 0.3, retroreflection=60.0),
+    Material("lamp_glass", "vehicle", 0.20, 0.08, 0.1),
+    Material("clothing", "vehicle", 0.05, 0.0, 0.9),
+    Material("kerb", "road", 0.30, 0.0, 0.8, variation=0.2, bump=0.02),
+    Material("pole", "sign", 0.25, 0.15, 0.5, variation=0.1),
 )
 """Every material of a world; the place is the number in `Mesh.materials`. Albedos and retroreflection coefficients are
 of the order of published tables (EN 1436 for markings, EN 12899 for signs) and tuned on no image.
