@@ -111,10 +111,10 @@ class Optics:
         the image counts as its edge for the fine parts, and as dark for the tail.
         """
         image = np.asarray(luminance, np.float32)
-        fine = cv2.sepFilter2D(image, -1, *self._kernels[0], borderType=cv2.BORDER_REPLICATE)
-        for across, down in self._kernels[1:]:
-            fine += cv2.sepFilter2D(image, -1, across, down, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(fine + self._glare(image), np.float32)
+        spread = self._glare(image)
+        for across, down in self._kernels:
+            cv2.add(spread, cv2.sepFilter2D(image, -1, across, down, borderType=cv2.BORDER_REPLICATE), dst=spread)
+        return spread
 
     def draw_points(self, points: LampPoints) -> Image:
         """Luminance of lamps with their halo, shape (H, W), cd/m², to be added after `spread`.

@@ -226,7 +226,7 @@ class SensorSpec(SpecModel):
     core_px: Positive = 0.8
     middle_share: Share = 0.25
     middle_px: Positive = 0.65
-    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.2e-2
+    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.5e-2
     vignetting: NonNegative = 1.0
 
 
