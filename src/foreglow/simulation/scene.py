@@ -215,18 +215,18 @@ class SensorSpec(SpecModel):
     exposure: Literal["day", "night"] = "day"
     grey_per_cd_m2: Positive = 95.0
     night_gain: Positive = 8.0
-    day_exposure_s: Positive = 2e-3
-    night_exposure_s: Positive = 1.6e-2
+    day_exposure_s: Positive = 8e-3
+    night_exposure_s: Positive = 2.5e-2
     black_level: NonNegative = 7.6
     knee: Positive = 38.0
     log_slope: Positive = 14.0
     read_noise: NonNegative = 1.35
-    shot_noise: NonNegative = 0.04
+    shot_noise: NonNegative = 0.05
     column_noise: NonNegative = 1.0
     core_px: Positive = 0.8
     middle_share: Share = 0.25
     middle_px: Positive = 0.65
-    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 2e-3
+    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.5e-2
     vignetting: NonNegative = 1.0
 
 
