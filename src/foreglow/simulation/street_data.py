@@ -247,7 +247,7 @@ def curvature_from_code(code: int, is_left: bool) -> float:
     """Signed curvature in 1/m, positive to the left, that `code` stands for; within 1.4 % of what was coded."""
     if code == STRAIGHT_CODE:
         return 0.0
-    magnitude = 1.0 / (MIN_RADIUS_M * _RADIUS_RATIO**code)
+    magnitude = float(_RADIUS_RATIO**-code / MIN_RADIUS_M)
     return magnitude if is_left else -magnitude
 
 
