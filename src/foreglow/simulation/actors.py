@@ -11,8 +11,8 @@ import numpy as np
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry import IntensityTable, high_beam, low_beam, matrix_beam, read_ies, rear_lamp
 from foreglow.simulation.bodies import BODIES, Body, LampMount
-from foreglow.simulation.lamps import PlacedBody, PlacedLamp
 from foreglow.simulation.kinematics import VehicleState, vehicle_state
+from foreglow.simulation.lamps import PlacedBody, PlacedLamp
 from foreglow.simulation.road import Road
 from foreglow.simulation.scene import EgoSpec, VehicleSpec
 

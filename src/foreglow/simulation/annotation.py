@@ -38,7 +38,8 @@ class Annotator:
         peaks_grey = exposure.lamp_peaks_grey(place, [lamp.position_px for lamp in lamps])
         direct = direct_artifacts(lamps, peaks_grey, surroundings, camera_world_m, self._rule, self._scale)
         light = exposure.light_of(place, is_rear=actor.spec.lane == "own")
-        indirect, candidates = (), ()
+        indirect: tuple[Artifact, ...] = ()
+        candidates: tuple[Artifact, ...] = ()
         if light is not None:
             indirect, candidates = indirect_artifacts(light, surroundings, self._rule, self._scale)
         return Annotation(self._tracker.update(actor.vehicle_id, (*direct, *indirect)), candidates)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foreglow.geometry import Camera, Pose
 from foreglow.simulation.artifacts import Surroundings, VehicleLight
 from foreglow.simulation.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER, FIXED_LAYER
-from foreglow.simulation.motion import MotionBlur, blur
+from foreglow.simulation.motion_blur import MotionBlur, blur
 from foreglow.simulation.optics import Image, LampPoints
 from foreglow.simulation.render import Rendered
 from foreglow.simulation.scene import Scene
@@ -98,16 +98,16 @@ class Exposure:
     def lamp_peaks_grey(self, place: int, positions_px: Sequence[tuple[float, float]]) -> list[float]:
         """Grey levels that the lamps of the vehicle in `place` add at their positions; 0 outside the image."""
         direct = self._direct[place]
-        height, width = self._grey.shape
+        if direct is None:
+            return [0.0] * len(positions_px)
+        added = self._grey - self._sensor.expected_grey(self._total - direct)
+        height, width = added.shape
         peaks = []
         for x, y in positions_px:
-            row, column = (int(np.floor(y)), int(np.floor(x))) if np.isfinite((x, y)).all() else (-1, -1)
-            if direct is None or not (0 <= row < height and 0 <= column < width):
-                peaks.append(0.0)
-                continue
-            around = slice(max(0, row - 1), row + 2), slice(max(0, column - 1), column + 2)
-            without = self._sensor.expected_grey_at(self._total[around] - direct[around], around)
-            peaks.append(float((self._grey[around] - without).max()))
+            is_inside = 0 <= x < width and 0 <= y < height  # NaN is not
+            row, column = (int(y), int(x)) if is_inside else (0, 0)
+            around = added[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
+            peaks.append(float(around.max()) if is_inside else 0.0)
         return peaks
 
 

@@ -1,15 +1,17 @@
-"""Who sees whom: lamps and bodies from the camera, and the light at the drivers' eyes."""
+"""What the camera sees of lamps and bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.photometry import illuminance_lx
 from foreglow.simulation.actors import Actor, LitLamp
 from foreglow.simulation.lamps import PlacedBody, PlacedLamp
+from foreglow.simulation.optics import LampPoints
 from foreglow.simulation.render import Renderer
 from foreglow.simulation.truth import LampTruth
 
@@ -21,12 +23,13 @@ DISC = np.array(
 BODY_POINTS = np.array([(x, y, z) for x in (-0.45, 0.0, 0.45) for y in (-0.45, 0.0, 0.45) for z in (-0.35, 0.1, 0.45)])
 """Points spread over a vehicle's box, in its lengths."""
 
-FARTHEST_EYE_M = 400.0
-"""Illuminance at a driver's eye further away than this is not computed: low beam gives less than 0.002 lx."""
-
 
 class Sightings:
-    """Lines of sight in one frame."""
+    """Lines of sight in one frame.
+
+    Attributes:
+        camera_m: Where the camera is, shape (3,), in the world.
+    """
 
     def __init__(
         self, renderer: Renderer, camera: Camera, camera_pose: Pose, bodies: Sequence[PlacedBody], haze_per_m: float
@@ -43,6 +46,7 @@ class Sightings:
         self._renderer = renderer
         self._camera = camera
         self._camera_pose = camera_pose
+        self.camera_m = camera_pose.position_m
         self._bodies = bodies
         self._haze_per_m = haze_per_m
 
@@ -50,19 +54,15 @@ class Sightings:
         """The lamps of a vehicle, as the camera sees them."""
         if not actor.lamps:
             return ()
-        camera_m = self._camera_pose.position_m
         discs = np.concatenate([_disc_points(lamp.placed) for lamp in actor.lamps])
-        is_seen = self._renderer.visible_share(discs, camera_m, self._bodies).reshape(len(actor.lamps), len(DISC))
+        is_seen = self._renderer.visible_share(discs, self.camera_m, self._bodies).reshape(len(actor.lamps), len(DISC))
         return tuple(self._lamp(lamp, float(seen.mean())) for lamp, seen in zip(actor.lamps, is_seen, strict=True))
 
-    def illuminance_at_camera_lx(self, lamp: PlacedLamp, visible_share: float) -> float:
+    def _at_camera_lx(self, lamp: PlacedLamp, visible_share: float) -> float:
         """Illuminance at the camera, facing the lamp, through the haze."""
-        if visible_share == 0.0:
-            return 0.0
-        camera_m = self._camera_pose.position_m
-        distance = float(np.linalg.norm(camera_m - lamp.world_from_lamp.position_m))
-        free = float(illuminance_lx(lamp.table, lamp.world_from_lamp, camera_m)) * lamp.scale
-        return visible_share * free * float(np.exp(-self._haze_per_m * distance))
+        distance = float(np.linalg.norm(self.camera_m - lamp.world_from_lamp.position_m))
+        free = float(illuminance_lx(lamp.table, lamp.world_from_lamp, self.camera_m)) * lamp.scale
+        return visible_share * free * self.attenuation(distance)
 
     def visible_points(self, points_world_m: Floats) -> Floats:
         """Which of the points, shape (N, 3), the camera sees, shape (N,), 0 or 1; those outside the image are 0."""
@@ -70,7 +70,7 @@ class Sightings:
         is_seen = np.zeros(len(points_world_m))
         if is_inside.any():
             inside = points_world_m[is_inside]
-            is_seen[is_inside] = self._renderer.visible_share(inside, self._camera_pose.position_m, self._bodies)
+            is_seen[is_inside] = self._renderer.visible_share(inside, self.camera_m, self._bodies)
         return is_seen
 
     def body_share(self, place: int, actor: Actor) -> float:
@@ -79,8 +79,7 @@ class Sightings:
         is_inside = self._is_in_image(points)
         if not is_inside.any():
             return 0.0
-        camera_m = self._camera_pose.position_m
-        is_seen = self._renderer.visible_share(points[is_inside], camera_m, self._bodies, ignore_body=place)
+        is_seen = self._renderer.visible_share(points[is_inside], self.camera_m, self._bodies, ignore_body=place)
         return float(is_seen.sum() / len(points))
 
     def box_xyxy_px(self, actor: Actor) -> tuple[int, int, int, int] | None:
@@ -98,33 +97,43 @@ class Sightings:
             return None
         return (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
-    def eye_lx(
-        self, eye_world_m: Floats, forward_world: Floats, lamps: Sequence[PlacedLamp], ignore_body: int | None = None
-    ) -> float:
-        """Illuminance of `lamps` on a plane at an eye that looks along `forward_world`, lux.
-
-        The pane before the eye is taken as clear: `ignore_body` is the vehicle that it sits in.
-        """
-        if not lamps:
-            return 0.0
-        places = np.array([lamp.world_from_lamp.position_m for lamp in lamps])
-        towards = places - eye_world_m
-        distances = np.linalg.norm(towards, axis=1)
-        facing = np.clip(towards @ forward_world / distances, 0.0, None)
-        free = np.array(
-            [float(illuminance_lx(one.table, one.world_from_lamp, eye_world_m)) * one.scale for one in lamps]
+    def lamp_points(self, actor: Actor, lamps: tuple[LampTruth, ...]) -> LampPoints:
+        """The lamps of a vehicle that the camera sees, as points of light."""
+        seen = [place for place, lamp in enumerate(lamps) if lamp.visible_share > 0]
+        distances = [float(np.linalg.norm(lamps[place].position_world_m - self.camera_m)) for place in seen]
+        return LampPoints(
+            np.array([lamps[place].position_px for place in seen]).reshape(-1, 2),
+            np.array([self._at_camera_lx(actor.lamps[place].placed, lamps[place].visible_share) for place in seen]),
+            np.array([self.radius_px(lamps[place].radius_m, d) for place, d in zip(seen, distances, strict=True)]),
         )
-        free *= facing * (distances < FARTHEST_EYE_M) * np.exp(-self._haze_per_m * distances)
-        if not free.any():
-            return 0.0
-        is_seen = self._renderer.visible_share(places, eye_world_m, self._bodies, ignore_body=ignore_body)
-        return float((free * is_seen).sum())
+
+    def radius_px(self, radius_m: float, distance_m: float) -> float:
+        """Radius in the image of a disc that faces the camera."""
+        return radius_m / distance_m * self._camera.focal_px[0]
+
+    def project(self, point_world_m: Floats) -> Floats:
+        """Pixels x, y, shape (2,), of a point; NaN behind the camera."""
+        return self._camera.project(self._camera_pose.to_body(point_world_m))
+
+    def attenuation(self, distance_m: float) -> float:
+        """Share of the light that passes the haze."""
+        return float(np.exp(-self._haze_per_m * distance_m))
+
+    def range_m(self, actor: Actor) -> float:
+        """From the camera to the middle between a vehicle's headlamps, or to its box's centre if it has none lit."""
+        heads = [lamp.placed.world_from_lamp.position_m for lamp in actor.lamps if not lamp.is_rear]
+        middle = np.mean(heads, axis=0) if heads else actor.state.pose.to_outer(actor.body.box_centre_m)
+        return float(np.linalg.norm(middle - self.camera_m))
+
+    def is_free(self, origins_m: Floats, target_m: Floats, ignore_body: int | None = None) -> NDArray[np.bool_]:
+        """Whether each of `origins_m`, shape (N, 3), sees `target_m`, shape (3,), in the world; shape (N,)."""
+        return self._renderer.visible_share(origins_m, target_m, self._bodies, ignore_body=ignore_body)
 
     def _lamp(self, lamp: LitLamp, visible_share: float) -> LampTruth:
         placed = lamp.placed
         position = placed.world_from_lamp.position_m
-        x, y = self._camera.project(self._camera_pose.to_body(position)).tolist()
-        towards = placed.world_from_lamp.to_body(self._camera_pose.position_m)
+        x, y = self.project(position).tolist()
+        towards = placed.world_from_lamp.to_body(self.camera_m)
         share = visible_share if towards[0] > 0 and self._is_in_image(position[None])[0] else 0.0
         return LampTruth(
             name=lamp.name,
