@@ -12,6 +12,7 @@ from foreglow.files import write_atomic
 from foreglow.reports.overlay import Colour, Picture
 from foreglow.reports.tone import Tone
 from foreglow.reports.video import Movie
+from foreglow.simulation.dataset import Progress
 from foreglow.simulation.truth import Artifact, DriveFrame, VehicleTruth
 
 KIND_BGR: dict[str, Colour] = {
@@ -35,7 +36,9 @@ TILE_PX = (480, 360)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def preview(frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folder: Path) -> tuple[Path, Path]:
+def preview(
+    frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folder: Path, progress: Progress | None = None
+) -> tuple[Path, Path]:
     """Writes `contact_sheet.png` and `drive.mp4` to `folder`, which exists, and returns their paths.
 
     Args:
@@ -43,6 +46,7 @@ def preview(frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folde
         num_frames: How many there are; the sheet shows some, evenly spread.
         rate_hz: Frames a second.
         folder: Where the files go.
+        progress: Told of every frame, as for data sets.
 
     Raises:
         OSError: If a file cannot be written.
@@ -57,6 +61,8 @@ def preview(frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folde
             tone = tone or Tone.of(one.frame.image)
             picture = labelled(one, tone)
             movie.add(picture)
+            if progress is not None:
+                progress(1, place + 1, num_frames)
             if place in shown:
                 tiles.append(picture)
         movie.close()
@@ -67,7 +73,7 @@ def preview(frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folde
 
 
 def labelled(one: DriveFrame, tone: Tone) -> Picture:
-    """The picture of a frame with its vehicles and artifacts; doubtful ones are dashed by a gap in their ring."""
+    """The picture of a frame with its vehicles and artifacts; doubtful ones are mere dots."""
     grey = tone.apply(one.frame.image)
     picture = np.repeat(grey[:, :, None], 3, axis=2)
     unit = max(1, round(one.frame.width_px / 1280))
@@ -100,8 +106,10 @@ def _draw_artifact(picture: Picture, artifact: Artifact, unit: int) -> None:
     x, y = (round(place) for place in artifact.position_px)
     colour = KIND_BGR[artifact.kind]
     radius = (6 if artifact.is_direct else 11) * unit
-    end_deg = 180 if artifact.is_doubtful else 360
-    cv2.ellipse(picture, (x, y), (radius, radius), 0.0, 0.0, end_deg, colour, unit, cv2.LINE_AA)
+    if artifact.is_doubtful:
+        cv2.circle(picture, (x, y), 2 * unit, colour, -1, cv2.LINE_AA)
+        return
+    cv2.circle(picture, (x, y), radius, colour, unit, cv2.LINE_AA)
     if not artifact.is_direct:
         _write(picture, f"{artifact.kind} {artifact.instance_id}", (x + radius, y - radius), unit, colour)
 

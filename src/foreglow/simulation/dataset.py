@@ -25,12 +25,13 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from foreglow.config import FrozenModel
+from foreglow.config import FrozenModel, validated
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.pvdn_schema import Cycle, Name
 from foreglow.datasets.pvdn_writer import png
 from foreglow.files import write_atomic
 from foreglow.simulation.lidar import LidarConfig, lidar_depth
+from foreglow.simulation.production import ProductionConfig
 from foreglow.simulation.pvdn_labels import LabelCounts, write_labels
 from foreglow.simulation.road import Road
 from foreglow.simulation.scene import Scene
@@ -89,6 +90,28 @@ class DatasetConfig(FrozenModel):
     lidar: LidarConfig = LidarConfig()
     street: StreetDataError = StreetDataError()
     production: dict[str, Any] = Field(default_factory=dict)
+
+    @classmethod
+    def of(cls, *, seed: int | None, split: str, cycle: str, quality: str) -> DatasetConfig:
+        """The configuration for drives of our own renderer at `quality`.
+
+        Raises:
+            ValueError: If the cycle is neither `day` nor `night`, or the split no plain name.
+        """
+        fields = {
+            "cycle": _cycle(cycle),
+            "split": split,
+            "seed": seed,
+            "generator": f"{GENERATOR}, {quality}",
+            "production": ProductionConfig().model_dump(mode="json"),
+        }
+        return validated(cls, fields, "simulate")
+
+
+def _cycle(name: str) -> Cycle:
+    if name not in set(Cycle):
+        raise ValueError(f"cycle: expected one of {', '.join(Cycle)}, got {name!r}")
+    return Cycle(name)
 
 
 @dataclass(frozen=True, slots=True)

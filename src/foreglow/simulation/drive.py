@@ -101,6 +101,24 @@ class Drive:
             yield self.latest
 
 
+def simulate(scene: Scene, quality: str = "training") -> Drive:
+    """The frames of a drive through `scene`, as a source to iterate over.
+
+    Raises:
+        ValueError: If the quality is unknown.
+    """
+    return Drive(scene, quality)
+
+
+def drive_frames(scene: Scene, quality: str = "training") -> Iterator[DriveFrame]:
+    """The frames of `scene` with all that is known of them.
+
+    Raises:
+        ValueError: If the quality is unknown.
+    """
+    return Drive(scene, quality).frames()
+
+
 class _Run:
     """A drive under way: the world, the renderer, and what is remembered from frame to frame."""
 

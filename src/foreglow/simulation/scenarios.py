@@ -13,6 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from foreglow.config import validated
 from foreglow.simulation.draw import Draw
 from foreglow.simulation.encounter import corridor, sight_time_s
 from foreglow.simulation.road import Road
@@ -175,6 +176,18 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
         }
     )
     return scene.model_copy(update={"camera": sized})
+
+
+def adapted(scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str) -> Scene:
+    """`scene` with images of another size (width, height), another frame rate and another exposure.
+
+    Raises:
+        ValueError: If one is out of range; the message names the field.
+    """
+    sized = resized(scene, *size_px).model_dump()
+    sized["rate_hz"] = rate_hz
+    sized["sensor"]["exposure"] = exposure
+    return validated(Scene, sized, scene.name)
 
 
 def _scene(draw: Draw, name: str, seed: int) -> Scene:
