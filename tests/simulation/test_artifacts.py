@@ -27,7 +27,7 @@ from foreglow.simulation.truth import Artifact
 from tests.simulation.truths import artifact, lamp
 
 HEIGHT_PX, WIDTH_PX = 240, 400
-RULE = LabelRule()
+RULE = LabelRule(min_distance_px=30.0, max_instances=4, max_hidden_instances=4, relative_strength=0.25)
 
 
 def added_light(*blobs: tuple[float, float, float], sigma_px: float = 6.0) -> NDArray[np.float32]:
@@ -181,6 +181,16 @@ def test_rules_of_selection(seed: int) -> None:
         gaps = [math.dist(a.position_px, b.position_px) for a in same for b in same if a is not b]
         assert min(gaps) >= RULE.min_distance_px
     assert apply_rule(candidates, RULE) == artifacts
+
+
+def test_one_instance_while_hidden_and_more_once_a_lamp_is_seen() -> None:
+    rule = LabelRule(max_instances=3, max_hidden_instances=1)
+    light = light_of(added_light(*((x, 90, 20 + x / 100) for x in (50, 150, 250, 350))))
+    for has_direct, num in ((False, 1), (True, 3)):
+        artifacts, candidates = indirect_artifacts(light, surroundings(), rule, has_direct=has_direct)
+        assert [one.position_px[0] for one in marked(artifacts)] == [350, 250, 150][:num]
+        assert apply_rule(candidates, rule, has_direct=has_direct) == artifacts
+        assert len(artifacts) == 4
 
 
 def test_doubtful_between_both_thresholds() -> None:

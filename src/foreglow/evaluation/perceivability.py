@@ -134,7 +134,11 @@ def first_times(drive: Sequence[PeaksOfFrame], rule: LabelRule, width_scale: flo
 
 
 def _num_indirect(frame: PeaksOfFrame, rule: LabelRule, width_scale: float) -> int:
-    found = (artifact for one in frame.candidates for artifact in apply_rule(one, rule, width_scale))
+    found = (
+        artifact
+        for one in frame.candidates
+        for artifact in apply_rule(one, rule, width_scale, has_direct=frame.has_direct)
+    )
     return sum(not artifact.is_doubtful for artifact in found)
 
 
