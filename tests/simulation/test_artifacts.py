@@ -77,6 +77,12 @@ def test_one_blob_in_the_dark() -> None:
     assert one.area_px == pytest.approx(math.pi * (6**2 + SMOOTHING_PX**2) * 2 * math.log(2), rel=0.05)
 
 
+@pytest.mark.parametrize("x", [150.4, 150.6, 151.4, 151.6, 152.4])
+def test_the_peak_is_found_to_the_pixel(x: float) -> None:
+    (one,) = found(light_of(added_light((x, x - 60, 20))))
+    assert one.position_px == (round(x), round(x - 60))
+
+
 def test_no_light_is_no_artifact() -> None:
     assert indirect_artifacts(light_of(added_light()), surroundings(), RULE) == ((), ())
 
@@ -203,7 +209,9 @@ def test_doubtful_between_both_thresholds() -> None:
 
 def test_too_small_is_nothing() -> None:
     assert apply_rule([artifact(area_px=24)], RULE) == ()
-    assert len(apply_rule([artifact(area_px=24)], RULE, width_scale=0.5)) == 1
+    # 25 px at 1280 columns are 6.25 px at 640.
+    assert len(apply_rule([artifact(area_px=7)], RULE, width_scale=0.5)) == 1
+    assert apply_rule([artifact(area_px=6)], RULE, width_scale=0.5) == ()
 
 
 @given(

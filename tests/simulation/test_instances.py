@@ -68,6 +68,13 @@ def test_the_gate_widens_with_nearness_and_missing_frames_and_shrinks_with_the_i
     assert not is_same(25, 200, width_scale=0.5)
 
 
+def test_another_kind_of_surface_counts_as_farther() -> None:
+    tracker = InstanceTracker(RULE)
+    tracker.update(0, [artifact(100, kind="road"), artifact(118, kind="rail")])
+    crossed = tracker.update(0, [artifact(112, kind="road"), artifact(106, kind="rail")])
+    assert ids(crossed) == [0, 1]
+
+
 def test_a_rear_light_never_continues_a_front_light() -> None:
     tracker = InstanceTracker(RULE)
     tracker.update(0, [artifact()])
