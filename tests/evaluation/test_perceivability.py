@@ -51,6 +51,13 @@ def test_several_drives() -> None:
     assert effect.instances_per_hidden_frame == 1
 
 
+def test_instances_of_hidden_images_only() -> None:
+    several = tuple(artifact(x) for x in (0, 100, 200))
+    images = [PeaksOfFrame(0.0, False, (several, several[:1])), PeaksOfFrame(0.1, True, (several,))]
+    (effect,) = rule_effects([images], LabelRule(max_hidden_instances=2, max_instances=3), (1.0,))
+    assert effect.instances_per_hidden_frame == 3
+
+
 def test_no_drives() -> None:
     (effect,) = rule_effects([], RULE, (1.0,))
     fields = json.loads(json.dumps(effect.to_json(), allow_nan=False))

@@ -27,7 +27,7 @@ from foreglow.simulation.truth import Artifact
 from tests.simulation.truths import artifact, lamp
 
 HEIGHT_PX, WIDTH_PX = 240, 400
-RULE = LabelRule()
+RULE = LabelRule(min_distance_px=30.0, max_instances=4, max_hidden_instances=4, relative_strength=0.25)
 
 
 def added_light(*blobs: tuple[float, float, float], sigma_px: float = 6.0) -> NDArray[np.float32]:
@@ -75,6 +75,12 @@ def test_one_blob_in_the_dark() -> None:
     assert one.contrast == pytest.approx(one.grey / math.hypot(sensor, 0.35), rel=0.02)
     # Half height of a Gaussian lies at 1.18 sigma.
     assert one.area_px == pytest.approx(math.pi * (6**2 + SMOOTHING_PX**2) * 2 * math.log(2), rel=0.05)
+
+
+@pytest.mark.parametrize("x", [150.4, 150.6, 151.4, 151.6, 152.4])
+def test_the_peak_is_found_to_the_pixel(x: float) -> None:
+    (one,) = found(light_of(added_light((x, x - 60, 20))))
+    assert one.position_px == (round(x), round(x - 60))
 
 
 def test_no_light_is_no_artifact() -> None:
@@ -183,6 +189,16 @@ def test_rules_of_selection(seed: int) -> None:
     assert apply_rule(candidates, RULE) == artifacts
 
 
+def test_one_instance_while_hidden_and_more_once_a_lamp_is_seen() -> None:
+    rule = LabelRule(max_instances=3, max_hidden_instances=1)
+    light = light_of(added_light(*((x, 90, 20 + x / 100) for x in (50, 150, 250, 350))))
+    for has_direct, num in ((False, 1), (True, 3)):
+        artifacts, candidates = indirect_artifacts(light, surroundings(), rule, has_direct=has_direct)
+        assert [one.position_px[0] for one in marked(artifacts)] == [350, 250, 150][:num]
+        assert apply_rule(candidates, rule, has_direct=has_direct) == artifacts
+        assert len(artifacts) == 4
+
+
 def test_doubtful_between_both_thresholds() -> None:
     candidates = [
         artifact(x, 0, grey=grey, contrast=99.0) for x, grey in ((0, 2.1), (100, 1.9), (200, 1.1), (300, 0.9))
@@ -193,7 +209,9 @@ def test_doubtful_between_both_thresholds() -> None:
 
 def test_too_small_is_nothing() -> None:
     assert apply_rule([artifact(area_px=24)], RULE) == ()
-    assert len(apply_rule([artifact(area_px=24)], RULE, width_scale=0.5)) == 1
+    # 25 px at 1280 columns are 6.25 px at 640.
+    assert len(apply_rule([artifact(area_px=7)], RULE, width_scale=0.5)) == 1
+    assert apply_rule([artifact(area_px=6)], RULE, width_scale=0.5) == ()
 
 
 @given(

@@ -11,7 +11,7 @@ from foreglow.simulation.scene import LabelRule
 from foreglow.simulation.truth import Artifact
 from tests.simulation.truths import artifact, lamp_artifact
 
-RULE = LabelRule(hold_frames=3, max_instances=2)
+RULE = LabelRule(hold_frames=3, max_instances=2, max_hidden_instances=2)
 
 
 def ids(artifacts: tuple[Artifact, ...]) -> list[int]:
@@ -68,6 +68,13 @@ def test_the_gate_widens_with_nearness_and_missing_frames_and_shrinks_with_the_i
     assert not is_same(25, 200, width_scale=0.5)
 
 
+def test_another_kind_of_surface_counts_as_farther() -> None:
+    tracker = InstanceTracker(RULE)
+    tracker.update(0, [artifact(100, kind="road"), artifact(118, kind="rail")])
+    crossed = tracker.update(0, [artifact(112, kind="road"), artifact(106, kind="rail")])
+    assert ids(crossed) == [0, 1]
+
+
 def test_a_rear_light_never_continues_a_front_light() -> None:
     tracker = InstanceTracker(RULE)
     tracker.update(0, [artifact()])
@@ -121,6 +128,13 @@ def test_never_more_than_max_instances_and_those_that_were_there_stay() -> None:
     marked = [[one.position_px[0] for one in found if not one.is_doubtful] for found in history]
     assert marked == [[0, 200]] * 3 + [[400, 0]] * 2
     assert {tuple(ids(found)) for found in history} == {(2, 0, 1)}
+
+
+def test_one_while_hidden_and_more_in_sight() -> None:
+    tracker = InstanceTracker(LabelRule(max_instances=2, max_hidden_instances=1))
+    pair = [artifact(0, grey=9), artifact(200, grey=8)]
+    assert [one.is_doubtful for one in tracker.update(0, pair)] == [False, True]
+    assert [one.is_doubtful for one in tracker.update(0, [*pair, lamp_artifact()])] == [False, False, False]
 
 
 @given(st.lists(st.lists(st.tuples(st.floats(0, 1280), st.booleans()), max_size=6), max_size=8))

@@ -59,6 +59,7 @@ def test_at_once_without_plausibility_and_latency() -> None:
         ({}, True),
         ({"range_m": 400.0, "lamps": (lamp(intensity_cd=200.0), lamp(intensity_cd=200.0))}, True),
         ({"range_m": 400.0, "lamps": (lamp(intensity_cd=100.0), lamp(intensity_cd=100.0))}, False),
+        ({"range_m": 400.0, "lamps": (lamp(intensity_cd=400.0, visible_share=0.7),)}, False),
         ({"range_m": 600.0}, False),
         ({"artifacts": (lamp_artifact(grey=39.0),)}, False),
         ({"artifacts": (artifact(grey=200.0),)}, False),

@@ -134,6 +134,7 @@ def first_times(drive: Sequence[PeaksOfFrame], rule: LabelRule, width_scale: flo
 
 
 def _num_indirect(frame: PeaksOfFrame, rule: LabelRule, width_scale: float) -> int:
+    """Marked indirect artifacts, as if no lamp were seen; with one there may be more, but never none."""
     found = (artifact for one in frame.candidates for artifact in apply_rule(one, rule, width_scale))
     return sum(not artifact.is_doubtful for artifact in found)
 

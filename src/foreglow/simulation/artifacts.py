@@ -84,7 +84,12 @@ class Surroundings:
 
 
 def indirect_artifacts(
-    light: VehicleLight, surroundings: Surroundings, rule: LabelRule, width_scale: float = 1.0
+    light: VehicleLight,
+    surroundings: Surroundings,
+    rule: LabelRule,
+    width_scale: float = 1.0,
+    *,
+    has_direct: bool = False,
 ) -> tuple[tuple[Artifact, ...], tuple[Artifact, ...]]:
     """Where a vehicle's reflected and scattered light is perceived, and all peaks under much looser thresholds.
 
@@ -98,6 +103,7 @@ def indirect_artifacts(
         surroundings: Noise and what is seen.
         rule: What counts.
         width_scale: Columns of the image over 1280.
+        has_direct: Whether one of the vehicle's lamps is seen.
 
     Returns:
         The artifacts and the candidates, either without instance ids, strongest first.
@@ -126,10 +132,12 @@ def indirect_artifacts(
                 area_px=area_above_half_px(found.strength, row, column),
             )
         )
-    return apply_rule(candidates, rule, width_scale), tuple(candidates)
+    return apply_rule(candidates, rule, width_scale, has_direct=has_direct), tuple(candidates)
 
 
-def apply_rule(candidates: Iterable[Artifact], rule: LabelRule, width_scale: float = 1.0) -> tuple[Artifact, ...]:
+def apply_rule(
+    candidates: Iterable[Artifact], rule: LabelRule, width_scale: float = 1.0, *, has_direct: bool = False
+) -> tuple[Artifact, ...]:
     """The artifacts among the `candidates` of one vehicle in one image, strongest first, then the doubtful ones.
 
     Doubtful are those that only meet the divided thresholds, and those that are passed over because enough others
@@ -138,6 +146,7 @@ def apply_rule(candidates: Iterable[Artifact], rule: LabelRule, width_scale: flo
     divided by `CANDIDATE_FACTOR`.
     """
     min_distance_px = rule.min_distance_px * width_scale
+    max_marked = rule.max_instances if has_direct else rule.max_hidden_instances
     large = [one for one in candidates if one.area_px >= rule.min_area_px * width_scale**2]
     ranked = sorted(large, key=lambda one: -strength(one, rule))
     strongest = strength(ranked[0], rule) if ranked else 0.0
@@ -149,9 +158,7 @@ def apply_rule(candidates: Iterable[Artifact], rule: LabelRule, width_scale: flo
             continue
         is_haze_again = one.kind == "haze" and any(other.kind == "haze" for other in marked)
         is_marked = (
-            height > max(1.0, rule.relative_strength * strongest)
-            and len(marked) < rule.max_instances
-            and not is_haze_again
+            height > max(1.0, rule.relative_strength * strongest) and len(marked) < max_marked and not is_haze_again
         )
         if is_marked:
             marked.append(replace(one, is_doubtful=False))

@@ -107,10 +107,12 @@ class InstanceTracker:
                 del known[instance_id]
 
     def _capped(self, artifacts: Sequence[Artifact], known: dict[int, _Instance]) -> tuple[Artifact, ...]:
-        """At most `max_instances` indirect ones stay marked: those that already were come first, then the strongest."""
+        """As many indirect ones stay marked as the rule allows: those that were come first, then the strongest."""
+        is_hidden = not any(one.is_direct for one in artifacts)
+        most = self._rule.max_hidden_instances if is_hidden else self._rule.max_instances
         marked = [one for one in artifacts if not one.is_direct and not one.is_doubtful]
         ranked = sorted(marked, key=lambda one: (known[one.instance_id].num_marked == 1, -strength(one, self._rule)))
-        surplus = {one.instance_id for one in ranked[self._rule.max_instances :]}
+        surplus = {one.instance_id for one in ranked[most:]}
         for instance_id in surplus:
             known[instance_id].num_marked = 0
         return tuple(replace(one, is_doubtful=True) if one.instance_id in surplus else one for one in artifacts)

@@ -15,8 +15,8 @@ from foreglow.simulation.truth import VehicleTruth
 class ProductionConfig(SpecModel):
     """When the modelled production system reports a vehicle.
 
-    Nobody publishes such a system's thresholds; each default is the weakest that public texts allow, so that the
-    model is not made slow to look good against it.
+    Nobody publishes such a system's thresholds; the defaults are chosen so that the model is not made slow to look
+    good against it. Regulations are cited from public third-party notes, not from the official texts.
 
     Attributes:
         min_grey: Grey levels that a headlamp adds to its surroundings at its peak; some 25 times the noise of the
@@ -73,7 +73,6 @@ class ProductionSystem:
                 light.confirmed_ns = timestamp_ns
         for vehicle_id in [one for one in self._lights if one not in seen]:
             light = self._lights[vehicle_id]
-            light.num_consecutive = 0
             is_released = timestamp_ns - light.last_seen_ns > round(self.config.release_s * 1e9)
             if light.confirmed_ns is None or is_released:
                 del self._lights[vehicle_id]
