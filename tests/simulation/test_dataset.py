@@ -6,6 +6,8 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +179,17 @@ def test_an_error_in_a_process_keeps_the_other_scene(whole: Path, tmp_path: Path
     assert read_truth(tmp_path / "night/train").sequence_ids == (2,)
     assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
     assert digest(tmp_path) == digest(whole)
+
+
+def test_a_process_that_dies_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def died(*_: object) -> Future[None]:
+        future: Future[None] = Future()
+        future.set_exception(BrokenProcessPool("terminated abruptly"))
+        return future
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", died)
+    with pytest.raises(ChildProcessError, match=r"train: a process ended unexpectedly.* run again with fewer jobs"):
+        simulate_dataset(tmp_path, SCENES, drive, jobs=2)
 
 
 def test_summary_and_progress(tmp_path: Path) -> None:
