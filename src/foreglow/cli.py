@@ -6,6 +6,7 @@ so that help is there at once.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -291,7 +292,7 @@ def _preview(scene: Scene, out: Path, quality: str) -> None:
     from foreglow.simulation import drive_frames
 
     out.mkdir(parents=True, exist_ok=True)
-    with SceneProgress(1, scene.num_frames) as progress:
+    with contextlib.closing(SceneProgress(1, scene.num_frames)) as progress:
         sheet, movie = preview(drive_frames(scene, quality), scene.num_frames, scene.rate_hz, out, progress)
     typer.echo(f"{scene.num_frames} frames of {scene.name}: {sheet} and {movie}")
 
@@ -309,7 +310,7 @@ def _simulate(
     seed, split, cycle = origin
     config = DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
     drive = functools.partial(drive_frames, quality=quality)
-    with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
+    with contextlib.closing(SceneProgress(len(scenes), sum(one.num_frames for one in scenes))) as progress:
         summary = simulate_dataset(out, scenes, drive, config, jobs=jobs, progress=progress)
     typer.echo("\n".join(dataset_lines(summary)))
 

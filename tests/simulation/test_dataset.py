@@ -6,6 +6,8 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -94,14 +96,15 @@ def test_the_only_split_of_a_folder_is_meant(whole: Path, tmp_path: Path) -> Non
         open_source(tmp_path / "two")
 
 
-@pytest.mark.parametrize("frame", [0, 1, 2])
+@pytest.mark.parametrize("frame", [0, 1])
 def test_a_drive_that_is_interrupted_goes_on(whole: Path, tmp_path: Path, frame: int) -> None:
     with pytest.raises(RuntimeError, match="interrupted here"):
-        simulate_dataset(tmp_path, SCENES[::-1], functools.partial(drive, fail_at=(1, frame)))
+        simulate_dataset(tmp_path, SCENES, functools.partial(drive, fail_at=(2, frame)))
     assert not list(tmp_path.rglob("*.partial"))
     driven: list[int] = []
-    summary = simulate_dataset(tmp_path, SCENES[::-1], functools.partial(_noted, driven))
-    assert (summary.num_kept, driven) == (1, [1])
+    summary = simulate_dataset(tmp_path, SCENES, functools.partial(_noted, driven))
+    assert (summary.num_kept, driven) == (1, [2])
+    assert digest(tmp_path) == digest(whole)
 
 
 def _noted(driven: list[int], given: Scene) -> Iterator[DriveFrame]:
@@ -176,6 +179,17 @@ def test_an_error_in_a_process_keeps_the_other_scene(whole: Path, tmp_path: Path
     assert read_truth(tmp_path / "night/train").sequence_ids == (2,)
     assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
     assert digest(tmp_path) == digest(whole)
+
+
+def test_a_process_that_dies_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def died(*_: object) -> Future[None]:
+        future: Future[None] = Future()
+        future.set_exception(BrokenProcessPool("terminated abruptly"))
+        return future
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", died)
+    with pytest.raises(ChildProcessError, match=r"train: a process ended unexpectedly.* run again with fewer jobs"):
+        simulate_dataset(tmp_path, SCENES, drive, jobs=2)
 
 
 def test_summary_and_progress(tmp_path: Path) -> None:

@@ -1,9 +1,6 @@
-"""Progress bars: as a result sink, and for scenes under way."""
+"""Progress bars: one as a result sink, and one for scenes that are driven."""
 
 from __future__ import annotations
-
-from contextlib import AbstractContextManager
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -35,41 +32,32 @@ class ProgressSink:
         self._progress.stop()
 
 
-class SceneProgress(AbstractContextManager["SceneProgress"]):
-    """Shows on stderr how many scenes and frames are done; a call reports one scene's state.
-
-    Shows nothing where stderr is not a terminal.
-    """
+class SceneProgress:
+    """Shows on stderr how many frames of how many scenes are driven; nothing where stderr is not a terminal."""
 
     def __init__(self, num_scenes: int, num_frames: int) -> None:
         """A bar over all frames of all scenes."""
         console = Console(stderr=True)
-        columns = (
-            TextColumn("scene {task.fields[scenes]}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("frames"),
-            TimeRemainingColumn(),
-        )
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._num_scenes = num_scenes
-        self._task = self._progress.add_task("frames", total=num_frames, scenes=f"0/{num_scenes}")
+        self._task = self._progress.add_task("", total=num_frames)
         self._done: dict[int, int] = {}
-        self._finished: set[int] = set()
+        self.num_finished = 0
 
-    def __call__(self, scene: int, num_done: int, num_frames: int) -> None:
-        """Scene number `scene` has `num_done` of its `num_frames` frames."""
-        self._done[scene] = num_done
-        if num_done == num_frames:
-            self._finished.add(scene)
-        scenes = f"{len(self._finished)}/{self._num_scenes}"
-        self._progress.update(self._task, completed=sum(self._done.values()), scenes=scenes)
-
-    def __enter__(self) -> SceneProgress:
+    def __call__(self, sequence: int, num_done: int, num_frames: int) -> None:
+        """Takes note that `num_done` of a scene's frames are there."""
         self._progress.start()
-        return self
+        self._progress.advance(self._task, num_done - self._done.get(sequence, 0))
+        self._done[sequence] = num_done
+        self.num_finished += num_done == num_frames
+        self._progress.update(self._task, description=f"scenes {self.num_finished}/{self._num_scenes}, frames")
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    @property
+    def num_done(self) -> int:
+        """Frames that are there."""
+        return sum(self._done.values())
+
+    def close(self) -> None:
+        """Takes the bar away."""
         self._progress.stop()

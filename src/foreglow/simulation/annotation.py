@@ -41,5 +41,7 @@ class Annotator:
         indirect: tuple[Artifact, ...] = ()
         candidates: tuple[Artifact, ...] = ()
         if light is not None:
-            indirect, candidates = indirect_artifacts(light, surroundings, self._rule, self._scale)
+            indirect, candidates = indirect_artifacts(
+                light, surroundings, self._rule, self._scale, has_direct=bool(direct)
+            )
         return Annotation(self._tracker.update(actor.vehicle_id, (*direct, *indirect)), candidates)

@@ -16,7 +16,7 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats, Pose, rotation
@@ -37,8 +37,8 @@ ERROR_BOUNDS_M = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 _RADIUS_RATIO = (MAX_RADIUS_M / MIN_RADIUS_M) ** (1 / (STRAIGHT_CODE - 1))
 # Within a segment the map's curvature may leave its chord, and the slope its mean, by this much: half a step of slope,
-# and a curvature that bends the road by 0.6 m in 50 m.
-_CURVATURE_TOLERANCE_PER_M = 5e-4
+# and a curvature that bends the road by 0.25 m in 50 m.
+_CURVATURE_TOLERANCE_PER_M = 2e-4
 _SLOPE_TOLERANCE = 0.005
 _MAP_MARGIN_M = 1000.0
 
@@ -66,6 +66,12 @@ class StreetDataError(FrozenModel):
     )
     wander_m: Annotated[float, Field(ge=10)] = 400.0
     horizon_m: Annotated[float, Field(gt=0, le=2000)] = 400.0
+
+    @model_validator(mode="after")
+    def _check(self) -> StreetDataError:
+        if not any(self.class_shares):
+            raise ValueError("class_shares: expected at least one above 0, got none")
+        return self
 
 
 class StreetSegment(FrozenModel):
@@ -159,7 +165,7 @@ class StreetMap:
         self._error = error
         self._starts_m, self._segments = _segments(road)
         shares = np.array(error.class_shares)
-        drawn = int(rng.choice(len(shares), p=shares / shares.sum())) if shares.any() else 0
+        drawn = int(rng.choice(len(shares), p=shares / shares.sum()))
         self.error_class = drawn if error.longitudinal_class is None else error.longitudinal_class
         lower_m, upper_m = (0.0, *ERROR_BOUNDS_M)[self.error_class], ERROR_BOUNDS_M[self.error_class]
         self._amplitude_m = float(rng.uniform(0.5 * (lower_m + upper_m), 0.99 * upper_m))
