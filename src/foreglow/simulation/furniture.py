@@ -45,6 +45,8 @@ BURIED_M = 0.3
 WALL_THICKNESS_M = 0.3
 DELINEATOR_OFFSET_M = 0.5
 DELINEATOR_HEIGHT_M = 1.0
+DELINEATOR_FOOT_M = 0.9
+"""How far a post reaches below its zero height; much of it stands in the air beside an embankment."""
 
 SIDE_SIGNS: dict[Side, float] = {"left": 1.0, "right": -1.0}
 
@@ -188,7 +190,11 @@ def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Genera
         s, t = places[is_clear], t[is_clear]
         if len(s):
             turns = yaw_rotations(road.heading_rad(s) + rng.normal(0, 0.05, len(s)), rng.normal(0, 0.015, len(s)))
-            meshes.append(instanced(_delineator(side), terrain.points(s, t), turns))
+            feet = terrain.points(s, t)
+            # They are as high above the carriageway's edge, also where the ground falls away.
+            edge = road.points(s, side * road.half_width_m)[:, 2]
+            feet[:, 2] = np.clip(edge, feet[:, 2], feet[:, 2] + DELINEATOR_FOOT_M - BURIED_M)
+            meshes.append(instanced(_delineator(side), feet, turns))
     return meshes
 
 
@@ -197,7 +203,7 @@ def _delineator(side: float) -> Mesh:
     post, black, reflector = (material_number(name) for name in ("post", "sign_black", "reflector"))
     width, depth, top = 0.12, 0.10, DELINEATOR_HEIGHT_M
     parts = [
-        box((0, 0, (0.62 - BURIED_M) / 2), (depth, width, 0.62 + BURIED_M), post),
+        box((0, 0, (0.62 - DELINEATOR_FOOT_M) / 2), (depth, width, 0.62 + DELINEATOR_FOOT_M), post),
         box((0, 0, 0.74), (depth, width, 0.24), black),
         box((0, 0, (0.86 + top) / 2), (depth, width, top - 0.86), post),
     ]
