@@ -89,18 +89,26 @@ def _shell(stations: list[tuple[float, float, float, float]], material: str, rou
     return loft(_sections(np.array(stations), roundness), material_number(material))
 
 
-def _cabin(stations: list[tuple[float, float, float, float]], roof_share: float) -> Mesh:
-    """A greenhouse: glass around, its roof and pillars painted; the sides lean in towards the roof."""
-    sections = _sections(np.array(stations), 7.0)
-    low, high = np.array(stations)[:, 2, None], np.array(stations)[:, 3, None]
+def _cabin(stations: list[tuple[float, float, float, float]], has_roof: bool) -> Mesh:
+    """A greenhouse of glass whose sides lean in towards the roof; the roof and the rear pillars are painted."""
+    table = np.array(stations)
+    sections = _sections(table, 7.0)
+    low, high = table[:, 2, None], table[:, 3, None]
     height = (sections[..., 2] - low) / np.maximum(high - low, 1e-6)
     sections[..., 1] *= 1.0 - 0.24 * np.clip(height, 0, 1) ** 1.5
     mesh = loft(sections, material_number("glass"))
-    centres = mesh.vertices_m[mesh.faces].mean(1)
-    top = np.array(stations)[:, 3].max()
-    bottom = np.array(stations)[:, 2].min()
-    is_roof = centres[:, 2] > bottom + roof_share * (top - bottom)
-    materials = np.where(is_roof, material_number("paint_dark"), mesh.materials).astype(np.uint8)
+    if not has_roof:
+        return mesh
+    is_top = table[:, 3] > 0.93 * table[:, 3].max()
+    is_roof = (height > 0.8) & is_top[:, None]
+    is_rear = np.arange(len(table)) <= np.flatnonzero(is_top)[0]
+    is_pillar = (np.abs(sections[..., 1]) > 0.75 * table[:, 1, None] * (1 - 0.2 * height)) & is_rear[:, None]
+    is_painted = is_roof | is_pillar
+    # A cell is painted if its corners are, or it would have teeth.
+    cells = is_painted[:-1] & is_painted[1:]
+    cells &= np.roll(cells, -1, axis=1)
+    materials = mesh.materials.copy()
+    materials[: 2 * cells.size] = np.where(np.repeat(cells.ravel(), 2), material_number("paint_dark"), materials[0])
     return replace(mesh, materials=materials)
 
 
@@ -184,7 +192,7 @@ def _car() -> Body:
             (1.95, 0.80, 0.88, 1.14),
             (2.30, 0.76, 0.88, 0.95),
         ],
-        0.9,
+        has_roof=True,
     )
     parts = [
         shell,
@@ -222,7 +230,8 @@ def _van() -> Body:
         8.0,
     )
     screen = _cabin(
-        [(1.50, 0.93, 1.25, 2.20), (2.35, 0.95, 1.25, 2.20), (2.58, 0.93, 1.25, 2.05), (3.02, 0.88, 1.20, 1.32)], 1.1
+        [(1.50, 0.93, 1.25, 2.20), (2.35, 0.95, 1.25, 2.20), (2.58, 0.93, 1.25, 2.05), (3.02, 0.88, 1.20, 1.32)],
+        has_roof=False,
     )
     parts = [
         shell,
@@ -272,20 +281,22 @@ def _lorry() -> Body:
         screen,
         box((middle, 0.0, 2.35), (length, 2.5, 2.6), paint),
         box(((load + rear) / 2, 0.0, 0.85), (length, 0.9, 0.35), dark),
-        box((rear + 0.1, 0.0, 0.50), (0.1, 2.2, 0.12), material_number("metal_post")),
+        box((rear + 0.05, 0.0, 0.50), (0.1, 2.3, 0.14), material_number("metal_post")),
+        box((rear + 0.05, 0.0, 0.98), (0.1, 2.3, 0.14), dark),
+        *(box((rear + 0.08, y, 0.74), (0.08, 0.12, 0.50), dark) for y in (-0.6, 0.6)),
         *(box((2.2, side * 1.15, 0.75), (2.6, 0.05, 0.5), dark) for side in (-1, 1)),
         *_wheels((0.0, 5.0), 1.05, 0.50, 0.32),
         *sides,
         *(_patches("contour_tape", rear - 0.006, [place], size) for place, size in outline),
         _plate(front + 0.006, 0.62),
-        _plate(rear - 0.006, 0.95),
-        _patches("rear_reflector", rear - 0.006, [(-1.05, 0.80), (1.05, 0.80)], (0.15, 0.10)),
+        _plate(rear - 0.006, 0.97),
+        _patches("rear_reflector", rear - 0.006, [(-1.05, 0.50), (1.05, 0.50)], (0.15, 0.10)),
         _patches("lamp_glass", front - 0.005, [(-0.92, 0.88), (0.92, 0.88)], (0.36, 0.22)),
     ]
     lamps = (
         *_pairs("low", "low", front + LAMP_GAP_M, 0.98, 0.90, 0.09),
         *_pairs("high", "high", front + LAMP_GAP_M, 0.80, 0.90, 0.08),
-        *_pairs("rear", "rear", rear - LAMP_GAP_M, 0.98, 1.02, 0.07),
+        *_pairs("rear", "rear", rear - LAMP_GAP_M, 0.98, 0.98, 0.07),
     )
     return _body("lorry", parts, lamps, 5.0, (5.75, 0.55, 2.35))
 

@@ -9,7 +9,7 @@ from foreglow.geometry import Floats
 from foreglow.simulation.materials import material_number
 from foreglow.simulation.mesh import Mesh, joined
 from foreglow.simulation.noise import Noise, smooth_step
-from foreglow.simulation.primitives import box, flat, instanced, strip, yaw_rotations
+from foreglow.simulation.primitives import box, faceted, flat, instanced, strip, yaw_rotations
 from foreglow.simulation.surroundings import Rail, Side, Span, SurroundingsSpec, Wall
 from foreglow.simulation.terrain import Terrain
 
@@ -45,6 +45,8 @@ BURIED_M = 0.3
 WALL_THICKNESS_M = 0.3
 DELINEATOR_OFFSET_M = 0.5
 DELINEATOR_HEIGHT_M = 1.0
+DELINEATOR_FOOT_M = 0.9
+"""How far a post reaches below its zero height; much of it stands in the air beside an embankment."""
 
 SIDE_SIGNS: dict[Side, float] = {"left": 1.0, "right": -1.0}
 
@@ -94,9 +96,10 @@ def _rail(rail: Rail, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
         # Rails are never quite straight: that is what breaks up the glint on them.
         behind = RAIL_PROFILE_M[:, 0] + 0.006 * wobble(s, 0.0)[:, None]
         base = rail_base_m(terrain, s, face) + 0.004 * wobble(s, 9.0)
-        up = _risen(s, start, end)
+        # At its ends the rail goes down into the ground.
         buried = np.minimum(terrain.ground_height_m(s, face) - base - 0.2, 0.0) - RAIL_PROFILE_M[-1, 1]
-        heights = base[:, None] + RAIL_PROFILE_M[:, 1] + ((1 - up) * buried)[:, None]
+        base = base + (1 - _risen(s, start, end)) * buried
+        heights = base[:, None] + RAIL_PROFILE_M[:, 1]
         points = terrain.road.points(s[:, None], face + side * behind)
         points[..., 2] = heights
         along = np.broadcast_to(s[:, None], behind.shape)
@@ -104,7 +107,7 @@ def _rail(rail: Rail, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
         meshes.append(strip(points, material_number("rail"), coordinates_m=np.stack([along, around], -1)))
         posts = np.arange(start + 0.5 * rail.post_spacing_m, end, rail.post_spacing_m)
         posts = posts[_risen(posts, start, end) > 0.6]
-        meshes += _rail_posts(terrain, posts, face, side, rail_base_m(terrain, posts, face))
+        meshes += _rail_posts(terrain, posts, face, side, np.interp(posts, s, base))
     return meshes
 
 
@@ -128,11 +131,12 @@ def _rail_posts(terrain: Terrain, s: Floats, face: float, side: float, base: Flo
 def _wall(wall: Wall, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
     side, is_rock = SIDE_SIGNS[wall.side], wall.material == "rock"
     front = side * (terrain.road.half_width_m + wall.offset_m)
-    rough, meshes = Noise(rng, 1.6, 4), []
+    rough, meshes = Noise(rng, 2.0, 4), []
     thickness = WALL_THICKNESS_M * (4.0 if is_rock else 1.0)
     for start, end in clear_spans(terrain, wall.span_m, front):
-        s = np.linspace(start, end, max(2, round((end - start) / 0.5) + 1))
-        levels = np.linspace(0.0, 1.0, max(3, round(wall.height_m / 0.4)) if is_rock else 2)
+        step = 0.3 if is_rock else 0.5
+        s = np.linspace(start, end, max(2, round((end - start) / step) + 1))
+        levels = np.linspace(0.0, 1.0, max(3, round(wall.height_m / 0.3)) if is_rock else 2)
         ground = terrain.ground_height_m(s, front)
         top = ground + wall.height_m
         if not is_rock:
@@ -142,24 +146,28 @@ def _wall(wall: Wall, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
         heights = bottom[:, None] + (top - bottom)[:, None] * levels
         out = np.zeros(heights.shape)
         if is_rock:
-            heights += 0.25 * rough(s[:, None], 40.0) * levels
-            out = 0.22 * rough(s[:, None], heights) + 0.25 * levels * wall.height_m**0.5
+            ends = smooth_step(np.minimum(s - start, end - s)[:, None] / 3.0)
+            uneven = 0.15 * wall.height_m * np.clip(rough(s[:, None] / 2, 40.0), -2, 2)
+            heights = bottom[:, None] + (top - bottom + uneven[:, 0])[:, None] * levels * (0.3 + 0.7 * ends)
+            out = 0.16 * rough(s[:, None], heights) + 0.25 * levels * wall.height_m**0.5
         outline = np.concatenate([out, out[:, -1:] + thickness, out[:, -1:] + thickness], 1)
         heights = np.concatenate([heights, heights[:, -1:], bottom[:, None]], 1)
         meshes += _wall_sides(terrain, s, front + side * outline, heights, wall.material, is_rock)
     return meshes
 
 
-def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, material: str, is_smooth: bool) -> list[Mesh]:
-    """The faces of a wall through outlines of shape (len(s), corners), with sharp edges unless it is of rock."""
+def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, material: str, is_rock: bool) -> list[Mesh]:
+    """The faces of a wall through outlines of shape (len(s), corners), with sharp edges; rock has facets."""
     number = material_number(material)
     points = terrain.road.points(s[:, None], t)
     points[..., 2] = heights
     lengths = np.cumsum(np.abs(np.diff(t, axis=1, prepend=t[:, :1])) + np.abs(np.diff(heights, axis=1, prepend=0)), 1)
     places = np.stack([np.broadcast_to(s[:, None], t.shape), lengths], -1)
     last = t.shape[1]
-    cuts = [(0, last)] if is_smooth else [(first, first + 2) for first in range(last - 1)]
+    cuts = [(0, last)] if is_rock else [(first, first + 2) for first in range(last - 1)]
     faces = [strip(points[:, a:b], number, coordinates_m=places[:, a:b]) for a, b in cuts]
+    if is_rock:
+        faces = [faceted(face) for face in faces]
     fan = np.array([[0, k, k + 1] for k in range(1, last - 1)])
     return [*faces, *(flat(points[end], fan, number) for end in (0, -1))]
 
@@ -182,7 +190,11 @@ def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Genera
         s, t = places[is_clear], t[is_clear]
         if len(s):
             turns = yaw_rotations(road.heading_rad(s) + rng.normal(0, 0.05, len(s)), rng.normal(0, 0.015, len(s)))
-            meshes.append(instanced(_delineator(side), terrain.points(s, t), turns))
+            feet = terrain.points(s, t)
+            # They are as high above the carriageway's edge, also where the ground falls away.
+            edge = road.points(s, side * road.half_width_m)[:, 2]
+            feet[:, 2] = np.clip(edge, feet[:, 2], feet[:, 2] + DELINEATOR_FOOT_M - BURIED_M)
+            meshes.append(instanced(_delineator(side), feet, turns))
     return meshes
 
 
@@ -191,7 +203,7 @@ def _delineator(side: float) -> Mesh:
     post, black, reflector = (material_number(name) for name in ("post", "sign_black", "reflector"))
     width, depth, top = 0.12, 0.10, DELINEATOR_HEIGHT_M
     parts = [
-        box((0, 0, (0.62 - BURIED_M) / 2), (depth, width, 0.62 + BURIED_M), post),
+        box((0, 0, (0.62 - DELINEATOR_FOOT_M) / 2), (depth, width, 0.62 + DELINEATOR_FOOT_M), post),
         box((0, 0, 0.74), (depth, width, 0.24), black),
         box((0, 0, (0.86 + top) / 2), (depth, width, top - 0.86), post),
     ]

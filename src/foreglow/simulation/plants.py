@@ -10,27 +10,36 @@ from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
 from foreglow.simulation.furniture import SIDE_SIGNS
+from foreglow.simulation.ground_cover import PAVEMENT_M
 from foreglow.simulation.materials import material_number
 from foreglow.simulation.mesh import Mesh, surface
 from foreglow.simulation.noise import Noise
 from foreglow.simulation.primitives import instanced, yaw_rotations
 from foreglow.simulation.surroundings import Span, SurroundingsSpec, Verge, Woods
-from foreglow.simulation.terrain import PAVEMENT_M, Terrain
+from foreglow.simulation.terrain import Terrain
 from foreglow.simulation.trees import BUSH_DETAILS, TREE_DETAILS, Detail, bush, tree
 
-MAX_TREE_FACES = 650_000
-MAX_BUSH_FACES = 200_000
+MAX_TREE_FACES = 550_000
+MAX_BUSH_FACES = 130_000
 MAX_BLADES = 110_000
 
-DETAIL_REACH_M = (7.0, 16.0)
-"""Distances from the edge of the carriageway at which plants become coarser."""
+DETAIL_REACH_M = (8.0, 18.0)
+"""Distances from the edge of the carriageway at which plants become coarser at the latest."""
+
+DETAIL_SHARES = (0.55, 0.85)
+"""Shares of the permitted triangles after which they do."""
 
 NUM_SHAPES = 4
 UNDERGROWTH_SPACING_M = 1.9
 GRASS_DECAY_M = 2.6
 """Blades become rarer with the distance from the edge: few are seen singly further off."""
 
-BLADES_PER_TUFT = 9
+BLADES_PER_TUFT = 5
+STALK_SHARE, STALK_FACTOR = 0.03, 3.5
+"""Some blades are dry stalks of that many times the height."""
+
+FAR_FACTOR = 0.1
+"""A plant a metre further ahead than we ever come counts as this much further from the road."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +131,9 @@ def _instances(
     prototypes = [[grown(detail) for _ in range(NUM_SHAPES)] for detail in details]
     num = len(stand.s_m)
     shapes, yaws, leans = rng.integers(0, NUM_SHAPES, num), rng.uniform(0, 2 * np.pi, num), rng.normal(0, 0.03, num)
-    out = np.abs(stand.t_m) - terrain.road.half_width_m
-    levels = _levels(out, np.array([[len(one.faces) for one in row] for row in prototypes]), shapes, max_faces)
+    away = np.abs(stand.t_m) - terrain.road.half_width_m
+    away = away + FAR_FACTOR * np.maximum(stand.s_m - terrain.fine_m[1], 0.0)
+    levels = _levels(away, np.array([[len(one.faces) for one in row] for row in prototypes]), shapes, max_faces)
     meshes = []
     for level, row in enumerate(prototypes):
         for shape, prototype in enumerate(row):
@@ -135,24 +145,27 @@ def _instances(
     return meshes
 
 
-def _levels(out: Floats, num_faces: NDArray[np.intp], shapes: NDArray[np.int64], max_faces: int) -> NDArray[np.int64]:
-    """Level of detail of each plant, shape (N,); -1 for those that are left out because even the coarsest is too much.
+def _levels(
+    away_m: Floats, num_faces: NDArray[np.intp], shapes: NDArray[np.int64], max_faces: int
+) -> NDArray[np.int64]:
+    """Level of detail of each plant, shape (N,): 0 is the finest, -1 leaves it out.
 
-    `num_faces` has shape (levels, shapes).
+    The nearest are as fine as `max_faces` triangles allow; `num_faces` has shape (levels, shapes).
     """
-    levels = np.zeros(len(out), np.int64)
-    for factor in (1.0, 0.7, 0.5, 0.3, 0.1, 0.0):
-        levels = np.searchsorted(np.array(DETAIL_REACH_M) * factor, out)
-        if num_faces[levels, shapes].sum() <= max_faces:
-            return levels
-    nearest = np.argsort(out, kind="stable")
-    is_kept = np.cumsum(num_faces[levels, shapes][nearest]) <= max_faces
-    levels[nearest[~is_kept]] = -1
+    levels = np.full(len(away_m), -1)
+    nearest = np.argsort(away_m, kind="stable")
+    spent = 0.0
+    for level, (reach, share) in enumerate(zip((*DETAIL_REACH_M, np.inf), (*DETAIL_SHARES, 1.0), strict=True)):
+        waiting = nearest[levels[nearest] < 0]
+        total = spent + np.cumsum(num_faces[level, shapes[waiting]])
+        chosen = waiting[(total <= share * max_faces) & (away_m[waiting] < reach)]
+        levels[chosen] = level
+        spent += float(num_faces[level, shapes[chosen]].sum())
     return levels
 
 
 def _grass(verge: Verge, side: float, terrain: Terrain, rng: np.random.Generator, near_m: Span) -> list[Mesh]:
-    """Tufts of bent blades: dense in patches, lower and rarer where the noise says so."""
+    """Tufts of bent blades in patches, with dry stalks in between."""
     start, end = max(near_m[0], -20.0), min(near_m[1], terrain.road.length_m + 20.0)
     if verge.grass_height_m == 0 or verge.grass_per_m2 == 0 or end <= start:
         return []
@@ -168,10 +181,11 @@ def _grass(verge: Verge, side: float, terrain: Terrain, rng: np.random.Generator
     s, t, lush = (np.repeat(one[is_clear], BLADES_PER_TUFT) for one in (s, t, lush))
     if not len(s):
         return []
-    spread = 0.5 * verge.grass_height_m + 0.03
+    spread = 0.7 * verge.grass_height_m + 0.05
     s, t = s + rng.normal(0, spread, len(s)), t + rng.normal(0, spread, len(s))
     is_off = np.abs(t) > terrain.road.half_width_m + 0.05
-    heights = verge.grass_height_m * np.clip(0.55 + 0.3 * lush + 0.3 * rng.normal(size=len(s)), 0.2, 1.9)
+    heights = verge.grass_height_m * np.clip(0.5 + 0.25 * lush + 0.3 * rng.normal(size=len(s)), 0.2, 1.9)
+    heights = heights * np.where(rng.random(len(s)) < STALK_SHARE, STALK_FACTOR, 1.0)
     return [_blades(terrain.points(s[is_off], t[is_off], -0.02), heights[is_off], rng)]
 
 

@@ -67,6 +67,21 @@ def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Me
     )
 
 
+def faceted(mesh: Mesh) -> Mesh:
+    """The same triangles with sharp edges."""
+    corners = mesh.vertices_m[mesh.faces].astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(across, axis=1, keepdims=True)
+    normals = np.where(lengths > 0, across / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+    return Mesh(
+        corners.reshape(-1, 3).astype(np.float32),
+        np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3),
+        mesh.materials,
+        np.repeat(normals, 3, 0).astype(np.float32),
+        mesh.coordinates_m[mesh.faces].reshape(-1, 2),
+    )
+
+
 def box(centre_m: ArrayLike, size_m: ArrayLike, material: int) -> Mesh:
     """A box along the axes with sharp edges."""
     vertices = _BOX_CORNERS * np.asarray(size_m, np.float64) + np.asarray(centre_m, np.float64)

@@ -20,7 +20,10 @@ MAX_SUPERELEVATION = 0.06
 CROWN = 0.02
 """Cross slope of either lane away from the centre line, on a straight road."""
 
-NUM_FOOT_STEPS = 6
+RUN_OUT_M = 20.0
+"""Length over which a bend becomes straight before and after the road."""
+
+NUM_FOOT_STEPS = 4
 STEP_LIMIT_M = 200.0
 
 MOUTH_M = 25.0
@@ -30,7 +33,7 @@ MOUTH_M = 25.0
 class Road:
     """A centre line with heading, slope and banking, and the carriageway across it.
 
-    It starts at (0, 0), heading along x unless `start` says otherwise, and goes on straight beyond its ends.
+    It starts at (0, 0), heading along x unless `start` says otherwise, and becomes straight beyond its ends.
     """
 
     def __init__(self, spec: RoadSpec, start: Pose | None = None, length_m: float | None = None) -> None:
@@ -41,7 +44,7 @@ class Road:
         self._start = start or Pose(np.zeros(3), np.eye(3))
         places = np.arange(-100.0, self.length_m + 100.0 + STEP_M / 2, STEP_M)
         curvatures = np.interp(places, *np.array(spec.curvature_per_m, np.float64).T)
-        curvatures[(places < 0) | (places > self.length_m)] = 0.0
+        curvatures *= np.clip(1.0 + np.minimum(places, self.length_m - places) / RUN_OUT_M, 0.0, 1.0)
         heading = _integral(curvatures, STEP_M)
         zero = int(np.searchsorted(places, 0.0))
         heading -= heading[zero]
@@ -50,7 +53,7 @@ class Road:
         self._curvatures = places, curvatures
 
     def curvature_per_m(self, s_m: ArrayLike) -> Floats:
-        """Signed curvature at arc lengths of any shape, positive to the left, 1/m; 0 beyond the road's ends."""
+        """Signed curvature at arc lengths of any shape, positive to the left, 1/m."""
         # Not a spline: it would ring where the profile has steps or kinks.
         return np.asarray(np.interp(np.asarray(s_m, np.float64), *self._curvatures))
 

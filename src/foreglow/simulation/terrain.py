@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from foreglow.geometry import Floats
+from foreglow.simulation.ground_cover import KERB_M, PAVEMENT_M, covered, ground_cover
 from foreglow.simulation.materials import material_number
 from foreglow.simulation.mesh import Mesh, joined
 from foreglow.simulation.noise import Noise, smooth_step
@@ -27,14 +27,8 @@ FINE_STEP_M, COARSE_STEP_M = 0.5, 2.0
 LEAD_M = 60.0
 """How far the ground goes on before and after the road."""
 
-PAVEMENT_M, KERB_M = 2.2, 0.12
-"""Width and height of a pavement."""
-
 SHOULDER_SLOPE = 0.04
 DITCH_WIDTH_M = 1.5
-SNOW_M = 0.22
-"""Height of drifts along a road with snow all over its verge."""
-
 BRANCH_T_M = 1000.0
 """On side road number n, the second surface coordinate is its own offset plus (n + 1) times this, so that no lane
 marking or wheel track of the main road appears there."""
@@ -43,14 +37,6 @@ CORRIDOR_M = 6.0
 """Width over which the ground beside a side road comes up or down to it."""
 
 _FLARE_M = 4.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fields:
-    rolling: Noise
-    rough: Noise
-    snow: Noise
-    drifts: Noise
 
 
 class Terrain:
@@ -67,8 +53,9 @@ class Terrain:
         """Draws the unevenness; `verges` are left and right, between `fine_m` the mesh has short rows."""
         self.road, self.branches = road, branches
         self._left, self._right = verges
-        self._fields = _Fields(Noise(rng, 28.0), Noise(rng, 2.2), Noise(rng, 5.0, 4), Noise(rng, 7.0))
-        self._fine_m = fine_m
+        self._rolling, self._rough = Noise(rng, 28.0), Noise(rng, 2.2)
+        self._cover = ground_cover(*verges, road.half_width_m, road.length_m, rng)
+        self.fine_m = fine_m
 
     def verge(self, t_m: float) -> Verge:
         """The specification of the side on which the offset lies."""
@@ -125,17 +112,10 @@ class Terrain:
         width = float(np.clip(1.8 * abs(verge.bank_m), 2.5, 9.0))
         rise = rise + verge.bank_m * smooth_step((beyond - start) / width)
         wild = np.clip((beyond - start) / 25.0, 0.0, 1.5)
-        rise = rise + wild * 0.9 * self._fields.rolling(s, t)
+        rise = rise + wild * 0.9 * self._rolling(s, t)
         uneven = smooth_step((beyond - (PAVEMENT_M if is_paved else 0.2)) / 1.2)
-        rise = rise + (0.03 + 0.02 * abs(verge.bank_m) ** 0.5) * uneven * self._fields.rough(s, t)
-        return np.asarray(rise + self._snow_depth_m(s, beyond, verge, t))
-
-    def _snow_depth_m(self, s: Floats, beyond: Floats, verge: Verge, t: Floats) -> Floats:
-        """Snow that a plough threw to the side: a low ridge along the edge."""
-        if verge.snow == 0:
-            return np.zeros(np.shape(beyond))
-        ridge = smooth_step((beyond - 0.1) / 0.7) * (1 - 0.7 * smooth_step((beyond - 1.0) / 1.6))
-        return SNOW_M * verge.snow * ridge * np.clip(0.8 + 0.5 * self._fields.drifts(s, t), 0.1, 2.0)
+        rise = rise + (0.03 + 0.02 * abs(verge.bank_m) ** 0.5) * uneven * self._rough(s, t)
+        return np.asarray(rise + self._cover.snow_depth_m(s, t, beyond, verge))
 
     def _branch_half_width_m(self, branch: Road, out: Floats) -> Floats:
         """Half width of a side road at a distance `out` from the main road's edge: it widens at its mouth."""
@@ -162,14 +142,12 @@ class Terrain:
         points = self.points(places, t)
         points[..., 2] -= self._sunk_m(points, np.abs(t) - half)
         mesh = strip(points, 0, coordinates_m=np.stack([places, t], -1))
-        middles = mesh.coordinates_m[mesh.faces[::2][:, [0, 2]]].mean(1)  # of both triangles of a cell
-        kinds = self._ground_materials(middles[:, 0].astype(np.float64), middles[:, 1].astype(np.float64))
-        return replace(mesh, materials=np.repeat(kinds, 2))
+        return covered(mesh, t.shape, self._cover)
 
     @cached_property
     def _rows_m(self) -> Floats:
         start, end = -LEAD_M, self.road.length_m + LEAD_M
-        fine = np.clip(self._fine_m, start, end)
+        fine = np.clip(self.fine_m, start, end)
         parts = [
             np.arange(start, fine[0], COARSE_STEP_M),
             np.arange(fine[0], fine[1], FINE_STEP_M),
@@ -203,34 +181,6 @@ class Terrain:
             is_below = (along > 0) & (along < branch.length_m) & (out > 0.1)
             sunk = np.maximum(sunk, np.where(is_below, 0.25 * smooth_step(inside / 0.8), 0.0))
         return sunk
-
-    def _ground_materials(self, s: Floats, t: Floats) -> NDArray[np.uint8]:
-        """Material numbers of cells with their middles at s and t, shape (N,)."""
-        out = np.abs(t) - self.road.half_width_m
-        kinds = np.full(len(s), material_number("road"), np.uint8)
-        for is_side, verge in ((t > 0, self._left), (t <= 0, self._right)):
-            beyond = is_side & (out > 0)
-            if verge.ground == "pavement":
-                kinds[beyond] = material_number("grass_ground")
-                kinds[beyond & (out < PAVEMENT_M)] = material_number("pavement")
-                kinds[beyond & (out < OUTS_M[1])] = material_number("kerb")
-            else:
-                kinds[beyond] = material_number(verge.ground)
-                kinds[beyond & (out < 0.3 + 0.15 * self._fields.rough(s, t))] = material_number("gravel")
-            kinds[beyond & self._is_snow(s, t, out, verge)] = material_number("snow")
-        return kinds
-
-    def _is_snow(self, s: Floats, t: Floats, out: Floats, verge: Verge) -> NDArray[np.bool_]:
-        if verge.snow in (0, 1):
-            return np.full(len(s), verge.snow == 1)
-        drift = 0.8 * smooth_step(out / 0.5) * (1 - smooth_step((out - 1.2) / 2.5))
-        score = self._fields.snow(s, t) + drift
-        # Cells are narrow near the road: each counts with its share of the verge that is seen.
-        near = (out > 0) & (out < 15.0)
-        order = np.argsort(score[near])
-        areas = np.cumsum(np.interp(out[near], OUTS_M[:-1], np.diff(OUTS_M))[order])
-        place = int(np.searchsorted(areas, (1 - verge.snow) * areas[-1]))
-        return np.asarray(score > score[near][order][min(place, len(order) - 1)])
 
     def _branch_mesh(self, number: int) -> Mesh:
         """The surface of a side road from the main road's edge on, with the ground beside it far from the main road."""
@@ -273,7 +223,7 @@ class Terrain:
         for side in (1.0, -1.0):
             across = side * (half + np.array([0.0, 0.6, 2.0, 5.0, 10.0, 20.0]))
             points = branch.points(along, across)
-            points[..., 2] += 0.1 * self._fields.rough(along, across) - 0.15
+            points[..., 2] += 0.1 * self._rough(along, across) - 0.15
             shift = np.broadcast_to(across + (number + 1) * BRANCH_T_M, points.shape[:2])
             coordinates = np.stack([np.broadcast_to(along, points.shape[:2]), shift], -1)
             parts.append(strip(points, material_number("grass_ground"), coordinates_m=coordinates))

@@ -36,7 +36,7 @@ class Detail:
 
 
 TREE_DETAILS = (Detail(7, 8, 30, 150, 1500, 0.08), Detail(5, 5, 16, 45, 420, 0.15), Detail(3, 4, 8, 8, 90, 0.32))
-BUSH_DETAILS = (Detail(0, 0, 30, 40, 420, 0.045), Detail(0, 0, 12, 10, 110, 0.09), Detail(0, 0, 5, 0, 36, 0.17))
+BUSH_DETAILS = (Detail(0, 0, 26, 70, 420, 0.045), Detail(0, 0, 12, 10, 110, 0.09), Detail(0, 0, 5, 0, 36, 0.17))
 
 
 def tree(rng: np.random.Generator, height_m: float, leaves: float, detail: Detail) -> Mesh:
@@ -82,10 +82,10 @@ def bush(rng: np.random.Generator, height_m: float, leaves: float, detail: Detai
     starts = out * rng.uniform(0, 0.2, (num, 1)) * height_m - [0.0, 0.0, 0.15]
     lengths = height_m * rng.uniform(0.5, 1.05, num)[:, None]
     tips = starts + (out * spread[:, None] * 0.7 + [0.0, 0.0, 1.0]) * lengths
-    bends = 0.5 * (starts + tips) + rng.normal(0, 0.06, (num, 3)) * height_m
+    bends = 0.5 * (starts + tips) + rng.normal(0, 0.11, (num, 3)) * height_m * [1.0, 1.0, 0.5]
     bark = material_number("bark")
     parts = [tubes(starts, bends, 0.012, 0.009, 3, bark), tubes(bends, tips, 0.009, 0.005, 3, bark)]
-    twig_starts, twig_ends = _twigs(rng, bends, tips, detail.num_twigs, 0.3 * height_m)
+    twig_starts, twig_ends = _twigs(rng, bends, tips, detail.num_twigs, 0.35 * height_m)
     parts.append(tubes(twig_starts, twig_ends, 0.007, 0.004, 3, bark))
     num_leaves = round(leaves * detail.num_leaves)
     if num_leaves:
