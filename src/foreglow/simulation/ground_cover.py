@@ -22,10 +22,13 @@ GRAVEL_M = 0.3
 SNOW_M = 0.22
 """Height of drifts along a road with snow all over its verge."""
 
+RAGGED = 0.3
+"""How much the borders of the snow fray, in deviations of where it lies."""
+
 NUM_PARTS = 3
 """Into how many parts a cell is cut, either way, where two covers meet."""
 
-REFINED_REACH_M = 25.0
+REFINED_REACH_M = 18.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,16 +39,16 @@ class GroundCover:
         left: The verge to the left.
         right: The verge to the right.
         half_width_m: Of the carriageway.
-        patches: Where snow lies.
+        patches: Where snow lies, and how ragged its borders are.
         drifts: How high it lies along the road.
         frays: How the gravel ends.
-        snow_limits: What `_snow_score` must exceed, left and right, so that the asked share is under snow.
+        snow_limits: What `snow_score` must exceed, left and right, so that the asked share is under snow.
     """
 
     left: Verge
     right: Verge
     half_width_m: float
-    patches: Noise
+    patches: tuple[Noise, Noise]
     drifts: Noise
     frays: Noise
     snow_limits: tuple[float, float]
@@ -79,7 +82,8 @@ def ground_cover(
     left: Verge, right: Verge, half_width_m: float, length_m: float, rng: np.random.Generator
 ) -> GroundCover:
     """Draws the covers; the limits for snow are quantiles over the verges along the road."""
-    patches, drifts, frays = Noise(rng, 5.0, 5), Noise(rng, 7.0), Noise(rng, 2.2)
+    patches = Noise(rng, 5.0, 4), Noise(rng, 0.7, 2)
+    drifts, frays = Noise(rng, 7.0), Noise(rng, 2.2)
     s, out = np.meshgrid(np.arange(0.0, length_m, 1.5), np.arange(0.1, 15.0, 0.4))
     limits = [
         float(np.quantile(snow_score(patches, s, side * (half_width_m + out), out), 1 - verge.snow))
@@ -90,10 +94,10 @@ def ground_cover(
     return GroundCover(left, right, half_width_m, patches, drifts, frays, (limits[0], limits[1]))
 
 
-def snow_score(patches: Noise, s: Floats, t: Floats, out: Floats) -> Floats:
+def snow_score(patches: tuple[Noise, Noise], s: Floats, t: Floats, out: Floats) -> Floats:
     """Where snow lies longest: the higher, the longer; in the drifts at the edge before elsewhere."""
     drift = 0.8 * smooth_step(out / 0.5) * (1 - smooth_step((out - 1.2) / 2.5))
-    return patches(s, t) + drift
+    return patches[0](s, t) + RAGGED * patches[1](s, t) + drift
 
 
 def covered(mesh: Mesh, shape: tuple[int, int], cover: GroundCover) -> Mesh:
@@ -120,20 +124,29 @@ def _cut(mesh: Mesh, first: NDArray[np.uint32], second: NDArray[np.uint32], cove
     corners = np.stack([first[:, 0], second[:, 2], first[:, 1], first[:, 2]], -1)
     steps = np.linspace(0.0, 1.0, NUM_PARTS + 1)
     u, v = np.meshgrid(steps, steps, indexing="ij")
-    weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]).reshape(4, -1)
+    middles = mesh.coordinates_m[corners].mean(1)[:, None].astype(np.float64)
+    # Vertices within a cell move aside, or borders would have teeth like a saw.
+    is_inside = ((u > 0) & (u < 1) & (v > 0) & (v < 1)).ravel()
+    number = np.arange(u.size) * 0.37
+    aside = [
+        is_inside * np.clip(0.3 * cover.frays(shift + 90 * middles[..., 0] + number, 90 * middles[..., 1]), -0.24, 0.24)
+        for shift in (0.0, 31.0)
+    ]
+    u, v = u.ravel() + aside[0] / NUM_PARTS, v.ravel() + aside[1] / NUM_PARTS
+    weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], -1)
     points, normals, places = (
-        np.einsum("ncd,cp->npd", array[corners].astype(np.float64), weights)
+        np.matmul(weights, array[corners].astype(np.float64))
         for array in (mesh.vertices_m, mesh.normals, mesh.coordinates_m)
     )
     faces = grid_faces(NUM_PARTS + 1, NUM_PARTS + 1)
-    middles = places[:, faces[::2][:, [0, 2]]].mean(2)
-    kinds = cover.materials(middles[..., 0], middles[..., 1])
-    starts = (np.arange(len(corners), dtype=np.uint32) * np.uint32(len(u) ** 2))[:, None, None]
+    centres = places[:, faces].mean(2)
+    kinds = cover.materials(centres[..., 0], centres[..., 1])
+    starts = (np.arange(len(corners), dtype=np.uint32) * np.uint32(u.shape[-1]))[:, None, None]
     lengths = np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
     return Mesh(
         points.reshape(-1, 3).astype(np.float32),
         (faces[None] + starts).reshape(-1, 3).astype(np.uint32),
-        np.repeat(kinds.ravel(), 2),
+        kinds.ravel(),
         (normals / lengths).reshape(-1, 3).astype(np.float32),
         places.reshape(-1, 2).astype(np.float32),
     )

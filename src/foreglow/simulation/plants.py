@@ -19,7 +19,7 @@ from foreglow.simulation.surroundings import Span, SurroundingsSpec, Verge, Wood
 from foreglow.simulation.terrain import Terrain
 from foreglow.simulation.trees import BUSH_DETAILS, TREE_DETAILS, Detail, bush, tree
 
-MAX_TREE_FACES = 550_000
+MAX_TREE_FACES = 520_000
 MAX_BUSH_FACES = 130_000
 MAX_BLADES = 110_000
 
