@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.spatial import cKDTree
 
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.simulation.scene import RoadSpec
@@ -19,11 +20,20 @@ MAX_SUPERELEVATION = 0.06
 CROWN = 0.02
 """Cross slope of either lane away from the centre line, on a straight road."""
 
+RUN_OUT_M = 20.0
+"""Length over which a bend becomes straight before and after the road."""
+
+NUM_FOOT_STEPS = 4
+STEP_LIMIT_M = 200.0
+
+MOUTH_M = 25.0
+"""Length over which a side road levels out from the slope with which it leaves the main road."""
+
 
 class Road:
     """A centre line with heading, slope and banking, and the carriageway across it.
 
-    It starts at (0, 0), heading along x unless `start` says otherwise, and goes on straight beyond its ends.
+    It starts at (0, 0), heading along x unless `start` says otherwise, and becomes straight beyond its ends.
     """
 
     def __init__(self, spec: RoadSpec, start: Pose | None = None, length_m: float | None = None) -> None:
@@ -34,16 +44,18 @@ class Road:
         self._start = start or Pose(np.zeros(3), np.eye(3))
         places = np.arange(-100.0, self.length_m + 100.0 + STEP_M / 2, STEP_M)
         curvatures = np.interp(places, *np.array(spec.curvature_per_m, np.float64).T)
-        curvatures[(places < 0) | (places > self.length_m)] = 0.0
+        curvatures *= np.clip(1.0 + np.minimum(places, self.length_m - places) / RUN_OUT_M, 0.0, 1.0)
         heading = _integral(curvatures, STEP_M)
         zero = int(np.searchsorted(places, 0.0))
         heading -= heading[zero]
         x, y = _integral(np.cos(heading), STEP_M), _integral(np.sin(heading), STEP_M)
-        self._line = CubicSpline(places, np.stack([x - x[zero], y - y[zero], heading, curvatures], -1))
+        self._line = CubicSpline(places, np.stack([x - x[zero], y - y[zero], heading], -1))
+        self._curvatures = places, curvatures
 
     def curvature_per_m(self, s_m: ArrayLike) -> Floats:
         """Signed curvature at arc lengths of any shape, positive to the left, 1/m."""
-        return np.asarray(self._line(np.asarray(s_m, np.float64))[..., 3])
+        # Not a spline: it would ring where the profile has steps or kinks.
+        return np.asarray(np.interp(np.asarray(s_m, np.float64), *self._curvatures))
 
     def heading_rad(self, s_m: ArrayLike) -> Floats:
         """Direction of the centre line, radians to the left of the world's x."""
@@ -82,6 +94,27 @@ class Road:
         flat[..., 2] = self.elevation_m(s) + self.cross_height_m(s, t) + height
         return np.asarray(flat)
 
+    def places_m(self, points_world: ArrayLike) -> tuple[Floats, Floats]:
+        """Arc length and offset to the left, each of shape (...), of points of shape (..., 2 or 3): `points` undone.
+
+        Of several feet of the perpendicular the nearest counts; heights are ignored.
+        """
+        points = np.asarray(points_world, np.float64)[..., :2]
+        samples, tree = self._samples
+        s = samples[tree.query(points)[1]]
+        for _ in range(NUM_FOOT_STEPS):
+            away = points - self.points(s)[..., :2]
+            heading = self.heading_rad(s)
+            along = away[..., 0] * np.cos(heading) + away[..., 1] * np.sin(heading)
+            t = away[..., 1] * np.cos(heading) - away[..., 0] * np.sin(heading)
+            # At the centre of a bend every place is as near: there the step would have no end.
+            s = s + np.clip(along / np.maximum(1.0 - self.curvature_per_m(s) * t, 0.1), -STEP_LIMIT_M, STEP_LIMIT_M)
+        return s, np.asarray(t)
+
+    def distances_m(self, points_world: ArrayLike) -> Floats:
+        """Horizontal distances, shape (...), of points of shape (..., 2 or 3) from the centre line, to 0.2 m."""
+        return np.asarray(self._samples[1].query(np.asarray(points_world, np.float64)[..., :2])[0])
+
     def pose(self, s_m: float, t_m: float, direction: int, wheelbase_m: float) -> Pose:
         """Pose of a vehicle whose rear axle is at s, driving along the road (direction 1) or against it (-1)."""
         rear = self.points(s_m, t_m)
@@ -96,6 +129,11 @@ class Road:
                 float(np.arctan2(left[2], np.hypot(left[0], left[1]))),
             ),
         )
+
+    @cached_property
+    def _samples(self) -> tuple[Floats, cKDTree]:
+        places = np.arange(-100.0, self.length_m + 100.5)
+        return places, cKDTree(self.points(places)[:, :2])
 
     @cached_property
     def _elevation(self) -> CubicSpline | PchipInterpolator:
@@ -116,16 +154,26 @@ class Road:
 
 
 def branch_road(main: Road, number: int) -> Road:
-    """The side road `number` of the main road: its s = 0 is where the centre lines meet."""
+    """The side road `number` of the main road: its s = 0 is where the centre lines meet.
+
+    It leaves in the plane of the main carriageway and becomes level after it.
+    """
     branch = main.spec.branches[number]
-    heading = float(main.heading_rad(branch.s_m)) + np.radians(branch.angle_deg)
-    start = Pose(main.points(branch.s_m), rotation(float(heading)))
+    angle = np.radians(branch.angle_deg)
+    # Where it crosses the main road's edge; a side road along the main one never would.
+    mouth = main.half_width_m / max(abs(float(np.sin(angle))), 0.2)
+    edge = main.points(branch.s_m + mouth * np.cos(angle), np.sign(np.sin(angle)) * main.half_width_m)
+    start = Pose(main.points(branch.s_m), rotation(float(main.heading_rad(branch.s_m) + angle)))
+    rise = float(edge[2] - start.position_m[2])
+    level = rise + 0.5 * float(np.clip(rise / mouth, -0.08, 0.08)) * MOUTH_M
+    profile = ((0.0, 0.0), (mouth, rise), (mouth + MOUTH_M, level), (mouth + 2 * MOUTH_M, level))
     spec = main.spec.model_copy(
         update={
             "curvature_per_m": ((0.0, 0.0),),
-            "elevation_m": ((0.0, 0.0),),
+            "elevation_m": profile,
             "branches": (),
             "centre_marking": "none",
+            "has_edge_marking": False,
         }
     )
     return Road(spec, start, branch.length_m)

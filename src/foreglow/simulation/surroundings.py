@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from foreglow.config import FrozenModel
 
 Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
 """Pairs (position, value) with growing positions."""
 
-Span: TypeAlias = tuple[float, float]
+
+def _growing(span: tuple[float, float]) -> tuple[float, float]:
+    if not span[0] < span[1]:
+        raise ValueError(f"expected a span from a smaller to a larger arc length, got {span}")
+    return span
+
+
+Span: TypeAlias = Annotated[tuple[float, float], AfterValidator(_growing)]
 """From one arc length to another, metres."""
 
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
