@@ -270,8 +270,9 @@ def test_unreadable_image_is_one_line(tmp_path: Path, folder: Path, config: Path
 
 
 def test_pvdn_as_a_whole_names_a_split(tmp_path: Path) -> None:
-    (tmp_path / "PVDN" / "day" / "val" / "labels").mkdir(parents=True)
-    (tmp_path / "PVDN" / "day" / "val" / "labels" / "sequences.json").write_text("{}")
+    for split in ("train", "val"):
+        (tmp_path / "PVDN" / "day" / split / "labels").mkdir(parents=True)
+        (tmp_path / "PVDN" / "day" / split / "labels" / "sequences.json").write_text("{}")
     for path in (tmp_path / "PVDN", tmp_path / "PVDN" / "day"):
         assert "one split of PVDN, such as " in complaint("run", path, "--out", tmp_path / "out")
 

@@ -12,7 +12,7 @@ import pytest
 import foreglow
 
 SOURCE = Path(foreglow.__file__).parent
-VALUES = {"types", "geometry", "photometry", "config"}
+VALUES = {"types", "geometry", "photometry", "config", "calibration"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 TOOLS = {"learning", "evaluation", "runtime"}
 
@@ -22,12 +22,13 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": {"types"},
     "photometry": {"types", "geometry"},
     "config": {"types", "geometry", "photometry"},
+    "calibration": {"types", "geometry", "config"},
     **{stage: VALUES | {"_native"} for stage in STAGES},
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},
     **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in TOOLS},
-    "reports": VALUES | TOOLS | {"files"},
+    "reports": VALUES | TOOLS | {"files", "simulation"},
     "cli": VALUES | STAGES | TOOLS | {"files", "pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},
 }

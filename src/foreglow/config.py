@@ -190,6 +190,8 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     field = ".".join(str(part) for part in first["loc"]) or "configuration"
     if first["type"] == "value_error":  # one of our own checks, which says all of it
         return f"{field}.{first['ctx']['error']}"
+    if first["type"] == "missing" and isinstance(first["input"], dict):
+        return f"{field}: missing"
     if first["type"] == "extra_forbidden":
         section = model.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 2 else None
         owner = model if section is None else section.annotation

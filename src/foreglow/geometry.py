@@ -36,6 +36,21 @@ def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0
     return np.asarray(about_z @ about_y @ about_x)
 
 
+def rotation_angles_rad(turned: ArrayLike) -> tuple[float, float, float]:
+    """Yaw, pitch and roll whose `rotation` is `turned`, shape (3, 3); roll is 0 where the axis points up or down.
+
+    >>> np.allclose(rotation_angles_rad(rotation(2.0, -0.3, 0.1)), (2.0, -0.3, 0.1))
+    True
+    """
+    matrix = np.asarray(turned, np.float64)
+    forward = float(np.hypot(matrix[0, 0], matrix[1, 0]))
+    pitch = float(np.arctan2(matrix[2, 0], forward))
+    if forward < 1e-9:  # yaw and roll turn about the same axis
+        return float(np.arctan2(-matrix[0, 1], matrix[1, 1])), pitch, 0.0
+    yaw, roll = np.arctan2(matrix[1, 0], matrix[0, 0]), np.arctan2(matrix[2, 1], matrix[2, 2])
+    return float(yaw), pitch, float(roll)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
     """Where a body is and how it is turned: dst_from_body.

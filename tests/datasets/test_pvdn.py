@@ -41,6 +41,35 @@ def test_time_is_the_sequences_start_plus_the_place_over_18_hz(split: Path) -> N
     assert times == {5: 1_500_000_000, 7: 1_555_555_556, 11: 4_500_000_000, 12: 4_555_555_556, 13: 4_611_111_111}
 
 
+def test_a_set_may_name_its_own_rate(split: Path) -> None:
+    path = split / "labels/image_annotations.json"
+    edit(path, "info", "rate_hz", value=10)
+    dataset = PVDN(split)
+    assert dataset.rate_hz == 10.0
+    assert [frame.timestamp_ns for frame in dataset][:2] == [1_500_000_000, 1_600_000_000]
+    for value in (0, -5.0, "18", True, None, 2000):
+        edit(path, "info", "rate_hz", value=value)
+        with pytest.raises(ValueError, match=r"image_annotations\.json: info\.rate_hz: expected a number above 0"):
+            PVDN(split)
+
+
+def test_doubtful_light(split: Path) -> None:
+    dataset = PVDN(split)
+    assert dataset.doubtful(11) == ()
+    edit(split / "labels/keypoints/000011.json", "doubtful", value=[{"pos": [3, 4], "iid": -1}])
+    (light,) = dataset.doubtful(11)
+    assert (light.position_px, light.iid) == ((3, 4), -1)
+    assert [3, 4] not in dataset.keypoints_px(11).tolist()
+
+
+def test_a_folder_above_the_only_split(split: Path) -> None:
+    for folder in (split.parent, split.parents[1]):
+        assert PVDN(folder).root == split
+    make_pvdn(split.parents[1], "day")
+    with pytest.raises(FileNotFoundError):
+        PVDN(split.parents[1])
+
+
 def test_a_filter_does_not_move_time(split: Path) -> None:
     dataset = PVDN(split, select=Selection(categories=[ImageCategory.INDIRECT]))
     assert [(frame.frame, frame.timestamp_ns) for frame in dataset] == [(13, 4_611_111_111)]

@@ -7,7 +7,7 @@ from pathlib import Path
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder
 from foreglow.datasets.images import IMAGE_SUFFIXES
-from foreglow.datasets.pvdn import PVDN, is_split, split_of_sequence
+from foreglow.datasets.pvdn import PVDN, is_split, split_of_sequence, splits_below
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.video import Video
 
@@ -21,8 +21,9 @@ def open_source(
 ) -> FrameSource:
     """The frames at `path`.
 
-    A folder is a PVDN split (it has `labels/sequences.json`), one PVDN sequence (`SPLIT/images/NAME`), or holds
-    images. A file is an image by its ending (`IMAGE_SUFFIXES`), and a video otherwise.
+    A folder is a PVDN split (it has `labels/sequences.json`) or holds exactly one (such as `DIR/night/train`), is one
+    PVDN sequence (`SPLIT/images/NAME`), or holds images. A file is an image by its ending (`IMAGE_SUFFIXES`), and a
+    video otherwise.
 
     Args:
         path: A file or folder.
@@ -38,11 +39,11 @@ def open_source(
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     if path.is_dir():
-        if is_split(path) or split_of_sequence(path) is not None:
+        splits = splits_below(path)
+        if len(splits) > 1:
+            raise ValueError(f"{path}: expected one split of PVDN, such as {splits[0]}")
+        if splits or is_split(path) or split_of_sequence(path) is not None:
             return PVDN(path, on_error=on_error, cache=cache)
-        splits = [labels.parents[1] for depth in ("*", "*/*") for labels in path.glob(f"{depth}/labels/sequences.json")]
-        if splits:
-            raise ValueError(f"{path}: expected one split of PVDN, such as {min(splits)}")
         return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageFolder(path, rate_hz=rate_hz, on_error=on_error, cache=cache)

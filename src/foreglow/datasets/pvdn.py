@@ -6,6 +6,7 @@ import functools
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from foreglow.datasets.pvdn_schema import (
     EnvironmentLighting,
     ImageCategory,
     ImageRecord,
+    Instance,
     KeypointsFile,
     RoadType,
     Sequence,
@@ -32,6 +34,9 @@ from foreglow.types import Frame
 
 PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
+
+MAX_RATE_HZ = 1000.0
+"""Fastest frame rate of a set that names its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,19 +70,19 @@ class PVDN:
     the sequence's folder.
 
     Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's place in its
-    sequence, counted over all its images sorted by id, divided by 18 Hz. The fields `timestamp` and
-    `date_captured` of the files are not used, since their units are not documented. Different sequences share no
-    time axis: reset the pipeline between them.
+    sequence, counted over all its images sorted by id, divided by the frame rate. That is 18 Hz, unless the `info` of
+    `image_annotations.json` has a `rate_hz`, as simulated sets do. The fields `timestamp` and `date_captured` of the
+    files are not used, since their units are not documented. Different sequences share no time axis: reset the
+    pipeline between them.
 
     Attributes:
+        rate_hz: Frames a second within a sequence.
         root: The split's folder.
         labels: The label files as they are.
         cycle: The exposure cycle that the folder is in; None outside `day` and `night`.
         frame_ids: Ids of the selected images, in order.
         skipped: One line for each image that the latest iteration left out so far.
     """
-
-    rate_hz = PVDN_RATE_HZ
 
     def __init__(
         self,
@@ -90,7 +95,7 @@ class PVDN:
         """Reads the labels.
 
         Args:
-            root: The split's or the sequence's folder.
+            root: The split's or the sequence's folder, or one above (by one or two levels) that holds this split only.
             select: Which images; None for all.
             on_error: What an image that is missing, broken or of the wrong size does; labels must be right always.
             cache: Where decoded images are kept for the next pass; None decodes each time.
@@ -103,8 +108,9 @@ class PVDN:
         if not folder.is_dir():
             raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")
         scene = None if is_split(folder) else split_of_sequence(folder)
-        self.root = folder if scene is None else scene
+        self.root = scene or only_split_below(folder) or folder
         self.labels: PVDNLabels = read_labels(self.root)
+        self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
         self.skipped: list[str] = []
@@ -160,7 +166,7 @@ class PVDN:
             )
         sequence = self.sequence(image_id)
         place = self.labels.place_of[image_id]
-        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(place * 1e9 / PVDN_RATE_HZ)
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(place * 1e9 / self.rate_hz)
         return Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
@@ -171,14 +177,16 @@ class PVDN:
                 vehicles.
             ValueError: If there is no such id, or the file is broken.
         """
-        self.image(image_id)
-        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
-        if not path.exists():
-            raise FileNotFoundError(f"{path}: no such file, expected the keypoints of image {image_id}")
-        keypoints = read_json(path, KeypointsFile)
-        if keypoints.image_id != image_id:
-            raise ValueError(f"{path}: image_id: expected {image_id} as in the file's name, got {keypoints.image_id}")
-        return keypoints.annotations
+        return self._keypoints_file(image_id).annotations
+
+    def doubtful(self, image_id: int) -> tuple[Instance, ...]:
+        """Light in image `image_id` that is neither an instance nor a fault to find; only simulated sets have any.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        return self._keypoints_file(image_id).doubtful
 
     def keypoints_px(self, image_id: int) -> NDArray[np.int32]:
         """Positions of all instances in image `image_id`, shape (K, 2), int32, columns x and y, full-frame pixels.
@@ -234,6 +242,16 @@ class PVDN:
         ids = sorted(sequence.image_ids)
         return next((image_id for image_id in ids if category in self.categories(image_id)), None)
 
+    def _keypoints_file(self, image_id: int) -> KeypointsFile:
+        self.image(image_id)
+        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file, expected the keypoints of image {image_id}")
+        keypoints = read_json(path, KeypointsFile)
+        if keypoints.image_id != image_id:
+            raise ValueError(f"{path}: image_id: expected {image_id} as in the file's name, got {keypoints.image_id}")
+        return keypoints
+
     def _check_exists(self, image_id: int) -> None:
         path = self.image_path(image_id)
         if not path.is_file():
@@ -275,12 +293,35 @@ def is_split(folder: Path) -> bool:
     )
 
 
+def only_split_below(folder: Path) -> Path | None:
+    """The split one or two levels below `folder`, such as `DIR/night/train`, if there is exactly one; else None."""
+    splits = splits_below(folder)
+    return splits[0] if len(splits) == 1 else None
+
+
+def splits_below(folder: Path) -> list[Path]:
+    """The splits one or two levels below `folder`, by name; none where it is a split itself."""
+    if is_split(folder):
+        return []
+    found = [labels.parents[1] for depth in ("*", "*/*") for labels in folder.glob(f"{depth}/labels/sequences.json")]
+    return sorted(found)
+
+
 def split_of_sequence(folder: Path) -> Path | None:
     """The split that `folder` is a sequence of, or None."""
     if folder.resolve().parent.name != "images":
         return None
     split = folder.resolve().parents[1]
     return split if is_split(split) else None
+
+
+def _rate_hz(info: dict[str, Any], root: Path) -> float:
+    """Frames a second: `rate_hz` of the set's `info`, or that of PVDN."""
+    rate_hz = info.get("rate_hz", PVDN_RATE_HZ)
+    if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not 0 < rate_hz <= MAX_RATE_HZ:
+        path = root / "labels" / "image_annotations.json"
+        raise ValueError(f"{path}: info.rate_hz: expected a number above 0 and up to {MAX_RATE_HZ:g}, got {rate_hz!r}")
+    return float(rate_hz)
 
 
 def _is_wanted(sequence: Sequence, select: Selection) -> bool:

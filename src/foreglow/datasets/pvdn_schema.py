@@ -313,7 +313,14 @@ class ImageAnnotationsFile(Record):
 
 
 class KeypointsFile(Record):
-    """`labels/keypoints/<id>.json`."""
+    """`labels/keypoints/<id>.json`.
+
+    Attributes:
+        image_id: The image.
+        annotations: The oncoming vehicles.
+        doubtful: Light that is neither an instance nor a fault to find; only simulated sets know of any.
+    """
 
     image_id: Id
     annotations: tuple[Vehicle, ...]
+    doubtful: tuple[Instance, ...] = ()

@@ -60,7 +60,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     """Writes one split, sequence by sequence; images as PNG, in constant memory.
 
     Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
-    until then the folder is no PVDN split. The reader takes an image's time from its sequence's start and 18 Hz.
+    until then the folder is no PVDN split. The reader takes an image's time from its sequence's start and 18 Hz, or
+    `rate_hz` in `info`.
 
     >>> import numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -154,7 +155,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             images=tuple(self._images.values()),
             annotations=tuple(self._annotations),
         )
-        _write_labels(self.root, images_file, SequencesFile(sequences=tuple(self._sequences)))
+        write_label_files(self.root, images_file, SequencesFile(sequences=tuple(self._sequences)))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -171,16 +172,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                 f"{self.root}: camera_configuration: expected a place in a list of "
                 f"{len(self._camera_configurations)}, got {labelled.camera_configuration}"
             )
-        return ImageRecord(
-            id=frame.frame,
-            file_name=f"{frame.frame:06d}.png",
-            height_px=frame.height_px,
-            width_px=frame.width_px,
-            camera_configuration=labelled.camera_configuration,
-            date_captured="",
-            timestamp=frame.timestamp_ns // 1_000_000,
-            licence=0,
-        )
+        size_px = frame.width_px, frame.height_px
+        return image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)
 
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
         """Writes the image and its label files; `written` learns of each before it is there."""
@@ -237,7 +230,31 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
         boxes = source.boxes(image_id)
         if boxes is not None:
             write_json(root / "labels" / "bounding_boxes" / name, boxes)
-    _write_labels(root, source.labels.images_file, source.labels.sequences_file)
+    write_label_files(root, source.labels.images_file, source.labels.sequences_file)
+
+
+def image_record(image_id: int, size_px: tuple[int, int], timestamp_ns: int, camera_configuration: int) -> ImageRecord:
+    """What the labels say of an image of `size_px` (width, height); its file is the id in six digits, as PNG."""
+    return ImageRecord(
+        id=image_id,
+        file_name=f"{image_id:06d}.png",
+        height_px=size_px[1],
+        width_px=size_px[0],
+        camera_configuration=camera_configuration,
+        date_captured="",
+        timestamp=timestamp_ns // 1_000_000,
+        licence=0,
+    )
+
+
+def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_file: SequencesFile) -> None:
+    """Writes the two files that make the folder `root` a split, `sequences.json` last.
+
+    Raises:
+        OSError: If one cannot be written.
+    """
+    write_json(root / "labels" / "image_annotations.json", images_file)
+    write_json(root / "labels" / "sequences.json", sequences_file)
 
 
 def png(image: Image) -> bytes:
@@ -254,8 +271,3 @@ def _make_folders(root: Path) -> None:
             raise ValueError(f"{found}: expected a folder without a data set, this file is there")
     for folder in ("images", "labels/keypoints", "labels/bounding_boxes"):
         (root / folder).mkdir(parents=True, exist_ok=True)
-
-
-def _write_labels(root: Path, images_file: ImageAnnotationsFile, sequences_file: SequencesFile) -> None:
-    write_json(root / "labels" / "image_annotations.json", images_file)
-    write_json(root / "labels" / "sequences.json", sequences_file)

@@ -1,4 +1,4 @@
-"""A progress bar as a result sink."""
+"""Progress bars: one as a result sink, and one for scenes that are driven."""
 
 from __future__ import annotations
 
@@ -28,5 +28,36 @@ class ProgressSink:
         self._progress.stop()
 
     def discard(self) -> None:
+        """Takes the bar away."""
+        self._progress.stop()
+
+
+class SceneProgress:
+    """Shows on stderr how many frames of how many scenes are driven; nothing where stderr is not a terminal."""
+
+    def __init__(self, num_scenes: int, num_frames: int) -> None:
+        """A bar over all frames of all scenes."""
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._num_scenes = num_scenes
+        self._task = self._progress.add_task("", total=num_frames)
+        self._done: dict[int, int] = {}
+        self.num_finished = 0
+
+    def __call__(self, sequence: int, num_done: int, num_frames: int) -> None:
+        """Takes note that `num_done` of a scene's frames are there."""
+        self._progress.start()
+        self._progress.advance(self._task, num_done - self._done.get(sequence, 0))
+        self._done[sequence] = num_done
+        self.num_finished += num_done == num_frames
+        self._progress.update(self._task, description=f"scenes {self.num_finished}/{self._num_scenes}, frames")
+
+    @property
+    def num_done(self) -> int:
+        """Frames that are there."""
+        return sum(self._done.values())
+
+    def close(self) -> None:
         """Takes the bar away."""
         self._progress.stop()

@@ -10,6 +10,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from foreglow.evaluation import BoxQuality
     from foreglow.runtime import RunSummary
+    from foreglow.simulation import DatasetSummary
 
 
 def run_lines(summary: RunSummary, folder: Path) -> list[str]:
@@ -29,6 +30,19 @@ def run_lines(summary: RunSummary, folder: Path) -> list[str]:
         lines.append("interrupted: the results are complete up to there")
     names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
     return [*lines, f"look in {folder}: {', '.join(names)}"]
+
+
+def dataset_lines(summary: DatasetSummary) -> list[str]:
+    """What is in a simulated data set, one fact a line; the last says where it is."""
+    labels = summary.labels
+    drives = _counted(labels.num_sequences, "drive")
+    if summary.num_kept:
+        drives += f" ({summary.num_kept} of them were there)"
+    return [
+        f"{drives}, {_counted(labels.num_images, 'image')}, {labels.num_empty_images} of them without any instance",
+        f"instances: {labels.num_direct} direct, {labels.num_indirect} indirect, {labels.num_doubtful} doubtful",
+        f"look in {summary.root}; foreglow run, evaluate and every later command read it as PVDN",
+    ]
 
 
 def _counted(number: int, noun: str) -> str:

@@ -25,19 +25,18 @@ QUALITY_CRF = "20"
 """Constant rate factor of the encoder: 18 is visually lossless, 23 its default."""
 
 
-class VideoSink:
-    """A result sink that writes the annotated frames as MP4 (H.264, yuv420p, even sizes).
+class Movie:
+    """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other.
 
-    The brightening curve is that of the first frame, so that the video does not flicker. A frame of another size than
-    the first is fitted into the first one's picture. The file is a valid video once `close` has returned; a run
-    without frames leaves none.
+    A picture of another size than the first is fitted into the first one's. The file is a valid video once `close` has
+    returned; without a picture there is none.
     """
 
     def __init__(self, path: Path, fps: float | None = None) -> None:
-        """A sink for the file `path`, whatever its suffix.
+        """A movie in the file `path`, whatever its suffix.
 
         Args:
-            path: Where the video goes; nothing is written before the first frame.
+            path: Where the video goes; nothing is written before the first picture.
             fps: Frames in a second of the video; None means `DEFAULT_FPS`.
 
         Raises:
@@ -48,26 +47,22 @@ class VideoSink:
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
         self._path = path
         self._rate = Fraction(rate_hz).limit_denominator(1001)
-        self._tone: Tone | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
 
-    def write(self, frame: Frame, result: FrameResult) -> None:
-        """Adds the annotated picture of `frame`.
+    def add(self, picture: Picture) -> None:
+        """Appends `picture`.
 
         Raises:
             OSError: If the file cannot be written; the message names the path.
         """
-        if self._tone is None:
-            self._tone = Tone.of(frame.image)
-        picture = annotate(frame, result, self._tone)
         with _naming(self._path):
             if self._container is None or self._stream is None:
                 self._open(picture)
             assert self._container is not None
             assert self._stream is not None
-            picture = _fitted(picture, self._stream.width, self._stream.height)
-            for packet in self._stream.encode(av.VideoFrame.from_ndarray(picture, format="bgr24")):
+            fitted = _fitted(picture, self._stream.width, self._stream.height)
+            for packet in self._stream.encode(av.VideoFrame.from_ndarray(fitted, format="bgr24")):
                 self._container.mux(packet)
 
     def close(self) -> None:
@@ -98,6 +93,44 @@ class VideoSink:
         )
         self._stream.height, self._stream.width = picture.shape[:2]
         self._stream.pix_fmt = "yuv420p"
+
+
+class VideoSink:
+    """A result sink that writes the annotated frames as a `Movie`.
+
+    The brightening curve is that of the first frame, so that the video does not flicker.
+    """
+
+    def __init__(self, path: Path, fps: float | None = None) -> None:
+        """A sink for the file `path`, as `Movie` takes them.
+
+        Raises:
+            ValueError: If `fps` is not a positive number.
+        """
+        self._movie = Movie(path, fps)
+        self._tone: Tone | None = None
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Adds the annotated picture of `frame`.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        if self._tone is None:
+            self._tone = Tone.of(frame.image)
+        self._movie.add(annotate(frame, result, self._tone))
+
+    def close(self) -> None:
+        """Completes the video.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        self._movie.close()
+
+    def discard(self) -> None:
+        """Closes the file, whatever it may hold by then."""
+        self._movie.discard()
 
 
 class PictureSink:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from foreglow.geometry import Pose
 from foreglow.photometry import IntensityTable
 
+FIXED_LAYER, EGO_LAYER, FIRST_VEHICLE_LAYER = 0, 1, 2
+"""Whose light a layer holds: street lamps, ourselves, then one layer for each other vehicle."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedLamp:

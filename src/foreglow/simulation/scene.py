@@ -215,18 +215,18 @@ class SensorSpec(SpecModel):
     exposure: Literal["day", "night"] = "day"
     grey_per_cd_m2: Positive = 95.0
     night_gain: Positive = 8.0
-    day_exposure_s: Positive = 2e-3
-    night_exposure_s: Positive = 1.6e-2
+    day_exposure_s: Positive = 8e-3
+    night_exposure_s: Positive = 2.5e-2
     black_level: NonNegative = 7.6
     knee: Positive = 38.0
     log_slope: Positive = 14.0
     read_noise: NonNegative = 1.35
-    shot_noise: NonNegative = 0.04
+    shot_noise: NonNegative = 0.05
     column_noise: NonNegative = 1.0
     core_px: Positive = 0.8
     middle_share: Share = 0.25
     middle_px: Positive = 0.65
-    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 2e-3
+    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.5e-2
     vignetting: NonNegative = 1.0
 
 
@@ -238,10 +238,11 @@ class LabelRule(SpecModel):
     Attributes:
         min_grey: D must exceed this.
         min_contrast: D over its noise (sensor, columns, texture of the surroundings, veiling glare) must exceed this.
-        min_area_px: Pixels above both.
-        saddle: Two peaks are two instances where D falls below this share of the lower one in between.
+        min_area_px: Pixels around a peak that reach half of it.
+        saddle: Two peaks are two instances where the light falls below this share of the lower one in between.
         min_distance_px: Between instances of one vehicle.
-        max_instances: Of one vehicle in an image; the strongest stay.
+        max_instances: Indirect ones of one vehicle in an image in which one of its lamps is seen; the strongest stay.
+        max_hidden_instances: The same while none of its lamps is seen: people then mark the light as a whole.
         relative_strength: Peaks below this share of the vehicle's strongest are dropped.
         doubtful_factor: Peaks that meet the rule only with thresholds divided by this are kept apart as doubtful.
         hold_frames: An instance that was there stays while it meets the divided thresholds, for this many frames.
@@ -252,9 +253,10 @@ class LabelRule(SpecModel):
     min_contrast: Positive = 5.0
     min_area_px: Positive = 25.0
     saddle: Share = 0.5
-    min_distance_px: NonNegative = 30.0
-    max_instances: Annotated[int, Field(ge=1)] = 4
-    relative_strength: Share = 0.25
+    min_distance_px: NonNegative = 20.0
+    max_instances: Annotated[int, Field(ge=1)] = 2
+    max_hidden_instances: Annotated[int, Field(ge=1)] = 1
+    relative_strength: Share = 0.5
     doubtful_factor: Annotated[float, Field(ge=1)] = 2.0
     hold_frames: Annotated[int, Field(ge=0)] = 3
     min_visible: Share = 0.2

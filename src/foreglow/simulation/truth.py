@@ -28,7 +28,8 @@ class Artifact:
         depth_m: Distance along the viewing ray to what is lit, metres; NaN for haze.
         grey: Grey levels that the light adds at the peak, smoothed and noise-free; for a lamp its peak.
         contrast: The same over its noise.
-        area_px: Pixels of the region around it.
+        area_px: Pixels around it that reach half of the peak.
+        lamp: Name of the lamp, of the first one where several are seen as one; empty for indirect light.
     """
 
     instance_id: int
@@ -41,6 +42,7 @@ class Artifact:
     grey: float
     contrast: float
     area_px: int
+    lamp: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,307 @@
+"""What labels look like in numbers: how many instances, where, and when; to set simulated labels beside real ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import Field, RootModel
+
+from foreglow.datasets import PVDN
+from foreglow.datasets.json_files import Record, read_json
+
+Point: TypeAlias = tuple[float, float]
+
+PERCENTILES = (10, 50, 90)
+MAX_RATIO = 1.5
+"""Simulated labels resemble real ones where each figure is within this factor of the real one."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledImage:
+    """The labels of one image.
+
+    Attributes:
+        num_vehicles: Annotated vehicles.
+        direct: Lamps, positions x, y as shares of the image's width and height.
+        indirect: The light that they throw, likewise.
+    """
+
+    num_vehicles: int
+    direct: tuple[Point, ...] = ()
+    indirect: tuple[Point, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Median and quartiles; NaN of nothing."""
+
+    num: int
+    lower_quartile: float
+    median: float
+    upper_quartile: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """That of `values`, linear in between."""
+        if not len(values):
+            return cls(0, math.nan, math.nan, math.nan)
+        lower, median, upper = (float(one) for one in np.percentile(np.asarray(values, np.float64), (25, 50, 75)))
+        return cls(len(values), lower, median, upper)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelStatistics:
+    """Statistics of a set of sequences. A share or mean of nothing is NaN; null in JSON.
+
+    Hidden images have indirect instances only, images in sight have a direct one.
+
+    Attributes:
+        num_sequences: Sequences.
+        num_images: Images.
+        num_instances: Direct and indirect ones.
+        share_without_vehicle: Images without any vehicle.
+        instances_per_image: Over all images.
+        share_direct: Of the instances.
+        share_hidden: Images that are hidden.
+        share_in_sight: Images that are in sight.
+        indirect_per_hidden_image: Mean.
+        share_one_when_hidden: Hidden images with exactly one instance.
+        indirect_per_image_in_sight: Mean.
+        direct_per_image_in_sight: Mean.
+        num_indirect_first: Sequences in which an indirect instance comes before the first direct one.
+        num_direct_first: Sequences in which a direct one comes first, or both in the same image.
+        num_begun: Sequences whose first image already has an instance: their first times are unknown, and they count
+            in none of the other numbers and spreads of this list.
+        lead_frames: From the first indirect to the first direct instance, images, over the sequences in which the
+            indirect one comes first.
+        hidden_frames: Hidden images of each sequence that has instances.
+        in_sight_frames: Images in sight of each sequence that has instances.
+        positions: Percentiles of the shares of width and height, by names such as `direct_x_p10`.
+    """
+
+    num_sequences: int
+    num_images: int
+    num_instances: int
+    share_without_vehicle: float
+    instances_per_image: float
+    share_direct: float
+    share_hidden: float
+    share_in_sight: float
+    indirect_per_hidden_image: float
+    share_one_when_hidden: float
+    indirect_per_image_in_sight: float
+    direct_per_image_in_sight: float
+    num_indirect_first: int
+    num_direct_first: int
+    num_begun: int
+    lead_frames: Spread
+    hidden_frames: Spread
+    in_sight_frames: Spread
+    positions: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
+        return fields
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One figure of real and simulated labels.
+
+    Attributes:
+        name: What it is.
+        real: Of the real labels.
+        simulated: Of the simulated ones.
+        ratio: Simulated over real; NaN where either is undefined or the real one is 0 and the other is not.
+        is_close: Whether the ratio is within `MAX_RATIO` both ways.
+    """
+
+    name: str
+    real: float
+    simulated: float
+    ratio: float
+    is_close: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
+        return fields
+
+
+def label_statistics(sequences: Iterable[Sequence[LabelledImage]]) -> LabelStatistics:
+    """Statistics of `sequences`, each with its images in order of time."""
+    drives = [list(images) for images in sequences]
+    images = [image for drive in drives for image in drive]
+    direct = [point for image in images for point in image.direct]
+    indirect = [point for image in images for point in image.indirect]
+    hidden = [len(image.indirect) for image in images if image.indirect and not image.direct]
+    in_sight = [image for image in images if image.direct]
+    num_instances = len(direct) + len(indirect)
+
+    labelled = [drive for drive in drives if any(image.direct or image.indirect for image in drive)]
+    begun = [drive for drive in labelled if drive[0].direct or drive[0].indirect]
+    leads = [_lead_frames(drive) for drive in labelled if not (drive[0].direct or drive[0].indirect)]
+    return LabelStatistics(
+        num_sequences=len(drives),
+        num_images=len(images),
+        num_instances=num_instances,
+        share_without_vehicle=_ratio(sum(image.num_vehicles == 0 for image in images), len(images)),
+        instances_per_image=_ratio(num_instances, len(images)),
+        share_direct=_ratio(len(direct), num_instances),
+        share_hidden=_ratio(len(hidden), len(images)),
+        share_in_sight=_ratio(len(in_sight), len(images)),
+        indirect_per_hidden_image=_ratio(sum(hidden), len(hidden)),
+        share_one_when_hidden=_ratio(hidden.count(1), len(hidden)),
+        indirect_per_image_in_sight=_ratio(sum(len(image.indirect) for image in in_sight), len(in_sight)),
+        direct_per_image_in_sight=_ratio(len(direct), len(in_sight)),
+        num_indirect_first=sum(lead > 0 for lead in leads),
+        num_direct_first=sum(lead <= 0 for lead in leads),
+        num_begun=len(begun),
+        lead_frames=Spread.of([lead for lead in leads if 0 < lead < math.inf]),
+        hidden_frames=Spread.of([sum(bool(one.indirect and not one.direct) for one in drive) for drive in labelled]),
+        in_sight_frames=Spread.of([sum(bool(one.direct) for one in drive) for drive in labelled]),
+        positions=_percentiles("direct", direct) | _percentiles("indirect", indirect),
+    )
+
+
+def compare_labels(real: LabelStatistics, simulated: LabelStatistics) -> tuple[Comparison, ...]:
+    """Every figure that does not depend on the number of sequences, of real and simulated labels side by side."""
+    theirs, ours = _figures(simulated), _figures(real)
+    return tuple(_compared(name, value, theirs[name]) for name, value in ours.items())
+
+
+def labels_of_split(dataset: PVDN) -> tuple[tuple[LabelledImage, ...], ...]:
+    """The labels of the selected images, by sequence.
+
+    Raises:
+        FileNotFoundError: If a keypoint file is missing.
+        ValueError: If one is broken.
+    """
+    drives: dict[int, list[LabelledImage]] = {}
+    for image_id in dataset.frame_ids:
+        record = dataset.image(image_id)
+        vehicles = dataset.annotations(image_id)
+        instances = [instance for vehicle in vehicles for instance in vehicle.instances]
+        points = [
+            (
+                instance.is_direct,
+                (instance.position_px[0] / record.width_px, instance.position_px[1] / record.height_px),
+            )
+            for instance in instances
+        ]
+        drives.setdefault(dataset.sequence(image_id).id, []).append(
+            LabelledImage(
+                num_vehicles=len(vehicles),
+                direct=tuple(point for is_direct, point in points if is_direct),
+                indirect=tuple(point for is_direct, point in points if not is_direct),
+            )
+        )
+    return tuple(tuple(images) for images in drives.values())
+
+
+class _DigestImage(Record):
+    id: Annotated[int, Field(ge=0)]
+    vehicles: tuple[Point, ...]
+    direct: tuple[Point, ...]
+    indirect: tuple[Point, ...]
+
+
+class _Digest(RootModel[dict[str, tuple[_DigestImage, ...]]]):
+    """Images with positions in pixels, by sequence."""
+
+
+def read_label_digest(path: Path, width_px: int = 1280, height_px: int = 960) -> tuple[tuple[LabelledImage, ...], ...]:
+    """The labels in a digest of a split: a JSON object of lists of images by sequence, in order of time.
+
+    Each image has an `id` and lists of pixels x, y: `vehicles`, `direct` and `indirect`; other fields are ignored.
+
+    Args:
+        path: The file.
+        width_px: Columns of all images, which the file does not tell.
+        height_px: Their rows.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not JSON, or a field is missing or wrong.
+    """
+
+    def shares(points: Iterable[Point]) -> tuple[Point, ...]:
+        return tuple((x / width_px, y / height_px) for x, y in points)
+
+    return tuple(
+        tuple(LabelledImage(len(one.vehicles), shares(one.direct), shares(one.indirect)) for one in images)
+        for images in read_json(path, _Digest).root.values()
+    )
+
+
+def comparison_to_json(rows: Iterable[Comparison]) -> str:
+    """The rows of `compare_labels` as JSON text: a list of objects."""
+    return json.dumps([row.to_json() for row in rows], indent=1)
+
+
+def _lead_frames(drive: Sequence[LabelledImage]) -> float:
+    """Images from the first indirect to the first direct instance; infinite where one never comes."""
+    first_indirect = next((place for place, image in enumerate(drive) if image.indirect), math.inf)
+    first_direct = next((place for place, image in enumerate(drive) if image.direct), math.inf)
+    return first_direct - first_indirect
+
+
+def _percentiles(name: str, points: Sequence[Point]) -> dict[str, float]:
+    if not points:
+        return {f"{name}_{axis}_p{percent}": math.nan for axis in "xy" for percent in PERCENTILES}
+    values = np.percentile(np.array(points, np.float64), PERCENTILES, axis=0)
+    return {
+        f"{name}_{axis}_p{percent}": float(values[row, column])
+        for column, axis in enumerate("xy")
+        for row, percent in enumerate(PERCENTILES)
+    }
+
+
+def _figures(statistics: LabelStatistics) -> dict[str, float]:
+    """The figures that can be compared, by name."""
+    num_told = statistics.num_indirect_first + statistics.num_direct_first
+    names = (
+        "instances_per_image",
+        "share_direct",
+        "share_without_vehicle",
+        "share_hidden",
+        "share_in_sight",
+        "indirect_per_hidden_image",
+        "share_one_when_hidden",
+        "indirect_per_image_in_sight",
+        "direct_per_image_in_sight",
+    )
+    spreads = ("lead_frames", "hidden_frames", "in_sight_frames")
+    return {
+        **{name: getattr(statistics, name) for name in names},
+        "share_indirect_first": _ratio(statistics.num_indirect_first, num_told),
+        **{
+            f"{name}_{quartile}": getattr(getattr(statistics, name), quartile)
+            for name in spreads
+            for quartile in ("lower_quartile", "median", "upper_quartile")
+        },
+        **statistics.positions,
+    }
+
+
+def _compared(name: str, real: float, simulated: float) -> Comparison:
+    ratio = 1.0 if real == simulated else _ratio(simulated, real)
+    return Comparison(name, real, simulated, ratio, 1 / MAX_RATIO <= ratio <= MAX_RATIO)
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(part) for name, part in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foreglow.calibration import calibration_to_toml, read_calibration
+from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
+
+TEXT = """\
+[image]
+width_px = 1280
+height_px = 960
+
+[intrinsics]
+focal_px = [
+    1312.0,
+    1310.5,
+]
+centre_px = [
+    640.25,
+    480.0,
+]
+distortion = [
+    -0.05,
+    0.02,
+    0.001,
+    0.0,
+    0.0,
+]
+
+[mount]
+position_m = [
+    1.9,
+    0.1,
+    1.3,
+]
+yaw_deg = 0.25
+pitch_deg = -0.7
+roll_deg = 1.1
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "camera.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_comes_back_as_it_is(tmp_path: Path) -> None:
+    camera = read_calibration(write(tmp_path, TEXT))
+    assert (camera.width_px, camera.height_px) == (1280, 960)
+    assert camera.focal_px == (1312.0, 1310.5)
+    assert camera.distortion == (-0.05, 0.02, 0.001, 0.0, 0.0)
+    assert camera.vehicle_from_camera.position_m.tolist() == [1.9, 0.1, 1.3]
+    assert calibration_to_toml(camera) == TEXT
+
+
+def test_angles_are_what_they_say(tmp_path: Path) -> None:
+    text = TEXT.replace("yaw_deg = 0.25", "yaw_deg = 90.0").replace("-0.7", "30.0").replace("1.1", "0.0")
+    forward, _, up = read_calibration(write(tmp_path, text)).vehicle_from_camera.rotation.T
+    np.testing.assert_allclose(forward, [0.0, np.sqrt(0.75), 0.5], atol=1e-12)
+    np.testing.assert_allclose(up, [0.0, -0.5, np.sqrt(0.75)], atol=1e-12)
+
+
+def test_what_may_be_left_out(tmp_path: Path) -> None:
+    text = "[image]\nwidth_px=64\nheight_px=48\n[intrinsics]\nfocal_px=[60,60]\ncentre_px=[32,24]\n"
+    camera = read_calibration(write(tmp_path, text + "[mount]\nposition_m=[1,0,1]\n"))
+    assert camera.distortion == (0, 0, 0, 0, 0)
+    np.testing.assert_array_equal(camera.vehicle_from_camera.rotation, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("width_px = 1280", "", r"camera\.toml: image\.width_px: missing"),
+        ("[mount]", "[mounted]", r"camera\.toml: mount: missing"),
+        ("width_px = 1280", "width_px = 0", r"image\.width_px: .*greater than or equal to 1, got 0"),
+        ("width_px = 1280", "width_px = 1280.5", r"image\.width_px: .*integer"),
+        ("1312.0", "-1312.0", r"intrinsics\.focal_px\.0: .*greater than 0, got -1312"),
+        ("1312.0", "nan", r"intrinsics\.focal_px\.0: .*finite number, got nan"),
+        ("640.25", "inf", r"intrinsics\.centre_px\.0: .*finite number, got inf"),
+        ("1312.0", '"1312"', r"intrinsics\.focal_px\.0: .*valid number, got '1312'"),
+        ("    1310.5,\n", "", r"intrinsics\.focal_px\.1: .*required, got \[1312.0\]"),
+        ("pitch_deg = -0.7", "pitch_deg = -91", r"mount\.pitch_deg: .*-90, got -91"),
+        ("roll_deg", "rol_deg", r"mount\.rol_deg: unknown, expected one of position_m, yaw_deg, pitch_deg, roll_deg"),
+        ("[mount]", "[mount", r"camera\.toml: expected TOML"),
+    ],
+)
+def test_errors_name_path_and_field(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(ValueError, match=message):
+        read_calibration(write(tmp_path, TEXT.replace(old, new, 1)))
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        read_calibration(tmp_path / "nowhere.toml")
+
+
+ANGLES = st.integers(-179_999, 180_000).map(lambda thousandths: thousandths / 1000)
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(st.tuples(ANGLES, ANGLES, ANGLES), st.floats(1, 1e4), st.floats(-1e3, 1e3))
+def test_any_camera_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, angles_deg: tuple[float, float, float], focal: float, number: float
+) -> None:
+    yaw, pitch, roll = angles_deg
+    turned = rotation(*np.radians([yaw, pitch / 2.0001, roll]))
+    camera = Camera(
+        7, 5, (focal, focal / 3), (number, 1 / 3), (number, 0.1, 0, 0, 0), Pose(np.array([number, 0.1, 1 / 7]), turned)
+    )
+    path = write(tmp_path_factory.mktemp("any"), calibration_to_toml(camera))
+    back = read_calibration(path)
+    assert (back.focal_px, back.centre_px, back.distortion) == (camera.focal_px, camera.centre_px, camera.distortion)
+    np.testing.assert_array_equal(back.vehicle_from_camera.position_m, camera.vehicle_from_camera.position_m)
+    np.testing.assert_allclose(back.vehicle_from_camera.rotation, turned, atol=1e-13)
+    assert calibration_to_toml(back) == path.read_text()
+
+
+@pytest.mark.parametrize("pitch_deg", [-90.0, 90.0])
+def test_a_camera_that_looks_straight_down_or_up(pitch_deg: float) -> None:
+    turned = rotation(*np.radians([30.0, pitch_deg, 20.0]))
+    np.testing.assert_allclose(rotation(*rotation_angles_rad(turned)), turned, atol=1e-12)

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.geometry import Camera, Pose, rotation
+
+ANGLES = st.floats(-3.0, 3.0)
+NOWHERE = Pose(np.zeros(3), np.eye(3))
+
+
+def camera(**changes: object) -> Camera:
+    fields: dict[str, object] = {
+        "width_px": 1280,
+        "height_px": 960,
+        "focal_px": (1312.0, 1300.0),
+        "centre_px": (650.0, 470.0),
+        "distortion": (-0.05, 0.02, 1e-3, -5e-4, 0.0),
+        "vehicle_from_camera": NOWHERE,
+    }
+    return Camera(**(fields | changes))  # type: ignore[arg-type]
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_a_rotation_is_one(yaw: float, pitch: float, roll: float) -> None:
+    turned = rotation(yaw, pitch, roll)
+    assert np.allclose(turned @ turned.T, np.eye(3))
+    assert np.isclose(np.linalg.det(turned), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("angles", "body", "outer"),
+    [
+        ((np.pi / 2, 0, 0), [1, 0, 0], [0, 1, 0]),  # left turn: forward becomes left
+        ((0, np.pi / 2, 0), [1, 0, 0], [0, 0, 1]),  # nose up
+        ((0, 0, np.pi / 2), [0, 1, 0], [0, 0, 1]),  # roll to the right lifts the left side
+    ],
+)
+def test_signs_of_the_angles(angles: tuple[float, float, float], body: list[float], outer: list[float]) -> None:
+    assert np.allclose(rotation(*angles) @ body, outer)
+
+
+@given(ANGLES, ANGLES, st.lists(st.floats(-50, 50), min_size=3, max_size=3))
+def test_pose_there_and_back(yaw: float, pitch: float, point: list[float]) -> None:
+    pose = Pose(np.array([1.0, -2.0, 3.0]), rotation(yaw, pitch))
+    assert np.allclose(pose.to_body(pose.to_outer(point)), point)
+    inner = Pose(np.array(point), rotation(0.3))
+    assert np.allclose((pose @ inner).to_outer([1.0, 2.0, 3.0]), pose.to_outer(inner.to_outer([1.0, 2.0, 3.0])))
+
+
+@pytest.mark.parametrize(
+    ("position", "turned", "message"),
+    [
+        ([0, 0], np.eye(3), "position_m"),
+        ([0, np.nan, 0], np.eye(3), "position_m"),
+        ([0, 0, 0], 2 * np.eye(3), "rotation"),
+        ([0, 0, 0], np.full((3, 3), np.nan), "rotation"),
+    ],
+)
+def test_bad_poses(position: list[float], turned: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Pose(np.array(position, float), turned)
+
+
+def test_pose_keeps_its_own_arrays() -> None:
+    position = np.zeros(3)
+    pose = Pose(position, np.eye(3))
+    position[0] = 5.0
+    assert pose.position_m[0] == 0.0
+
+
+def test_projection_of_the_axis_and_of_the_sides() -> None:
+    plain = camera(distortion=(0.0,) * 5)
+    assert np.allclose(plain.project([10.0, 0.0, 0.0]), plain.centre_px)
+    assert plain.project([10.0, 1.0, 0.0])[0] < plain.centre_px[0]  # left is to smaller x
+    assert plain.project([10.0, 0.0, 1.0])[1] < plain.centre_px[1]  # up is to smaller y
+    assert np.allclose(plain.project([10.0, -1.0, 0.0])[0] - plain.centre_px[0], 131.2)
+    assert np.isnan(plain.project([-1.0, 0.0, 0.0])).all()
+
+
+@given(st.floats(0, 1280), st.floats(0, 960))
+def test_ray_through_a_pixel_meets_it_again(x: float, y: float) -> None:
+    ray = camera().rays([x, y])
+    assert np.isclose(np.linalg.norm(ray), 1.0)
+    assert np.allclose(camera().project(7.0 * ray), [x, y], atol=1e-6)
+
+
+def test_projection_agrees_with_opencv() -> None:
+    import cv2
+
+    one = camera()
+    points = np.array([[20.0, 3.0, -1.0], [8.0, -2.5, 1.5], [300.0, -40.0, 2.0]])
+    in_opencv = np.stack([-points[:, 1], -points[:, 2], points[:, 0]], -1)
+    matrix = np.array([[1312.0, 0, 650.0], [0, 1300.0, 470.0], [0, 0, 1]])
+    expected, _ = cv2.projectPoints(in_opencv, np.zeros(3), np.zeros(3), matrix, np.array(one.distortion))
+    assert np.allclose(one.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_a_scaled_camera_sees_the_same_directions() -> None:
+    half = camera().scaled(640, 480)
+    assert np.allclose(half.rays([100.0, 200.0]), camera().rays([200.0, 400.0]))
+    assert half.pixel_solid_angle_sr == pytest.approx(4 * camera().pixel_solid_angle_sr)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"width_px": 0}, {"focal_px": (0.0, 1.0)}, {"focal_px": (np.nan, 1.0)}, {"centre_px": (np.inf, 1.0)},
+     {"distortion": (np.nan, 0.0, 0.0, 0.0, 0.0)}],
+)  # fmt: skip
+def test_bad_cameras(changes: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="Camera"):
+        camera(**changes)
