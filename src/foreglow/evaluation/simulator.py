@@ -82,7 +82,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
     """
     dataset = PVDN(split)
     truth = read_truth(dataset.root)
-    own_labels = label_statistics(labels_of_split(dataset))
+    own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
     own_pixels = image_statistics(_images_with_lamp(dataset, truth))
     drives = [peaks_of_drive(drive) for drive in truth]
     rule = next(iter(truth)).scene.labels
