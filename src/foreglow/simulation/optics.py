@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import zoom
 from scipy.special import erf
 
 from foreglow.geometry import Camera, Floats
@@ -201,14 +202,11 @@ class Optics:
 
     @cached_property
     def _cosines(self) -> Floats:
-        """Shape (H, W), of the angle between each pixel's ray and the axis; from every fourth pixel."""
+        """Shape (H, W), of the angle between each pixel's ray and the axis; rays for every fourth pixel."""
         height, width = self.camera.height_px, self.camera.width_px
-        size = (-(-height // FAR_STEP), -(-width // FAR_STEP))
-        rows, columns = (
-            (np.arange(num) + 0.5) * length / num for num, length in zip(size, (height, width), strict=True)
-        )
-        rays = self.camera.rays(np.stack(np.meshgrid(columns, rows), -1))
-        return np.asarray(cv2.resize(rays[..., 0], (width, height), interpolation=cv2.INTER_LINEAR))
+        coarse = [np.linspace(0.5, num - 0.5, max(2, num // FAR_STEP)) for num in (width, height)]
+        rays = self.camera.rays(np.stack(np.meshgrid(*coarse), -1))
+        return np.asarray(zoom(rays[..., 0], (height / len(coarse[1]), width / len(coarse[0])), order=1))
 
     def _pixel_solid_angles_sr(self, positions_px: Floats) -> Floats:
         """Of pixels there; smaller by cos³ away from the axis, the distortion left aside.

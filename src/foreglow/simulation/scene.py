@@ -197,8 +197,8 @@ class SensorSpec(SpecModel):
         exposure: `day` is the short exposure of PVDN's cycle, `night` the long one.
         grey_per_cd_m2: Grey levels for 1 cd/m^2 in the short exposure, in the linear part of the response.
         night_gain: How much more the long exposure collects.
-        day_exposure_s: Duration of the short exposure.
-        night_exposure_s: Duration of the long exposure.
+        day_exposure_s: Duration of the short exposure; from the length of motion blur in PVDN's frames, as is the next.
+        night_exposure_s: Duration of the long exposure; what `night_gain` has beyond it is amplification, of noise too.
         black_level: Grey level without light.
         knee: Grey levels above black up to which the response is linear.
         log_slope: Grey levels for a factor e above the knee.

@@ -49,7 +49,7 @@ BLURS_PX = (0.0, 1.0, 2.2)
 """Standard deviations, pixels of 1280 columns, that streaks are sorted to by size and focus."""
 
 SPACINGS_PX = (2.0, 2.5, 4.0)
-"""Between the points that the streaks of each sort are made of, pixels of 1280 columns: blur and lens close the gaps."""
+"""Between the points that streaks of each sort are made of, pixels of 1280 columns: blur and lens close the gaps."""
 
 MAX_POINTS = 128
 """That a streak is made of, at most; those that would need more are next to the camera and beyond the image."""
