@@ -23,9 +23,9 @@ from foreglow.evaluation.label_statistics import (
     read_label_digest,
 )
 from foreglow.evaluation.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
-from foreglow.simulation.categories import is_oncoming
-from foreglow.simulation.optics import REFERENCE_WIDTH_PX
-from foreglow.simulation.truth_files import SequenceTruth, read_truth
+from foreglow.simulation.camera.optics import REFERENCE_WIDTH_PX
+from foreglow.simulation.labels.categories import is_oncoming
+from foreglow.simulation.recording.truth_files import SequenceTruth, read_truth
 
 NUM_IMAGES = 24
 """Images whose pixels are measured: those with a lamp in sight, evenly spread over the set."""
