@@ -59,7 +59,7 @@ class Late:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        if attribute.startswith("__"):  # doctest and inspect ask every object for such names
+        if attribute.startswith(("_", "pytest")):  # inspect, doctest and pytest ask every object for such names
             raise AttributeError(attribute)
         prepare()
         return getattr(importlib.import_module(self._name), attribute)
@@ -91,8 +91,9 @@ def _packaged_llvm() -> Path | None:
     if not libraries or not all(name in paths for name in RUNTIME_LIBRARIES):
         return None
     for name in RUNTIME_LIBRARIES:
-        # The package carries no search path; what is loaded already is found by its name.
-        ctypes.CDLL(str(paths[name]), mode=ctypes.RTLD_GLOBAL)
+        # Loaded already, they are found by their names. Locally: their unwinder must not serve other libraries, whose
+        # exceptions it cannot unwind (ONNX Runtime then crashes instead of raising).
+        ctypes.CDLL(str(paths[name]), mode=ctypes.RTLD_LOCAL)
     return paths[libraries[0]].resolve()
 
 
