@@ -57,6 +57,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+experiments = typer.Typer(no_args_is_help=True, help="Experiments: figures, tables and a report in a folder.")
+app.add_typer(experiments, name="experiment")
+
 # readable=False leaves unreadable files to the readers, whose errors take one line.
 _argument = functools.partial(typer.Argument, readable=False)
 _file = functools.partial(typer.Option, readable=False, metavar="FILE")
@@ -200,6 +203,23 @@ def simulate(
     else:
         drawn = _own_scenes(scene) or simulation.draw_scenes(scenes, seed, cast("simulation.Split", split))
         _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), jobs, quality)
+
+
+@experiments.command("simulator")
+def experiment_simulator(
+    data: Annotated[Path, _argument(metavar="DATA", help="A simulated split, or a folder that holds one.")],
+    out: Annotated[Path, _folder(help="Folder for the report.")],
+    real_labels: Annotated[
+        Path | None, _file(help="PVDN/night/val, or a JSON digest of its labels, to compare with.")
+    ] = None,
+    real_image: Annotated[Path | None, _file(help="A real image of the same exposure, to compare with.")] = None,
+) -> None:
+    """Hold a simulated data set beside real drives: labels, pixels, and the time that indirect light leads."""
+    from foreglow.evaluation.simulator import examine
+    from foreglow.reports.simulator_page import write_report
+
+    report = write_report(examine(data, real_labels, real_image), out)
+    typer.echo(f"look in {report}")
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from foreglow.evaluation.label_statistics import Spread
 from foreglow.evaluation.perceivability import FirstTimes, PeaksOfFrame, first_times, rule_effects
-from foreglow.simulation.scene import LabelRule
+from foreglow.simulation.scenes.scene import LabelRule
 from tests.simulation.truths import artifact
 
 RULE = LabelRule(min_grey=2.0, min_contrast=5.0)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
-from foreglow.simulation.materials import material_number
-from foreglow.simulation.mesh import Mesh
-from foreglow.simulation.road import Road
-from foreglow.simulation.scene import EgoSpec, RoadSpec, Scene
-from foreglow.simulation.surroundings import SurroundingsSpec, Verge
-from foreglow.simulation.terrain import Terrain
+from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, Scene
+from foreglow.simulation.scenes.surroundings import SurroundingsSpec, Verge
+from foreglow.simulation.world.materials import material_number
+from foreglow.simulation.world.mesh import Mesh
+from foreglow.simulation.world.road import Road
+from foreglow.simulation.world.terrain import Terrain
 
 BARE = Verge(grass_height_m=0)
 BEND = RoadSpec(length_m=100, curvature_per_m=((20, 0), (30, 0.02)), elevation_m=((0, 0), (50, 3), (100, 0)))

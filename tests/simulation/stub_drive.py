@@ -9,9 +9,9 @@ import numpy as np
 
 from foreglow.datasets import ImageCategory
 from foreglow.geometry import Camera, Pose, rotation
-from foreglow.simulation.road import Road, interpolated
-from foreglow.simulation.scene import CameraSpec, EgoSpec, RoadSpec, Scene, VehicleSpec
+from foreglow.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, Scene, VehicleSpec
 from foreglow.simulation.truth import Artifact, DriveFrame, LampTruth, VehicleTruth
+from foreglow.simulation.world.road import Road, interpolated
 from foreglow.types import Frame
 
 WIDTH_PX, HEIGHT_PX = 96, 72

@@ -15,6 +15,7 @@ from pydantic import Field, RootModel
 
 from foreglow.datasets import PVDN
 from foreglow.datasets.json_files import Record, read_json
+from foreglow.datasets.pvdn import PVDN_RATE_HZ
 
 Point: TypeAlias = tuple[float, float]
 
@@ -136,8 +137,12 @@ class Comparison:
         return fields
 
 
-def label_statistics(sequences: Iterable[Sequence[LabelledImage]]) -> LabelStatistics:
-    """Statistics of `sequences`, each with its images in order of time."""
+def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: float = PVDN_RATE_HZ) -> LabelStatistics:
+    """Statistics of `sequences`, each with its images in order of time, `rate_hz` of them a second.
+
+    Spans of time are counted in frames of PVDN's rate, whatever the rate of the sequences.
+    """
+    frames = PVDN_RATE_HZ / rate_hz
     drives = [list(images) for images in sequences]
     images = [image for drive in drives for image in drive]
     direct = [point for image in images for point in image.direct]
@@ -165,9 +170,11 @@ def label_statistics(sequences: Iterable[Sequence[LabelledImage]]) -> LabelStati
         num_indirect_first=sum(lead > 0 for lead in leads),
         num_direct_first=sum(lead <= 0 for lead in leads),
         num_begun=len(begun),
-        lead_frames=Spread.of([lead for lead in leads if 0 < lead < math.inf]),
-        hidden_frames=Spread.of([sum(bool(one.indirect and not one.direct) for one in drive) for drive in labelled]),
-        in_sight_frames=Spread.of([sum(bool(one.direct) for one in drive) for drive in labelled]),
+        lead_frames=Spread.of([frames * lead for lead in leads if 0 < lead < math.inf]),
+        hidden_frames=Spread.of(
+            [frames * sum(bool(one.indirect and not one.direct) for one in drive) for drive in labelled]
+        ),
+        in_sight_frames=Spread.of([frames * sum(bool(one.direct) for one in drive) for drive in labelled]),
         positions=_percentiles("direct", direct) | _percentiles("indirect", indirect),
     )
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from foreglow.evaluation.label_statistics import Spread
-from foreglow.simulation.artifacts import apply_rule, scaled_rule
-from foreglow.simulation.scene import LabelRule
+from foreglow.simulation.labels.artifacts import apply_rule, scaled_rule
+from foreglow.simulation.scenes.scene import LabelRule
 from foreglow.simulation.truth import Artifact
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)

@@ -11,12 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN, read_image, to_grey
-from foreglow.evaluation import image_statistics as pixels
-from foreglow.evaluation import label_statistics as labels
+from foreglow.evaluation.image_statistics import Comparison as ImageComparison
+from foreglow.evaluation.image_statistics import ImageStatistics, image_statistics
+from foreglow.evaluation.image_statistics import compare as compare_images
+from foreglow.evaluation.label_statistics import (
+    Comparison,
+    LabelStatistics,
+    compare_labels,
+    label_statistics,
+    labels_of_split,
+    read_label_digest,
+)
 from foreglow.evaluation.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
-from foreglow.simulation.categories import is_oncoming
-from foreglow.simulation.optics import REFERENCE_WIDTH_PX
-from foreglow.simulation.truth_files import SequenceTruth, read_truth
+from foreglow.simulation.camera.optics import REFERENCE_WIDTH_PX
+from foreglow.simulation.labels.categories import is_oncoming
+from foreglow.simulation.recording.truth_files import SequenceTruth, read_truth
 
 NUM_IMAGES = 24
 """Images whose pixels are measured: those with a lamp in sight, evenly spread over the set."""
@@ -38,10 +47,10 @@ class SimulatorResults:
     """
 
     name: str
-    labels: labels.LabelStatistics
-    label_rows: tuple[labels.Comparison, ...] | None
-    pixels: pixels.ImageStatistics
-    pixel_rows: tuple[pixels.Comparison, ...] | None
+    labels: LabelStatistics
+    label_rows: tuple[Comparison, ...] | None
+    pixels: ImageStatistics
+    pixel_rows: tuple[ImageComparison, ...] | None
     effects: tuple[RuleEffect, ...]
     leads_s: tuple[float, ...]
     production_delays_s: tuple[float, ...]
@@ -73,15 +82,15 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
     """
     dataset = PVDN(split)
     truth = read_truth(dataset.root)
-    own_labels = labels.label_statistics(labels.labels_of_split(dataset))
-    own_pixels = pixels.image_statistics(_images_with_lamp(dataset, truth))
+    own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
+    own_pixels = image_statistics(_images_with_lamp(dataset, truth))
     drives = [peaks_of_drive(drive) for drive in truth]
-    rule = truth.sequence(dataset.labels.sequences_file.sequences[0].id).scene.labels
-    scale = dataset[0].width_px / REFERENCE_WIDTH_PX
-    label_rows = None if real_labels is None else labels.compare_labels(_real_statistics(real_labels), own_labels)
+    rule = next(iter(truth)).scene.labels
+    scale = next(iter(truth)).camera.width_px / REFERENCE_WIDTH_PX
+    label_rows = None if real_labels is None else compare_labels(_real_statistics(real_labels), own_labels)
     pixel_rows = None
     if real_image is not None:
-        pixel_rows = pixels.compare(pixels.image_statistics(to_grey(read_image(real_image))), own_pixels)
+        pixel_rows = compare_images(image_statistics(np.asarray(to_grey(read_image(real_image)), np.uint8)), own_pixels)
     times = [first_times(drive, rule, scale) for drive in drives]
     reports = [_first_report_s(drive) for drive in truth]
     delays = [report - time.indirect_s for report, time in zip(reports, times, strict=True)]
@@ -118,10 +127,10 @@ def _first_report_s(drive: SequenceTruth) -> float:
     return next(times, np.inf)
 
 
-def _real_statistics(path: Path) -> labels.LabelStatistics:
+def _real_statistics(path: Path) -> LabelStatistics:
     if path.is_dir():
-        return labels.label_statistics(labels.labels_of_split(PVDN(path)))
-    return labels.label_statistics(labels.read_label_digest(path))
+        return label_statistics(labels_of_split(PVDN(path)))
+    return label_statistics(read_label_digest(path))
 
 
 def _images_with_lamp(dataset: PVDN, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:

@@ -10,12 +10,12 @@ layout, and `read_truth` reads back what was known. Rendering needs the extra `s
 True
 """
 
-from foreglow.simulation.dataset import DatasetConfig, DatasetSummary, simulate_dataset
 from foreglow.simulation.drive import Drive, drive_frames, simulate
-from foreglow.simulation.scenarios import SCENARIOS, Split, adapted, draw_scenes, resized, scenario
-from foreglow.simulation.scene import LabelRule, Scene, read_scene, scene_to_toml
+from foreglow.simulation.recording.dataset import DatasetConfig, DatasetSummary, simulate_dataset
+from foreglow.simulation.recording.truth_files import SimulatedTruth, read_truth
+from foreglow.simulation.scenes.scenarios import SCENARIOS, Split, adapted, draw_scenes, resized, scenario
+from foreglow.simulation.scenes.scene import LabelRule, Scene, read_scene, scene_to_toml
 from foreglow.simulation.truth import Artifact, DriveFrame, LampTruth, VehicleTruth
-from foreglow.simulation.truth_files import SimulatedTruth, read_truth
 
 __all__ = [
     "SCENARIOS",

@@ -9,23 +9,23 @@ from numpy.typing import ArrayLike
 
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.photometry import NUM_LEDS
-from foreglow.simulation.actors import Actor, actors_at, ego_lamps, ego_tables
-from foreglow.simulation.annotation import Annotation, Annotator
-from foreglow.simulation.bodies import BODIES
-from foreglow.simulation.categories import ImageCategories
-from foreglow.simulation.exposure import Exposer, Points
-from foreglow.simulation.eyes import Eyes
-from foreglow.simulation.fixed_lights import FixedLights
-from foreglow.simulation.kinematics import BodyMotion, VehicleState, ego_state
-from foreglow.simulation.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER
-from foreglow.simulation.mesh import Mesh
-from foreglow.simulation.production import ProductionSystem
-from foreglow.simulation.render import QUALITIES, Renderer, RenderSettings
-from foreglow.simulation.scene import CameraSpec, Scene
-from foreglow.simulation.sightings import Sightings
-from foreglow.simulation.streaks import FallingParticles
+from foreglow.simulation.camera.exposure import Exposer, Points
+from foreglow.simulation.camera.streaks import FallingParticles
+from foreglow.simulation.labels.annotation import Annotation, Annotator
+from foreglow.simulation.labels.categories import ImageCategories
+from foreglow.simulation.labels.production import ProductionSystem
+from foreglow.simulation.light.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER
+from foreglow.simulation.light.render import QUALITIES, Renderer, RenderSettings
+from foreglow.simulation.scenes.scene import CameraSpec, Scene
+from foreglow.simulation.traffic.actors import Actor, actors_at, ego_lamps, ego_tables
+from foreglow.simulation.traffic.eyes import Eyes
+from foreglow.simulation.traffic.fixed_lights import FixedLights
+from foreglow.simulation.traffic.kinematics import BodyMotion, VehicleState, ego_state
+from foreglow.simulation.traffic.sightings import Sightings
 from foreglow.simulation.truth import DriveFrame, LampTruth, VehicleTruth
-from foreglow.simulation.world import build_world
+from foreglow.simulation.world.bodies import BODIES
+from foreglow.simulation.world.mesh import Mesh
+from foreglow.simulation.world.world import build_world
 from foreglow.types import Frame
 
 
@@ -158,8 +158,8 @@ class _Run:
         half_s = self._exposer.sensor.exposure_s / 2
         shutter = (self._view(self._ego(time_s - half_s)), self._view(self._ego(time_s + half_s)))
         streaks = self._particles.luminance(time_s - half_s, 2 * half_s, shutter, own, rendered.depth_m)
-        exposure = self._exposer.expose(rendered, points, streaks)
-        image = exposure.captured(number, self._exposer.flow_px(rendered, *shutter))
+        exposure = self._exposer.expose(rendered, points, streaks, shutter)
+        image = exposure.captured(number)
 
         annotations = [
             self._annotator.annotate(place, actor, seen, exposure, view.position_m)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets.pvdn_schema import ImageCategory
 from foreglow.geometry import Camera, Floats, Pose
-from foreglow.simulation.materials import Kind
+from foreglow.simulation.world.materials import Kind
 from foreglow.types import Frame
 
 

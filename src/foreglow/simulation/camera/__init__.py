@@ -1,0 +1,1 @@
+"""From luminance to grey levels: lens, imager, rain and snow."""

@@ -1,0 +1,1 @@
+"""What an annotator would mark, and when."""

@@ -1,0 +1,1 @@
+"""Data sets on disk: PVDN's layout, and the truth beside it."""

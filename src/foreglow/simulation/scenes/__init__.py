@@ -1,0 +1,1 @@
+"""What a drive is: the scenario language, and the scenarios that draw it."""

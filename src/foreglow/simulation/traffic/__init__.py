@@ -1,0 +1,1 @@
+"""The vehicles and lights of one frame, and who sees whom."""

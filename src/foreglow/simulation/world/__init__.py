@@ -1,0 +1,1 @@
+"""What stands still, and the bodies of vehicles: triangles with materials."""

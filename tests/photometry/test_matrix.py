@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foreglow.photometry import NUM_LEDS, low_beam, matrix_beam
+
+Side: TypeAlias = Literal["left", "right"]
+SIDES: tuple[Side, ...] = ("left", "right")
+
+
+@settings(max_examples=20, deadline=None)
+@given(led=st.integers(0, NUM_LEDS - 1), other=st.integers(0, NUM_LEDS - 1), share=st.floats(0, 1))
+def test_linear_in_the_levels(led: int, other: int, share: float) -> None:
+    lamp = matrix_beam("left")
+    one, two = np.eye(NUM_LEDS)[led], np.eye(NUM_LEDS)[other]
+    mixed, first, second = (lamp.table(x).intensities_cd for x in (share * one + (1 - share) * two, one, two))
+    np.testing.assert_allclose(mixed, share * first + (1 - share) * second, rtol=1e-5, atol=0.02)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_all_on_is_the_sum_of_each_one(side: Side) -> None:
+    lamp = matrix_beam(side)
+    total = lamp.base.intensities_cd.astype(np.float64)
+    for led in np.eye(NUM_LEDS):
+        total += lamp.table(led).intensities_cd - lamp.base.intensities_cd
+    np.testing.assert_allclose(lamp.table(np.ones(NUM_LEDS)).intensities_cd, total, rtol=1e-4, atol=0.5)
+
+
+def test_all_off_is_the_low_beam() -> None:
+    assert (matrix_beam("left").table(np.zeros(NUM_LEDS)).intensities_cd == low_beam().intensities_cd).all()
+
+
+def test_each_led_shines_where_it_says() -> None:
+    lamp = matrix_beam("right")
+    azimuths, elevations = lamp.base.azimuths_deg[lamp.columns], lamp.base.elevations_deg[lamp.rows]
+    for led, table in enumerate(lamp.leds_cd):
+        assert np.average(azimuths, weights=table.sum(0)) == pytest.approx(lamp.azimuths_deg[led], abs=0.02)
+        assert np.average(elevations, weights=table.sum(1)) == pytest.approx(lamp.elevations_deg[led], abs=0.02)
+    assert lamp.azimuths_deg[0] < lamp.azimuths_deg[27]
+    assert lamp.elevations_deg[0] < lamp.elevations_deg[-1]
+
+
+def test_no_gaps_between_the_columns_and_the_lamps_mesh() -> None:
+    row = np.searchsorted(low_beam().elevations_deg, 0.3)
+    left, right = (matrix_beam(side).table(np.ones(NUM_LEDS)).intensities_cd[row] for side in SIDES)
+    middle = np.abs(low_beam().azimuths_deg) < 8
+    both = (left + right)[middle].astype(np.float64)
+    assert np.abs(np.diff(both)).max() < 0.1 * both.max()
+    assert both.min() > 10_000
+
+
+@pytest.mark.parametrize("levels", [np.ones(83), np.full(84, 1.1), np.full(84, -0.1), np.full(84, np.nan)])
+def test_bad_levels(levels: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="84 numbers from 0 to 1"):
+        matrix_beam("left").table(levels)
