@@ -42,9 +42,9 @@ class Lights:
         """Takes these lamps in place of those before; those of a layer lie together from now on."""
         self._send_tables(lamps)
         lamps = sorted(lamps, key=lambda lamp: lamp.layer)
-        ends = np.searchsorted([lamp.layer for lamp in lamps], np.arange(num_layers + 1))
+        ends = np.searchsorted([lamp.layer for lamp in lamps], np.arange(max(num_layers, 1) + 1))
         self._layer_starts = mi.UInt32(ends.astype(np.uint32))
-        self.num_layers = num_layers
+        self.num_layers = max(num_layers, 1)  # a kernel needs somewhere to write
         numbers = np.zeros((max(len(lamps), 1), 16), np.float32)
         places = np.zeros((max(len(lamps), 1), 4), np.uint32)
         for number, place, lamp in zip(numbers, places, lamps, strict=False):

@@ -62,7 +62,9 @@ class Late:
         if attribute.startswith(("_", "pytest")):  # inspect, doctest and pytest ask every object for such names
             raise AttributeError(attribute)
         prepare()
-        return getattr(importlib.import_module(self._name), attribute)
+        value = getattr(importlib.import_module(self._name), attribute)
+        setattr(self, attribute, value)  # found here the next time; the variant never changes
+        return value
 
 
 dr = Late("drjit")

@@ -22,8 +22,8 @@ CODES_PER_BODY = 256
 END_GAP_M = 0.06
 """Shadow rays end this short of the lamp, so that its own housing does not block it."""
 
-START_GAP_M = 6e-3
-"""Shadow rays start this far off the surface, more than single precision loses a kilometre from the origin."""
+START_GAP_M = 3e-3
+"""Shadow rays start this far off the surface: more than single precision loses a kilometre from the origin."""
 
 MAX_SELF_HITS = 24
 """Surfaces of an ignored body that a ray may pass."""
@@ -91,7 +91,7 @@ class Tree:
         return normal, coordinates, d.w
 
 
-class World:
+class Solids:
     """The fixed world, and the bodies that move through it."""
 
     def __init__(self, static: Mesh, bodies: Mapping[str, Mesh]) -> None:

@@ -13,7 +13,7 @@ from foreglow.simulation.light.haze import Haze
 from foreglow.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.simulation.light.lights import Lights
 from foreglow.simulation.light.llvm import dr, greatest, mi, prepare
-from foreglow.simulation.light.raycast import END_GAP_M, START_GAP_M, Number, World
+from foreglow.simulation.light.raycast import END_GAP_M, START_GAP_M, Number, Solids
 from foreglow.simulation.light.sampling import QUALITIES, RenderSettings, Samples
 from foreglow.simulation.light.shading import reflectance_per_sr
 from foreglow.simulation.light.space import Air, Space, air_of, space_of
@@ -78,7 +78,7 @@ class Renderer:
         """
         prepare()
         self._settings = settings
-        self._world = World(static, bodies)
+        self._world = Solids(static, bodies)
         self._lights = Lights()
         self._looks = Looks(road, seed)
         self._haze = Haze(camera, settings.haze_cells)
@@ -119,8 +119,8 @@ class Renderer:
             surface[:, chosen] /= samples.num
             ambient[chosen] /= samples.num
         return Rendered(
-            surface.reshape(num_layers, *samples.shape),
-            haze.reshape(num_layers, *samples.shape),
+            surface.reshape(-1, *samples.shape)[:num_layers],
+            haze.reshape(-1, *samples.shape)[:num_layers],
             ambient.reshape(samples.shape),
             first.distance_m.numpy().reshape(samples.shape),
             first.material.numpy().astype(np.uint8).reshape(samples.shape),

@@ -30,15 +30,15 @@ class RenderSettings:
     """
 
     extra_samples: int = 2
-    max_extra_share: float = 0.1
+    max_extra_share: float = 0.06
     edge_contrast: float = 0.15
     edge_cd_m2: float = 4e-3
-    haze_cells: tuple[int, int, int] = (80, 60, 20)
-    darkest_cd_m2: float = 1e-4
+    haze_cells: tuple[int, int, int] = (80, 60, 28)
+    darkest_cd_m2: float = 2e-4
 
 
 QUALITIES: dict[str, RenderSettings] = {
-    "fast": RenderSettings(extra_samples=0, haze_cells=(54, 40, 16), darkest_cd_m2=2e-4),
+    "fast": RenderSettings(extra_samples=0, haze_cells=(54, 40, 16), darkest_cd_m2=4e-4),
     "training": RenderSettings(),
     "fine": RenderSettings(
         extra_samples=8,

@@ -9,7 +9,7 @@ import numpy as np
 from foreglow.geometry import Pose
 from foreglow.simulation.light.lights import Lights
 from foreglow.simulation.light.llvm import dr, mi
-from foreglow.simulation.light.raycast import Number, World
+from foreglow.simulation.light.raycast import Number, Solids
 from foreglow.simulation.scenes.scene import WeatherSpec
 
 
@@ -25,7 +25,7 @@ class Space:
         darkest_cd_m2: Light below this is left out.
     """
 
-    world: World
+    world: Solids
     lights: Lights
     origin: Number
     rotation: Number
@@ -47,7 +47,7 @@ class Air:
     sky_cd_m2: Number
 
 
-def space_of(world: World, lights: Lights, world_from_camera: Pose, darkest_cd_m2: float) -> Space:
+def space_of(world: Solids, lights: Lights, world_from_camera: Pose, darkest_cd_m2: float) -> Space:
     """The space of one frame."""
     axes = [[_parameter(value) for value in row] for row in world_from_camera.rotation]
     origin = mi.Point3f(*(_parameter(value) for value in world_from_camera.position_m))

@@ -39,6 +39,14 @@ some centimetres. A pixel that covers a whole bead sees a rough surface, not spa
 LEAF_SIZE_M = {"leaf": 0.06, "grass_blade": 0.02}
 """Plants of which a pixel sees many parts at once from some distance on."""
 
+ROUGH = tuple(
+    material.name
+    for material in MATERIALS
+    if material.name == "bark" or (material.kind in ("road", "verge", "wall") and material.roughness > 0.4)
+    if not material.transmission
+)
+"""What is made of grains and holes. Paint, metal and glass are not."""
+
 MARKING_WIDTH_M = 0.12
 EDGE_LINE_INSET_M = 0.2
 DASH_M, DASH_PERIOD_M = 4.0, 12.0
@@ -69,6 +77,8 @@ class Surface:
         transmission: Share of the diffuse light that leaves on the other side.
         retroreflection: cd/lx/m^2.
         is_beaded: Whether that is of glass beads on the ground, not of a sign's sheeting.
+        is_rough: Whether it is made of grains and holes, and no smooth paint or leaf.
+        film: Share under a film of water, which mirrors what comes and goes at grazing angles.
         canopy: Share to which the pixel sees leaves of all directions, 0..1.
     """
 
@@ -83,6 +93,8 @@ class Surface:
     transmission: Number
     retroreflection: Number
     is_beaded: Number
+    is_rough: Number
+    film: Number
     canopy: Number
 
 
@@ -102,8 +114,8 @@ class Looks:
             "wetness": road.wetness,
             "dash_m": {"dashed": DASH_M, "solid": DASH_PERIOD_M, "none": 0.0}[road.centre_marking],
             "edge_m": MARKING_WIDTH_M if road.has_edge_marking else 0.0,
-            # The noise is normal: this quantile leaves the asked share under snow.
-            "snow": NormalDist().inv_cdf(float(np.clip(1.0 - road.snow, 1e-4, 1.0 - 1e-4))),
+            # The noise is about normal: this quantile leaves the asked share under snow.
+            "bare": NormalDist().inv_cdf(float(np.clip(1.0 - road.snow, 1e-4, 1.0 - 1e-4))) if road.snow else 1e3,
         }
         self._road = {name: dr.opaque(mi.Float, float(value)) for name, value in values.items()}
 
@@ -139,12 +151,14 @@ class Looks:
             transmission=first.w,
             retroreflection=second.x,
             is_beaded=hit.material == material_number("marking"),
+            is_rough=_is_one_of(hit.material, ROUGH),
+            film=mi.Float(0.0),
             canopy=_canopy(hit.material, footprint_m),
         )
         streak = self._streaks(hit, u, v, footprint_m)
         self._build_walls(surface, hit, u, v, footprint_m, streak)
         bump = self._pave(surface, hit, bump, footprint_m, patches, streak)
-        surface.normal = dr.normalize(hit.normal + bump * (slope_u * u_axis + slope_v * v_axis))
+        surface.normal = _bumped(hit.normal, bump * (slope_u * u_axis + slope_v * v_axis), surface.view)
         # Source: Tokuyoshi, Kaplanyan: Improved geometric specular antialiasing, 2019 (normals that a pixel averages).
         turned = dr.square(0.5 * second.w * footprint_m) + dr.square(bump) * lost_slope
         surface.alpha = dr.sqrt(dr.square(surface.alpha) + least(2.0 * turned, 0.18))
@@ -173,7 +187,7 @@ class Looks:
         joints = 1.0 - (1.0 - _stripes(u, 2.5, 0.025, footprint_m)) * (1.0 - _stripes(v, 0.6, 0.012, footprint_m))
         surface.albedo = dr.select(is_brick, dr.lerp(surface.albedo, 0.3, mortar), surface.albedo)
         surface.albedo = dr.select(is_concrete, surface.albedo * (1.0 - 0.55 * joints), surface.albedo)
-        washed = dr.exp(0.22 * streak)
+        washed = dr.exp(0.12 * streak)
         surface.albedo = dr.select(is_concrete | is_plaster, surface.albedo * washed, surface.albedo)
 
     def _pave(
@@ -201,11 +215,12 @@ class Looks:
         road_roughness = MATERIALS[material_number("road")].roughness
         roughness = dr.lerp(road_roughness * (1.0 - 0.08 * worn + 0.03 * streak), WET_ROUGHNESS, wet)
         paint_retro = marking.retroreflection * paint * (1.0 - 0.8 * wet)  # water drowns the beads
-        snow = clipped((patches + 0.5 * streak - 1.2 * track + 0.4 - road["snow"]) * 3.0 + 0.5, 0.0, 1.0)
+        snow = clipped((patches + 0.5 * streak - 1.2 * track + 0.4 - road["bare"]) * 3.0 + 0.5, 0.0, 1.0)
         albedo, roughness = dr.lerp(albedo, 0.7, snow), dr.lerp(roughness, 0.6, snow)
         surface.albedo = dr.select(is_road, albedo, surface.albedo)
         surface.alpha = dr.select(is_road, dr.square(roughness), surface.alpha)
         surface.retroreflection = dr.select(is_road, paint_retro * (1.0 - snow), surface.retroreflection)
+        surface.film = dr.select(is_road, wet * (1.0 - snow), 0.0)
         surface.is_beaded |= is_road
         return dr.select(is_road, dr.lerp(bump * (1.0 - 0.7 * wet), 0.06, snow), bump)
 
@@ -233,6 +248,20 @@ def _flat_coordinates(hit: Hit) -> tuple[Number, Number, Number, Number]:
     u_axis = dr.select(is_along_y, mi.Vector3f(0, 1, 0), mi.Vector3f(1, 0, 0))
     v_axis = dr.select(is_steep, mi.Vector3f(0, 0, 1), mi.Vector3f(0, 1, 0))
     return dr.select(is_along_y, y, x), dr.select(is_steep, z, y), u_axis, v_axis
+
+
+def _bumped(normal: Number, slope: Number, view: Number) -> Number:
+    """The normal of a part of the surface that is seen: parts that turn away lie behind others."""
+    bumped = dr.normalize(normal + slope)
+    least_seen = 0.4 * greatest(dr.dot(normal, view), 0.0)
+    return dr.normalize(bumped + view * greatest(least_seen - dr.dot(bumped, view), 0.0))
+
+
+def _is_one_of(material: Number, names: tuple[str, ...]) -> Number:
+    is_any = mi.Bool(False)
+    for name in names:
+        is_any |= material == material_number(name)
+    return is_any
 
 
 def _canopy(material: Number, footprint_m: Number) -> Number:
