@@ -15,7 +15,7 @@ from tests.simulation.light.rendering import need_renderer
 
 
 def test_importing_the_simulator_loads_no_renderer() -> None:
-    code = "import sys, foreglow.simulation.light.render, foreglow.simulation.haze; print(*sys.modules)"
+    code = "import sys, foreglow.simulation.light.render, foreglow.simulation.light.haze; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
     assert not {"mitsuba", "drjit"} & set(loaded)
     assert "foreglow.simulation.light.shading" in loaded

@@ -116,16 +116,17 @@ def test_light_is_linear_in_the_lamps() -> None:
 def test_a_small_target_is_where_the_camera_projects_it(distortion: tuple[float, ...]) -> None:
     seen_by = small.camera(160, 120, distortion)
     pose = small.looking([1.0, 2.0, 1.5], pitch_deg=3, yaw_deg=-8)
-    fine = RenderSettings(24, 1.0, 1e-6, 1e-9, (8, 6, 4), 1e-9)
-    for aim in ([0.0, 0.0], [-0.3, 0.2], [0.33, -0.24]):
-        centre = pose.to_outer(np.array([10.0, 10 * aim[0], 10 * aim[1]]))
-        turned = pose.rotation * 0.12  # a square that faces the camera, four pixels wide
-        corners = [centre + turned @ [0, y, z] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        world = small.renderer(small.quad(corners), seen_by, fine)
-        light = world.render(pose, [small.bulb(pose.position_m)], 1, [], small.NO_AIR).surface_cd_m2[0]
-        y, x = np.indices(light.shape) + 0.5
-        found = np.array([(light * x).sum(), (light * y).sum()]) / light.sum()
-        assert np.abs(found - seen_by.project(pose.to_body(centre))).max() < 0.1
+    fine = RenderSettings(12, 1.0, 1e-6, 1e-9, (8, 6, 4), 1e-9)
+    centres = pose.to_outer(np.array([[10.0, 0.0, 0.0], [10.0, -3.0, 2.0], [10.0, 3.3, -2.4]]))
+    # Squares that face the camera, four pixels wide.
+    across = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) * 0.12 @ pose.rotation.T
+    world = small.renderer(joined([small.quad(centre + across) for centre in centres]), seen_by, fine)
+    light = world.render(pose, [small.bulb(pose.position_m)], 1, [], small.NO_AIR).surface_cd_m2[0]
+    y, x = np.indices(light.shape) + 0.5
+    for expected in seen_by.project(pose.to_body(centres)):
+        near = np.where(np.maximum(np.abs(x - expected[0]), np.abs(y - expected[1])) < 8, light, 0.0)
+        found = np.array([(near * x).sum(), (near * y).sum()]) / near.sum()
+        assert np.abs(found - expected).max() < 0.1
 
 
 def test_agrees_with_path_tracing(tmp_path: Path) -> None:
@@ -195,14 +196,14 @@ def _leaves(num: int) -> Mesh:
 
 
 def test_same_bytes_again_and_with_one_thread() -> None:
-    static = joined([small.ground("road"), _leaves(20_000), small.wall(50, 10, "brick")])
+    static = joined([small.ground("road"), _leaves(8_000), small.wall(50, 10, "brick")])
     bodies = {"car/dark": small.box([0, 0, 0.7], 0.7, "paint_dark")}
     placed = [PlacedBody("car", False, small.looking([20, 1, 0]))]
     lamps = [small.bulb([0, 0.5, 1.0]), small.bulb([25, 2, 1.0], 1)]
     num_threads = dr.thread_count()
     pictures = []
     try:
-        for threads in (2, 1, 2):
+        for threads in (2, 1):
             dr.set_thread_count(threads)
             world = small.renderer(static, settings=QUALITIES["training"], bodies=bodies)
             seen = world.render(ABOVE, lamps, 2, placed, WeatherSpec())
@@ -219,7 +220,7 @@ def test_same_bytes_again_and_with_one_thread() -> None:
             pictures.append(b"".join(layer.tobytes() for layer in layers))
     finally:
         dr.set_thread_count(num_threads)
-    assert pictures[0] == pictures[1] == pictures[2]
+    assert pictures[0] == pictures[1]
 
 
 def test_no_lamps_and_no_layers(plain: Renderer) -> None:
