@@ -34,6 +34,7 @@ def draw_surroundings(
         bends: From, to and signed curvature of each bend: chevrons and rails stand on its outer side, banks and
             bushes hide what comes on its inner side.
     """
+    bends = tuple(bend for bend in bends if bend[0] < length_m - 40.0)
     snow = draw.uniform(0.3, 1.0) if draw.chance(0.15) else 0.0
     inner: Side | None = None if not bends else ("left" if bends[0][2] > 0 else "right")
     verges = {side: _verge(draw, style, snow, is_inner=side == inner) for side in SIDES}
@@ -54,8 +55,8 @@ def draw_surroundings(
 def _verge(draw: Draw, style: Style, snow: float, *, is_inner: bool) -> Verge:
     if style == "village":
         return Verge(bank_m=0.0, ditch_m=0.0, ground="pavement", snow=snow / 2, grass_per_m2=0.0)
-    hides = is_inner and draw.chance(0.6)
-    bank = draw.uniform(1.5, 4.0) if hides else draw.uniform(-1.5, 1.2)
+    hides = draw.chance(0.6 if is_inner else 0.35)
+    bank = draw.uniform(1.5, 6.0) if hides else draw.uniform(-1.5, 1.2)
     return Verge(
         bank_m=bank,
         bank_offset_m=draw.uniform(1.5, 5.0),

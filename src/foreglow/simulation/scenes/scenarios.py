@@ -61,23 +61,23 @@ Layout: TypeAlias = Callable[[Draw, float], Course]
 def curve(draw: Draw, focus_m: float) -> Course:
     """One bend, to either side."""
     style: Style = draw.choice(["open", "forest", "rocky"], [0.5, 0.3, 0.2])
-    return Course(style, (_bend(draw, focus_m),), _gentle_hills(draw, focus_m))
+    return Course(style, _winding(draw, _bend(draw, focus_m)), _gentle_hills(draw, focus_m))
 
 
 def s_bend(draw: Draw, focus_m: float) -> Course:
     """Two bends to opposite sides."""
     first = _bend(draw, focus_m - 30.0)
     start = first[1] + draw.uniform(15.0, 60.0)
-    second = (start, start + draw.uniform(60.0, 140.0), -np.sign(first[2]) / draw.log_uniform(90.0, 300.0))
+    second = (start, start + draw.uniform(60.0, 140.0), float(-np.sign(first[2])) / draw.log_uniform(90.0, 300.0))
     style: Style = draw.choice(["open", "forest", "rocky"], [0.5, 0.3, 0.2])
-    return Course(style, (first, second), _gentle_hills(draw, focus_m))
+    return Course(style, (first, *_winding(draw, second)), _gentle_hills(draw, focus_m))
 
 
 def crest(draw: Draw, focus_m: float) -> Course:
     """A hill that hides the other car."""
     half, height = draw.uniform(90.0, 150.0), draw.uniform(1.8, 4.5)
     profile = ((focus_m - half, 0.0), (focus_m, height), (focus_m + half, draw.uniform(-2.0, 1.0)))
-    bends = (_bend(draw, focus_m, gentle=True),) if draw.chance(0.5) else ()
+    bends = _winding(draw, _bend(draw, focus_m, gentle=True)) if draw.chance(0.5) else ()
     return Course(draw.choice(["open", "forest"]), bends, profile)
 
 
@@ -108,12 +108,7 @@ def village(draw: Draw, focus_m: float) -> Course:
 
 def forest(draw: Draw, focus_m: float) -> Course:
     """A winding road through a wood."""
-    first = _bend(draw, focus_m)
-    bends: tuple[Bend, ...] = (first,)
-    if draw.chance(0.5):
-        start = first[1] + draw.uniform(20.0, 60.0)
-        bends = (first, (start, start + draw.uniform(50.0, 120.0), -first[2]))
-    return Course("forest", bends, _gentle_hills(draw, focus_m))
+    return Course("forest", _winding(draw, _bend(draw, focus_m)), _gentle_hills(draw, focus_m))
 
 
 SCENARIOS: dict[str, tuple[Layout, float]] = {
@@ -122,9 +117,9 @@ SCENARIOS: dict[str, tuple[Layout, float]] = {
     "crest": (crest, 0.14),
     "sag": (sag, 0.06),
     "straight": (straight, 0.06),
-    "junction": (junction, 0.06),
-    "village": (village, 0.08),
-    "forest": (forest, 0.14),
+    "junction": (junction, 0.05),
+    "village": (village, 0.06),
+    "forest": (forest, 0.17),
 }
 """Every scenario by name, with its share of a data set. Roads that hide the other car come first: they are what
 provident detection is about."""
@@ -245,8 +240,8 @@ def _encounter(
 
 
 def _vehicles(draw: Draw, course: Course, other: Profile, ego: Profile) -> tuple[VehicleSpec, ...]:
-    """The oncoming car and whoever else is there; one drive in ten has nobody."""
-    if draw.chance(0.1):
+    """The oncoming car and whoever else is there; one drive in eight has nobody."""
+    if draw.chance(0.12):
         return ()
     vehicles = [_vehicle(draw, timetable=other)]
     behind_m = 0.0
@@ -326,6 +321,17 @@ def _bend(draw: Draw, focus_m: float, *, gentle: bool = False) -> Bend:
     start = max(focus_m - length_m * draw.uniform(0.25, 0.6), 5.0)
     sign = -1 if draw.chance(0.6) else 1  # in PVDN more cars appear to the right than to the left
     return (round(start, 1), round(start + length_m, 1), sign / radius_m)
+
+
+def _winding(draw: Draw, first: Bend) -> tuple[Bend, ...]:
+    """`first` and what follows: where roads wind, the light of a car is hidden until the last bend."""
+    bends = [first]
+    while len(bends) < 4 and draw.chance(0.8):
+        start = bends[-1][1] + draw.uniform(10.0, 50.0)
+        sign = float(np.sign(bends[-1][2])) * (-1 if draw.chance(0.7) else 1)
+        bend = (start, start + draw.uniform(50.0, 140.0), sign / draw.log_uniform(100.0, 350.0))
+        bends.append((round(bend[0], 1), round(bend[1], 1), bend[2]))
+    return tuple(bends)
 
 
 def _gentle_hills(draw: Draw, focus_m: float) -> Profile:

@@ -249,15 +249,15 @@ class LabelRule(SpecModel):
         min_visible: Share of a lamp's disc that must be seen for a direct instance.
     """
 
-    min_grey: Positive = 2.0
-    min_contrast: Positive = 5.0
+    min_grey: Positive = 12.0
+    min_contrast: Positive = 30.0
     min_area_px: Positive = 25.0
     saddle: Share = 0.5
     min_distance_px: NonNegative = 20.0
     max_instances: Annotated[int, Field(ge=1)] = 2
     max_hidden_instances: Annotated[int, Field(ge=1)] = 1
     relative_strength: Share = 0.5
-    doubtful_factor: Annotated[float, Field(ge=1)] = 2.0
+    doubtful_factor: Annotated[float, Field(ge=1)] = 4.0
     hold_frames: Annotated[int, Field(ge=0)] = 3
     min_visible: Share = 0.2
 

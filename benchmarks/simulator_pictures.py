@@ -1,0 +1,87 @@
+"""The pictures of docs/simulator.md: `python -m benchmarks.simulator_pictures FOLDER`.
+
+`scenarios.jpg` shows one frame of every scenario, in the short exposure above and in the long one below, each
+brightened for the eye; `light.jpg` takes one frame apart: the image, the same without the hidden car, what its light
+adds, the labels.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.files import write_atomic
+from foreglow.reports.preview import labelled
+from foreglow.reports.tone import Tone
+from foreglow.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
+
+SEED = 4
+SIZE_PX = (1280, 960)
+TILE_PX = (480, 360)
+TIMES_S = {"day": 3.3, "night": 3.3}
+Picture = NDArray[np.uint8]
+
+
+def main(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for names in (list(SCENARIOS)[:4], list(SCENARIOS)[4:]):
+        rows += [np.hstack([_tile(scenario(name, SEED), cycle, name) for name in names]) for cycle in TIMES_S]
+    _write(folder / "scenarios.jpg", np.vstack(rows))
+    _write(folder / "light.jpg", _taken_apart(scenario("curve", SEED)))
+
+
+def _tile(scene: Scene, cycle: str, name: str) -> Picture:
+    frame = _frame(scene, cycle, TIMES_S[cycle]).frame
+    picture = np.repeat(Tone.of(frame.image).apply(frame.image)[:, :, None], 3, axis=2)
+    small = np.asarray(cv2.resize(picture, TILE_PX, interpolation=cv2.INTER_AREA), np.uint8)
+    exposure = "short" if cycle == "day" else "long"
+    cv2.putText(small, f"{name}, {exposure} exposure", (10, 24), 0, 0.55, (235, 235, 235), 1, cv2.LINE_AA)
+    return small
+
+
+def _taken_apart(scene: Scene) -> Picture:
+    """The first frame in which light is seen of a car that is not, with and without that light."""
+    alone = scene.model_copy(update={"vehicles": ()})
+    shown = next(one for one in drive_frames(adapted(scene, SIZE_PX, 18.0, "day")) if _is_hidden(one))
+    time_s = shown.frame.timestamp_ns / 1e9
+    tone = Tone.of(shown.frame.image)
+    empty = _frame(alone, "day", time_s).frame.image
+    added = np.clip(5.0 * (shown.frame.image.astype(float) - empty), 0, 255).astype(np.uint8)
+    tiles = {
+        "the image": tone.apply(shown.frame.image),
+        "the same drive without the car": tone.apply(empty),
+        "what the car's light adds, 5 times": added,
+        "the labels": labelled(shown, tone),
+    }
+    pictures = []
+    for name, tile in tiles.items():
+        colour = np.repeat(tile[:, :, None], 3, axis=2) if tile.ndim == 2 else tile
+        small = np.asarray(cv2.resize(colour, (720, 540), interpolation=cv2.INTER_AREA), np.uint8)
+        cv2.putText(small, name, (10, 530), 0, 0.6, (235, 235, 235), 1, cv2.LINE_AA)
+        pictures.append(small)
+    return np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+
+
+def _is_hidden(one: DriveFrame) -> bool:
+    marks = [artifact for vehicle in one.vehicles for artifact in vehicle.artifacts if not artifact.is_doubtful]
+    return len(marks) > 0 and not any(artifact.is_direct for artifact in marks) and one.frame.timestamp_ns > 1e9
+
+
+def _frame(scene: Scene, cycle: str, time_s: float) -> DriveFrame:
+    """The frame at `time_s`: the second of a drive with so few frames a second."""
+    frames = drive_frames(adapted(scene, SIZE_PX, 1.0 / time_s, cycle))
+    next(frames)
+    return next(frames)
+
+
+def _write(path: Path, picture: Picture) -> None:
+    write_atomic(path, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes())
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
