@@ -54,7 +54,7 @@ def draw_surroundings(
 def _verge(draw: Draw, style: Style, snow: float, *, is_inner: bool) -> Verge:
     if style == "village":
         return Verge(bank_m=0.0, ditch_m=0.0, ground="pavement", snow=snow / 2, grass_per_m2=0.0)
-    hides = is_inner and draw.chance(0.85)
+    hides = is_inner and draw.chance(0.6)
     bank = draw.uniform(1.5, 4.0) if hides else draw.uniform(-1.5, 1.2)
     return Verge(
         bank_m=bank,

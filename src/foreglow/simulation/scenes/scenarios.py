@@ -40,7 +40,8 @@ SIGHT_S = (3.6, 0.8)
 """Mean and standard deviation of the time into the drive at which the oncoming car comes into sight; of the order of
 PVDN's night validation split, whose median is 3.6 s."""
 
-LONGEST_S = 9.5
+SHORTEST_S, LONGEST_S = 6.5, 9.5
+"""Bounds of the time into the drive at which the two meet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +196,7 @@ def _scene(draw: Draw, name: str, seed: int) -> Scene:
     sight_s = draw.normal(*SIGHT_S)
     start_m = draw.uniform(10.0, 25.0)
     cruising_mps = draw.uniform(15.0, 25.0)
-    focus_m = start_m + cruising_mps * sight_s + draw.uniform(30.0, 70.0)
+    focus_m = start_m + cruising_mps * sight_s + draw.uniform(50.0, 170.0)
     course = SCENARIOS[name][0](draw, focus_m)
     ego_mps = _speed_mps(draw, course, cruising_mps)
     other_mps = _speed_mps(draw, course, draw.uniform(15.0, 27.0))
@@ -232,7 +233,7 @@ def _encounter(
     free = corridor(surroundings, road.half_width_m)
     ego_mps = (ego[1][1] - ego[0][1]) / (ego[1][0] - ego[0][0])
     best: tuple[float, Profile, float] | None = None
-    for meeting_s in np.arange(sight_s + 1.0, LONGEST_S + 0.01, 0.5):
+    for meeting_s in np.arange(max(sight_s + 2.0, SHORTEST_S), LONGEST_S + 0.01, 0.5):
         meeting_m = ego[0][1] + ego_mps * meeting_s
         begin_m = round(float(meeting_m + other_mps * meeting_s), 2)
         other = ((0.0, begin_m), (10.0, round(begin_m - 10.0 * other_mps, 2)))
@@ -323,7 +324,8 @@ def _bend(draw: Draw, focus_m: float, *, gentle: bool = False) -> Bend:
     radius_m = draw.log_uniform(300.0, 900.0) if gentle else draw.log_uniform(110.0, 500.0)
     length_m = min(draw.uniform(80.0, 220.0), 1.7 * radius_m)
     start = max(focus_m - length_m * draw.uniform(0.25, 0.6), 5.0)
-    return (round(start, 1), round(start + length_m, 1), draw.choice([-1, 1]) / radius_m)
+    sign = -1 if draw.chance(0.6) else 1  # in PVDN more cars appear to the right than to the left
+    return (round(start, 1), round(start + length_m, 1), sign / radius_m)
 
 
 def _gentle_hills(draw: Draw, focus_m: float) -> Profile:
@@ -349,11 +351,11 @@ def _weather(draw: Draw) -> tuple[WeatherSpec, float]:
     """The weather, and how wet the road is."""
     kind = draw.choice(["dry", "wet", "rain", "snow", "mist"], [0.55, 0.2, 0.1, 0.08, 0.07])
     haze = {
-        "dry": (1e-4, 8e-4),
-        "wet": (2e-4, 1.2e-3),
-        "rain": (4e-4, 1.5e-3),
-        "snow": (4e-4, 2e-3),
-        "mist": (1.5e-3, 5e-3),
+        "dry": (5e-5, 3e-4),
+        "wet": (1e-4, 6e-4),
+        "rain": (2e-4, 1e-3),
+        "snow": (4e-4, 1.5e-3),
+        "mist": (1e-3, 4e-3),
     }
     weather = WeatherSpec(
         scattering_per_m=draw.log_uniform(*haze[kind]),

@@ -1,0 +1,134 @@
+"""`foreglow simulate` and `foreglow experiment simulator`, as a user types them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from foreglow.cli import app
+from foreglow.simulation import Scene, read_scene, scene_to_toml
+from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
+from tests.simulation.light.rendering import need_renderer
+from tests.test_cli import complaint
+
+
+def foreglow(*arguments: object) -> Result:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short drive towards a car."""
+    one = Scene(
+        name="mine",
+        duration_s=4 / 18,
+        road=RoadSpec(length_m=150.0),
+        vehicles=(VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0))),),
+        ego=EgoSpec(timetable=((0.0, 20.0), (10.0, 220.0))),
+    )
+    path = tmp_path_factory.mktemp("scene") / "mine.toml"
+    path.write_text(scene_to_toml(one))
+    return path
+
+
+@pytest.fixture(scope="module")
+def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated data set of two copies of that drive."""
+    need_renderer()
+    out = tmp_path_factory.mktemp("data") / "DATA"
+    result = foreglow(
+        "simulate", "--out", out, "--scene", scene_file, "--scene", scene_file, "--size", "160x120", "--quality", "fast"
+    )
+    assert "2 drives, 8 images" in result.stdout
+    return out
+
+
+def test_the_data_set_is_read_by_the_other_commands(data: Path, tmp_path: Path) -> None:
+    assert (data / "day" / "train" / "scenes.jsonl").is_file()
+    result = foreglow("run", data, "--out", tmp_path / "results")
+    assert "8 frames" in result.stdout
+    result = foreglow("evaluate", data, "--predictions", tmp_path / "results" / "frames.jsonl")
+    assert "recall" in result.stdout
+
+
+def test_running_again_keeps_what_is_there(data: Path, scene_file: Path) -> None:
+    arguments = ("--scene", scene_file, "--scene", scene_file, "--size", "160x120", "--quality", "fast")
+    before = (data / "day" / "train" / "images" / "S00001" / "010000.png").stat().st_mtime_ns
+    assert "(2 of them were there)" in foreglow("simulate", "--out", data, *arguments).stdout
+    assert (data / "day" / "train" / "images" / "S00001" / "010000.png").stat().st_mtime_ns == before
+
+
+def test_other_scenes_do_not_mix_with_those_there(data: Path, scene_file: Path) -> None:
+    said = complaint("simulate", "--out", data, "--scene", scene_file, "--size", "80x60", "--quality", "fast")
+    assert "choose another folder" in said
+
+
+def test_the_report_on_a_data_set(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    image = data / "day" / "train" / "images" / "S00001" / "010000.png"
+    foreglow("experiment", "simulator", data, "--out", tmp_path, "--real-labels", data, "--real-image", image)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["labels"]["num_images"] == 8
+    assert all(row["is_close"] for row in results["label_rows"] if row["ratio"] is not None)  # compared with itself
+    assert [effect["factor"] for effect in results["effects"]] == [0.5, 0.7, 1.0, 1.4, 2.0]
+    report = (tmp_path / "report.md").read_text()
+    assert "| instances per image |" in report
+    for name in ("leads.png", "pixels.png"):
+        assert cv2.imread(str(tmp_path / name)) is not None
+        assert f"({name})" in report
+
+
+def test_a_preview(scene_file: Path, tmp_path: Path) -> None:
+    need_renderer()
+    arguments = ("--preview", "mine", "--size", "160x120", "--quality", "fast")
+    result = foreglow("simulate", "--scene", scene_file, "--out", tmp_path, *arguments)
+    assert "4 frames of mine" in result.stdout
+    sheet = cv2.imread(str(tmp_path / "contact_sheet.png"))
+    assert sheet is not None
+    is_coloured = np.ptp(sheet.astype(int), axis=2) > 60
+    assert is_coloured.any()  # the marks
+    capture = cv2.VideoCapture(str(tmp_path / "drive.mp4"))
+    assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == 4
+
+
+def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)
+    assert read_scene(path).name == "crest"
+    assert foreglow("simulate", "--print", "crest", "--seed", 5).stdout == path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "expected --out DIR, --preview NAME or --print NAME"),
+        (("--preview", "nothing"), "scenario: expected one of curve"),
+        (("--preview", "curve", "--size", "12"), "size: expected WIDTHxHEIGHT"),
+        (("--preview", "curve", "--size", "8x8"), "camera.width_px"),
+        (("--preview", "curve", "--cycle", "dusk"), "sensor.exposure"),
+        (("--preview", "curve", "--quality", "best", "--out", "unused"), "quality: expected one of fast"),
+        (("--out", "unused", "--split", "exam"), "split: expected one of train"),
+        (("--scene", "nowhere.toml", "--out", "unused"), "nowhere.toml: no such"),
+    ],
+)
+def test_bad_arguments(
+    arguments: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert expected in complaint("simulate", *arguments)
+
+
+def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file: Path, tmp_path: Path) -> None:
+    def missing(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba")
+
+    monkeypatch.setattr("foreglow.simulation.light.render.prepare", missing)
+    said = complaint("simulate", "--scene", scene_file, "--preview", "mine", "--out", tmp_path)
+    assert "pip install 'foreglow[sim]'" in said
