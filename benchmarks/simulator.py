@@ -32,7 +32,7 @@ class Effort:
     """How much is simulated."""
 
     scenarios: tuple[str, ...] = tuple(SCENARIOS)
-    num_frames: int = 25
+    num_frames: int = 12
 
 
 QUICK = Effort(scenarios=("curve",), num_frames=3)

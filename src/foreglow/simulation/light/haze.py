@@ -23,7 +23,9 @@ DARKEST_SHARE = 0.1
 class Haze:
     """A coarse grid of rays, each with the light gathered up to every one of a row of depths.
 
-    A pixel looks its own depth up between four rays, so that nothing bleeds over the edge of what stands in front.
+    A pixel looks its own depth up between four rays, so that haze behind does not bleed over the edge of what stands
+    in front. Each step is sampled once: where a lit space begins within the step that ends at a pixel's surface, a part
+    of it counts for that pixel, at most the light of one step; edges of shadows are as sharp as the grid.
     """
 
     def __init__(self, camera: Camera, size: tuple[int, int, int]) -> None:
