@@ -1,22 +1,22 @@
-# make demo [SOURCE=path], make test, make check, make bench, make picture.
-# PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, it is
-# the real frame beside the checkout where there is one.
+# make demo [SOURCE=path], make test, make check, make bench, make picture, make simulator-pictures, make simulator-report.
+# PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
+# demo simulates a drive.
 PYTHON ?= python3
-SOURCE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
+SOURCE ?=
 VENV := .venv
 BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench picture clean
+.PHONY: demo test check bench picture simulator-pictures simulator-report clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
-# The package alone is enough for the demo; developing adds the training stack, the tests and the checkers.
+# The demo needs the package and the simulator; developing adds the training stack, the tests and the checkers.
 $(VENV)/.run: $(BIN)/python pyproject.toml $(NATIVE)
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable '.[sim]'
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
@@ -41,6 +41,7 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector
 	$(BIN)/python -m benchmarks.classifier
+	$(BIN)/python -m benchmarks.simulator
 
 # The picture of the README, from a generated frame.
 picture: $(VENV)/.dev
@@ -48,5 +49,17 @@ picture: $(VENV)/.dev
 	$(BIN)/foreglow run bench_output/synthetic/000000.png --out bench_output/picture --video
 	cp bench_output/picture/overlay.png docs/images/synthetic_road.png
 
+# The pictures of docs/simulator.md: some ten minutes.
+simulator-pictures: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.simulator_pictures docs/images
+
+# The tables of docs/simulator.md: half an hour on two cores. REAL_LABELS and REAL_IMAGE are compared with where they are there.
+REAL_LABELS ?= $(wildcard ../shared/data/pvdn_night_val_labels.json)
+REAL_IMAGE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
+simulator-report: $(VENV)/.dev
+	$(BIN)/foreglow simulate --out bench_output/drives --scenes 40 --seed 7 --split val --fps 6
+	$(BIN)/foreglow experiment simulator bench_output/drives --out bench_output/simulator_report \
+	    $(if $(REAL_LABELS),--real-labels "$(REAL_LABELS)") $(if $(REAL_IMAGE),--real-image "$(REAL_IMAGE)")
+
 clean:
-	rm -rf $(VENV) build demo_output bench_output
+	rm -rf $(VENV) build demo_output bench_output preview_output

@@ -277,10 +277,6 @@ def test_pvdn_as_a_whole_names_a_split(tmp_path: Path) -> None:
         assert "one split of PVDN, such as " in complaint("run", path, "--out", tmp_path / "out")
 
 
-def test_demo_needs_a_source(tmp_path: Path) -> None:
-    assert "make demo SOURCE=path" in complaint("demo", "--out", tmp_path / "out")
-
-
 def test_unknown_data_set() -> None:
     assert "expected pvdn, got 'kitti'" in complaint("download", "kitti")
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from foreglow import simulation
 from foreglow.cli import app
-from foreglow.simulation import Scene, read_scene, scene_to_toml
+from foreglow.simulation import Scene, adapted, read_scene, scene_to_toml
 from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.simulation.light.rendering import need_renderer
 from tests.test_cli import complaint
@@ -26,6 +27,10 @@ def foreglow(*arguments: object) -> Result:
 @pytest.fixture(scope="module")
 def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short drive towards a car."""
+    return scene_of(tmp_path_factory.mktemp("scene"))
+
+
+def scene_of(folder: Path) -> Path:
     one = Scene(
         name="mine",
         duration_s=4 / 18,
@@ -33,7 +38,7 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         vehicles=(VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0))),),
         ego=EgoSpec(timetable=((0.0, 20.0), (10.0, 220.0))),
     )
-    path = tmp_path_factory.mktemp("scene") / "mine.toml"
+    path = folder / "mine.toml"
     path.write_text(scene_to_toml(one))
     return path
 
@@ -132,3 +137,12 @@ def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file:
     monkeypatch.setattr("foreglow.simulation.light.render.prepare", missing)
     said = complaint("simulate", "--scene", scene_file, "--preview", "mine", "--out", tmp_path)
     assert "pip install 'foreglow[sim]'" in said
+
+
+def test_the_demo_simulates_where_nothing_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_renderer()
+    monkeypatch.setattr(simulation, "scenario", lambda name, seed: read_scene(scene_of(tmp_path)))  # noqa: ARG005
+    monkeypatch.setattr(simulation, "adapted", lambda scene, *_: adapted(scene, (160, 120), 18.0, "day"))
+    result = foreglow("demo", "--out", tmp_path / "out")
+    assert "4 frames" in result.stdout
+    assert (tmp_path / "out" / "overlay.mp4").is_file()

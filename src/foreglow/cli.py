@@ -24,6 +24,10 @@ EXTRAS = {"onnx": "train", "torch": "train", "mitsuba": "sim", "drjit": "sim", "
 """Optional modules, and the extra that installs each."""
 
 
+DEMO_SCENARIO, DEMO_SEED = "curve", 4
+"""The drive of `foreglow demo` without a source."""
+
+
 class Commands(TyperGroup):
     """The sub-commands, with their errors turned into one line on stderr."""
 
@@ -102,8 +106,8 @@ def run(
 ) -> None:
     """Find the light artifacts in SOURCE and write them to a folder."""
     configuration = _configuration(preset, config, model)
-    summary = _run(source, out, configuration, has_video=video, limit=limit, on_error=on_error)
-    _finish(summary, out)
+    frames = _opened(source, out, on_error)
+    _finish(_run(frames, str(source), out, configuration, has_video=video, limit=limit), out)
 
 
 @app.command()
@@ -168,11 +172,10 @@ def demo(
     out: Annotated[Path, _folder(help="Folder for the results.")] = Path("demo_output"),
     model: ModelOption = None,
 ) -> None:
-    """Run on SOURCE with annotated pictures, and say where to look."""
-    if source is None:
-        raise ValueError("demo: nothing to run on yet; pass an image, a folder or a video: make demo SOURCE=path")
-    summary = _run(source, out, _configuration("paper", None, model), has_video=True)
-    _finish(summary, out)
+    """Run on SOURCE, or on a simulated drive, with annotated pictures, and say where to look."""
+    frames = _simulated_drive() if source is None else _opened(source, out)
+    name = frames.name if source is None else str(source)
+    _finish(_run(frames, name, out, _configuration("paper", None, model), has_video=True), out)
 
 
 @app.command()
@@ -250,31 +253,44 @@ def _configuration(preset: str, file: Path | None, model: Path | None) -> Pipeli
     return configuration
 
 
-def _run(
-    source: Path,
-    out: Path,
-    configuration: PipelineConfig,
-    *,
-    has_video: bool,
-    limit: int | None = None,
-    on_error: str = "stop",
-) -> RunSummary:
-    """Runs the pipeline over `source`, with a progress bar where there is a terminal."""
+def _opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
+    """The frames of `source`, which must not be what the results in `out` overwrite."""
     from foreglow.datasets import open_source
-    from foreglow.pipeline import Pipeline
-    from foreglow.reports.progress import ProgressSink
-    from foreglow.runtime import RESULT_NAMES, OutputFolder, run
+    from foreglow.runtime import RESULT_NAMES
 
     if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
         raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
     if source.resolve() == out.resolve() and source.is_dir():  # a picture in it would be a source of the next run
         raise ValueError(f"{out}: expected another folder for the results than the source")
-    frames = open_source(source, on_error=cast("OnError", on_error))
+    return open_source(source, on_error=cast("OnError", on_error))
+
+
+def _simulated_drive() -> FrameSource:
+    """A drive that is worth seeing: a bend, from behind which a car comes."""
+    from foreglow.simulation import adapted, scenario, simulate
+
+    return simulate(adapted(scenario(DEMO_SCENARIO, DEMO_SEED), (640, 480), 9.0, "day"))
+
+
+def _run(
+    frames: FrameSource,
+    name: str,
+    out: Path,
+    configuration: PipelineConfig,
+    *,
+    has_video: bool,
+    limit: int | None = None,
+) -> RunSummary:
+    """Runs the pipeline over `frames`, with a progress bar where there is a terminal."""
+    from foreglow.pipeline import Pipeline
+    from foreglow.reports.progress import ProgressSink
+    from foreglow.runtime import OutputFolder, run
+
     pipeline = Pipeline(configuration)
     folder = OutputFolder(out)
     num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
     sinks = [ProgressSink(num_frames), *_picture_sinks(frames, folder, has_video)]
-    return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=str(source))
+    return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
 
 
 def _picture_sinks(frames: FrameSource, folder: OutputFolder, has_video: bool) -> list[ResultSink]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from foreglow.geometry import Floats
 from foreglow.simulation.scenes.surroundings import Profile, SurroundingsSpec
 from foreglow.simulation.world.road import Road
 
@@ -14,6 +16,9 @@ EYE_M, LAMP_M = 1.25, 0.65
 
 BLOCKING_HEIGHT_M = 1.2
 """A bank or a wall of at least this height hides a car behind it."""
+
+LIT_AHEAD_M = (15.0, 35.0, 60.0)
+"""How far ahead of a car its low beam lights a rail or a bank well enough to be noticed."""
 
 NUM_SAMPLES = 32
 TIME_STEP_S = 0.2
@@ -48,18 +53,24 @@ def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) ->
         return True
     lane = road.half_width_m / 2
     eye, lamp = road.points([ego_s_m, other_s_m], [-lane, lane], [EYE_M, LAMP_M])
-    line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (lamp - eye)
-    places = np.arange(ego_s_m, other_s_m + 3.0, 3.0)
-    centre = road.points(places)
-    nearest = np.argmin(((line[:, None, :2] - centre[None, :, :2]) ** 2).sum(-1), axis=1)
-    heading = road.heading_rad(places[nearest])
-    away = line[:, :2] - centre[nearest, :2]
-    t = -np.sin(heading) * away[:, 0] + np.cos(heading) * away[:, 1]
-    is_free = (t < free.left_m) & (t > -free.right_m) & (line[:, 2] > centre[nearest, 2] + 0.05)
-    return bool(is_free.all())
+    return _is_free(road, (ego_s_m, other_s_m), eye, lamp, free)
 
 
-def sight_time_s(road: Road, free: Corridor, ego: Profile, other: Profile) -> float:
+def is_light_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
+    """Whether something straight ahead of an oncoming car at `other_s_m`, lit by it, can be seen from `ego_s_m`."""
+    if other_s_m <= ego_s_m + 1.0:
+        return True
+    lane = road.half_width_m / 2
+    eye, lamp, behind = road.points([ego_s_m, other_s_m, other_s_m + 1.0], [-lane, lane, lane], [EYE_M, LAMP_M, LAMP_M])
+    for ahead_m in LIT_AHEAD_M:
+        if _is_free(road, (ego_s_m, other_s_m), eye, lamp + ahead_m * (lamp - behind), free):
+            return True
+    return False
+
+
+def sight_time_s(
+    road: Road, free: Corridor, ego: Profile, other: Profile, is_seen: Callable[..., bool] = is_in_sight
+) -> float:
     """Time before the meeting, in s, for which the two see each other without a break; 0 if only at the meeting.
 
     Args:
@@ -67,16 +78,30 @@ def sight_time_s(road: Road, free: Corridor, ego: Profile, other: Profile) -> fl
         free: What keeps the view open.
         ego: Two points (time, arc length) of our time table, at constant speed.
         other: The same for the oncoming car.
+        is_seen: What is meant by seeing: the car, or its light.
     """
     ego_speed, other_speed = (_speed(one) for one in (ego, other))
     meeting = (other[0][1] - ego[0][1]) / (ego_speed - other_speed)
     seen = 0.0
     while seen < meeting:
         time = meeting - seen - TIME_STEP_S
-        if not is_in_sight(road, ego[0][1] + ego_speed * time, other[0][1] + other_speed * time, free):
+        if not is_seen(road, ego[0][1] + ego_speed * time, other[0][1] + other_speed * time, free):
             break
         seen += TIME_STEP_S
     return min(seen, meeting)
+
+
+def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Floats, free: Corridor) -> bool:
+    """Whether the line from `eye` to `target` stays above the road and within the corridor along it."""
+    line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (target - eye)
+    places = np.arange(between_m[0], between_m[1] + 3.0, 3.0)
+    centre = road.points(places)
+    nearest = np.argmin(((line[:, None, :2] - centre[None, :, :2]) ** 2).sum(-1), axis=1)
+    heading = road.heading_rad(places[nearest])
+    away = line[:, :2] - centre[nearest, :2]
+    t = -np.sin(heading) * away[:, 0] + np.cos(heading) * away[:, 1]
+    is_free = (t < free.left_m) & (t > -free.right_m) & (line[:, 2] > centre[nearest, 2] + 0.05)
+    return bool(is_free.all())
 
 
 def _speed(timetable: Profile) -> float:

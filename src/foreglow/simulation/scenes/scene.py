@@ -213,7 +213,7 @@ class SensorSpec(SpecModel):
     """
 
     exposure: Literal["day", "night"] = "day"
-    grey_per_cd_m2: Positive = 95.0
+    grey_per_cd_m2: Positive = 50.0
     night_gain: Positive = 8.0
     day_exposure_s: Positive = 8e-3
     night_exposure_s: Positive = 2.5e-2
