@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,10 +18,11 @@ EYE_M, LAMP_M = 1.25, 0.65
 BLOCKING_HEIGHT_M = 1.2
 """A bank or a wall of at least this height hides a car behind it."""
 
-LIT_AHEAD_M = (15.0, 35.0, 60.0)
+LIT_AHEAD_M = (20.0, 50.0, 90.0, 130.0)
 """How far ahead of a car its low beam lights a rail or a bank well enough to be noticed."""
 
 NUM_SAMPLES = 32
+CENTRE_STEP_M = 3.0
 TIME_STEP_S = 0.2
 
 
@@ -94,14 +96,23 @@ def sight_time_s(
 def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Floats, free: Corridor) -> bool:
     """Whether the line from `eye` to `target` stays above the road and within the corridor along it."""
     line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (target - eye)
-    places = np.arange(between_m[0], between_m[1] + 3.0, 3.0)
-    centre = road.points(places)
-    nearest = np.argmin(((line[:, None, :2] - centre[None, :, :2]) ** 2).sum(-1), axis=1)
-    heading = road.heading_rad(places[nearest])
+    places, points, headings = _centre_line(road)
+    part = slice(*np.searchsorted(places, (between_m[0] - CENTRE_STEP_M, between_m[1] + CENTRE_STEP_M)))
+    centre = points[part]
+    squares = (line[:, None, 0] - centre[:, 0]) ** 2 + (line[:, None, 1] - centre[:, 1]) ** 2
+    nearest = np.argmin(squares, axis=1)
+    heading = headings[part][nearest]
     away = line[:, :2] - centre[nearest, :2]
     t = -np.sin(heading) * away[:, 0] + np.cos(heading) * away[:, 1]
     is_free = (t < free.left_m) & (t > -free.right_m) & (line[:, 2] > centre[nearest, 2] + 0.05)
     return bool(is_free.all())
+
+
+@functools.lru_cache(maxsize=2)
+def _centre_line(road: Road) -> tuple[Floats, Floats, Floats]:
+    """Arc lengths every few metres, also beyond the road's ends, the points there and the headings."""
+    places = np.arange(-100.0, road.length_m + 100.0, CENTRE_STEP_M)
+    return places, road.points(places), road.heading_rad(places)
 
 
 def _speed(timetable: Profile) -> float:
