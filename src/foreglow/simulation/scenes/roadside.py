@@ -55,7 +55,7 @@ def draw_surroundings(
 def _verge(draw: Draw, style: Style, snow: float, *, is_inner: bool) -> Verge:
     if style == "village":
         return Verge(bank_m=0.0, ditch_m=0.0, ground="pavement", snow=snow / 2, grass_per_m2=0.0)
-    hides = draw.chance(0.6 if is_inner else 0.35)
+    hides = draw.chance(0.5 if is_inner else 0.35)
     bank = draw.uniform(1.5, 6.0) if hides else draw.uniform(-1.5, 1.2)
     return Verge(
         bank_m=bank,

@@ -239,7 +239,7 @@ def _scene(draw: Draw, name: str, seed: int) -> Scene:
         vehicles=_vehicles(draw, plan.course, plan.other, plan.ego),
         ego=EgoSpec(
             timetable=plan.ego,
-            brightness=draw.log_uniform(0.6, 1.5),
+            brightness=draw.log_uniform(0.5, 1.25),
             yaw_aim_deg=draw.normal(0.0, 0.4),
             pitch_aim_deg=draw.normal(-0.1, 0.3),
             body_motion=draw.log_uniform(0.5, 2.0),
@@ -366,7 +366,7 @@ def _bend(draw: Draw, focus_m: float, *, gentle: bool = False) -> Bend:
     radius_m = draw.log_uniform(300.0, 900.0) if gentle else draw.log_uniform(110.0, 500.0)
     length_m = min(draw.uniform(80.0, 220.0), 1.7 * radius_m)
     start = max(focus_m - length_m * draw.uniform(0.25, 0.6), 5.0)
-    sign = -1 if draw.chance(0.6) else 1  # in PVDN more cars appear to the right than to the left
+    sign = -1 if draw.chance(0.7) else 1  # in PVDN more cars appear to the right than to the left
     return (round(start, 1), round(start + length_m, 1), sign / radius_m)
 
 

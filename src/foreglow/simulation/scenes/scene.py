@@ -249,8 +249,8 @@ class LabelRule(SpecModel):
         min_visible: Share of a lamp's disc that must be seen for a direct instance.
     """
 
-    min_grey: Positive = 12.0
-    min_contrast: Positive = 30.0
+    min_grey: Positive = 15.0
+    min_contrast: Positive = 37.5
     min_area_px: Positive = 25.0
     saddle: Share = 0.5
     min_distance_px: NonNegative = 20.0

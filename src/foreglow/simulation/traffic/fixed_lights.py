@@ -22,6 +22,9 @@ FARTHEST_M = 600.0
 PANE = np.array([(y, z) for z in (-1 / 3, 0.0, 1 / 3) for y in (-0.25, 0.25)])
 """Points that draw a light's face, in its width and height."""
 
+SMALL_PX = 8.0
+"""A face that is smaller in the image is drawn as one disc."""
+
 
 class FixedLights:
     """The lights that belong to a place."""
@@ -49,14 +52,15 @@ class FixedLights:
                 continue
             towards = light.pose.to_body(camera_m)
             intensity = float(_table(light).towards(towards)) * light.intensity_cd
+            is_small = sightings.radius_px(max(light.size_m), distance) < SMALL_PX
+            pane = PANE[:1] * 0.0 if is_small else PANE
             # A little before the face, which would hide its own points.
-            local = np.column_stack([np.full(len(PANE), 0.03), PANE * light.size_m])
-            points = light.pose.to_outer(local)
-            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(PANE))
-            cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(PANE) / np.pi)
+            points = light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m]))
+            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane))
+            cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(pane) / np.pi)
             for point in points[seen > 0]:
                 positions.append(sightings.project(point))
-                illuminances.append(intensity / len(PANE) / distance**2 * sightings.attenuation(distance))
+                illuminances.append(intensity / len(pane) / distance**2 * sightings.attenuation(distance))
                 radii.append(sightings.radius_px(float(cell_m), distance))
         return LampPoints(np.array(positions).reshape(-1, 2), np.array(illuminances), np.array(radii))
 

@@ -42,7 +42,7 @@ class Material:
 
 
 MATERIALS: tuple[Material, ...] = (
-    Material("road", "road", 0.085, 0.04, 0.55, variation=0.1, bump=0.0025),
+    Material("road", "road", 0.055, 0.04, 0.55, variation=0.1, bump=0.0025),
     Material("marking", "road", 0.45, 0.04, 0.5, retroreflection=0.12, variation=0.15),
     Material("pavement", "road", 0.20, 0.02, 0.7, variation=0.15, bump=0.02),
     Material("gravel", "verge", 0.10, 0.0, 0.9, variation=0.22, bump=0.08),
