@@ -57,7 +57,7 @@ simulator-pictures: $(VENV)/.dev
 REAL_LABELS ?= $(wildcard ../shared/data/pvdn_night_val_labels.json)
 REAL_IMAGE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
 simulator-report: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out bench_output/drives --scenes 40 --seed 7 --split val --fps 6
+	$(BIN)/foreglow simulate --out bench_output/drives --scenes 32 --seed 7 --split val --fps 6
 	$(BIN)/foreglow experiment simulator bench_output/drives --out bench_output/simulator_report \
 	    $(if $(REAL_LABELS),--real-labels "$(REAL_LABELS)") $(if $(REAL_IMAGE),--real-image "$(REAL_IMAGE)")
 

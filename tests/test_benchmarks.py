@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import simulator
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
 from foreglow.proposals import NativeProposer, ReferenceProposer
+from foreglow.simulation import adapted, scenario
 from tests.shared_data import SHARED
+from tests.simulation.light.rendering import need_renderer
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +82,11 @@ def test_benchmarks_write_their_figures(tmp_path: Path) -> None:
     for part in ("proposals", "detector", "classifier"):
         assert all(math.isfinite(number) and number >= 0 for number in figures(results[part]))
         assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in results[part])
+
+
+def test_the_simulator_is_timed_by_scenario() -> None:
+    need_renderer()
+    drawn = scenario("straight", 1)
+    row = simulator.measure_drive(adapted(drawn, (64, 48), 2.0 / drawn.duration_s, "night"))
+    assert row["scenario"] == "straight"
+    assert 0 < row["haze_median_ms"] < row["render_median_ms"] < row["frame_median_ms"]

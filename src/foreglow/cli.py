@@ -24,7 +24,7 @@ EXTRAS = {"onnx": "train", "torch": "train", "mitsuba": "sim", "drjit": "sim", "
 """Optional modules, and the extra that installs each."""
 
 
-DEMO_SCENARIO, DEMO_SEED = "curve", 4
+DEMO_SCENARIO, DEMO_SEED = "curve", 0
 """The drive of `foreglow demo` without a source."""
 
 
