@@ -53,11 +53,11 @@ picture: $(VENV)/.dev
 simulator-pictures: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.simulator_pictures docs/images
 
-# The tables of docs/simulator.md: half an hour on two cores. REAL_LABELS and REAL_IMAGE are compared with where they are there.
+# The tables of docs/simulator.md: ten minutes on two cores. REAL_LABELS and REAL_IMAGE are compared with where they are there.
 REAL_LABELS ?= $(wildcard ../shared/data/pvdn_night_val_labels.json)
 REAL_IMAGE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
 simulator-report: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out bench_output/drives --scenes 32 --seed 7 --split val --fps 6
+	$(BIN)/foreglow simulate --out bench_output/drives --scenes 32 --seed 7 --split val --fps 4
 	$(BIN)/foreglow experiment simulator bench_output/drives --out bench_output/simulator_report \
 	    $(if $(REAL_LABELS),--real-labels "$(REAL_LABELS)") $(if $(REAL_IMAGE),--real-image "$(REAL_IMAGE)")
 
