@@ -6,7 +6,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from foreglow.simulation.scenes import scenarios
+from foreglow.simulation.scenes import planning
 from foreglow.simulation.scenes.encounter import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
 from foreglow.simulation.scenes.scenarios import SCENARIOS, SPLITS, draw_scenes, resized, scenario
 from foreglow.simulation.scenes.scene import RoadSpec, Scene
@@ -18,7 +18,7 @@ WIDE = Corridor(60.0, 60.0)
 
 @functools.cache
 def fifty() -> tuple[Scene, ...]:
-    with patch.object(scenarios, "MAX_PLANS", 1):  # quick: as the first draw comes
+    with patch.object(planning, "MAX_PLANS", 1):  # quick: as the first draw comes
         return draw_scenes(50, 1)
 
 
