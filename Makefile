@@ -49,7 +49,7 @@ picture: $(VENV)/.dev
 	$(BIN)/foreglow run bench_output/synthetic/000000.png --out bench_output/picture --video
 	cp bench_output/picture/overlay.png docs/images/synthetic_road.png
 
-# The pictures of docs/simulator.md: some ten minutes.
+# The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.simulator_pictures docs/images
 
