@@ -23,6 +23,8 @@ SEED = 0
 SIZE_PX = (1280, 960)
 TILE_PX = (480, 360)
 TIMES_S = {"day": 3.3, "night": 3.3}
+GAINS = {"day": 3.5, "night": 1.7}
+BLACK_GREY = 6.0
 Picture = NDArray[np.uint8]
 
 
@@ -36,8 +38,8 @@ def main(folder: Path) -> None:
 
 
 def _tile(scene: Scene, cycle: str, name: str) -> Picture:
-    frame = _frame(scene, cycle, TIMES_S[cycle]).frame
-    picture = np.repeat(Tone.of(frame.image).apply(frame.image)[:, :, None], 3, axis=2)
+    image = _frame(scene, cycle, TIMES_S[cycle]).frame.image
+    picture = np.repeat(_brightened(image, GAINS[cycle])[:, :, None], 3, axis=2)
     small = np.asarray(cv2.resize(picture, TILE_PX, interpolation=cv2.INTER_AREA), np.uint8)
     exposure = "short" if cycle == "day" else "long"
     cv2.putText(small, f"{name}, {exposure} exposure", (10, 24), 0, 0.55, (235, 235, 235), 1, cv2.LINE_AA)
@@ -49,14 +51,13 @@ def _taken_apart(scene: Scene) -> Picture:
     alone = scene.model_copy(update={"vehicles": ()})
     shown = next(one for one in drive_frames(adapted(scene, SIZE_PX, 18.0, "day")) if _is_hidden(one))
     time_s = shown.frame.timestamp_ns / 1e9
-    tone = Tone.of(shown.frame.image)
     empty = _frame(alone, "day", time_s).frame.image
     added = np.clip(5.0 * (shown.frame.image.astype(float) - empty), 0, 255).astype(np.uint8)
     tiles = {
-        "the image": tone.apply(shown.frame.image),
-        "the same drive without the car": tone.apply(empty),
+        "the image": _brightened(shown.frame.image, GAINS["day"]),
+        "the same drive without the car": _brightened(empty, GAINS["day"]),
         "what the car's light adds, 5 times": added,
-        "the labels": labelled(shown, tone),
+        "the labels": labelled(shown, Tone(_brightened(np.arange(256), GAINS["day"]))),
     }
     pictures = []
     for name, tile in tiles.items():
@@ -65,6 +66,10 @@ def _taken_apart(scene: Scene) -> Picture:
         cv2.putText(small, name, (10, 530), 0, 0.6, (235, 235, 235), 1, cv2.LINE_AA)
         pictures.append(small)
     return np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+
+
+def _brightened(grey: NDArray[np.integer], gain: float) -> Picture:
+    return np.clip(gain * (grey.astype(np.float64) - BLACK_GREY), 0, 255).astype(np.uint8)
 
 
 def _is_hidden(one: DriveFrame) -> bool:

@@ -14,7 +14,7 @@ from foreglow.simulation.scenes.scene import LabelRule
 from foreglow.simulation.truth import Artifact
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Factors on both thresholds; 0.5 is as far down as candidates allow for doubtful artifacts too."""
+"""Factors on both thresholds; candidates allow for 1 / `CANDIDATE_FACTOR` and more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,15 @@ from foreglow.simulation.world.materials import NO_MATERIAL, material_number
 from tests.simulation.truths import artifact, lamp
 
 HEIGHT_PX, WIDTH_PX = 240, 400
-RULE = LabelRule(min_distance_px=30.0, max_instances=4, max_hidden_instances=4, relative_strength=0.25)
+RULE = LabelRule(
+    min_grey=2.0,
+    min_contrast=5.0,
+    doubtful_factor=2.0,
+    min_distance_px=30.0,
+    max_instances=4,
+    max_hidden_instances=4,
+    relative_strength=0.25,
+)
 
 
 def added_light(*blobs: tuple[float, float, float], sigma_px: float = 6.0) -> NDArray[np.float32]:
