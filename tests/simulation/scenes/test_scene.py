@@ -53,3 +53,10 @@ def test_missing_file() -> None:
 def test_number_of_frames() -> None:
     assert Scene(duration_s=2.0, rate_hz=18.0).num_frames == 36
     assert Scene(duration_s=0.001, rate_hz=18.0).num_frames == 1
+
+
+def test_the_example_of_the_guide_is_a_scene(tmp_path: Path) -> None:
+    guide = (Path(__file__).parents[3] / "docs" / "scenes.md").read_text(encoding="utf-8")
+    path = tmp_path / "scene.toml"
+    path.write_text(guide.split("```toml\n")[1].split("```")[0])
+    assert read_scene(path).name == "my_bend"
