@@ -9,7 +9,7 @@ from foreglow.simulation.truth import VehicleTruth
 from tests.simulation.truths import artifact, lamp, lamp_artifact, vehicle
 
 FRAME_NS = 50_000_000
-CONFIG = ProductionConfig(confirm_frames=3, latency_s=0.1, release_s=0.2)
+CONFIG = ProductionConfig(confirm_frames=3, rate_hz=20.0, latency_s=0.1, release_s=0.2)
 
 
 def bright(vehicle_id: int = 0, **fields: Any) -> VehicleTruth:
@@ -88,3 +88,11 @@ def test_vehicles_are_told_apart() -> None:
 def test_a_wrong_config_is_refused() -> None:
     with pytest.raises(ValueError, match="confirm_frames"):
         ProductionConfig(confirm_frames=0)
+
+
+def test_five_frames_of_its_own_camera_whatever_the_drives_rate() -> None:
+    for drive_hz, expected_ns in ((36.0, 222_222_222), (18.0, 222_222_222), (9.0, 222_222_222), (4.0, 250_000_000)):
+        system = ProductionSystem(ProductionConfig(latency_s=0.0))
+        times = [round(place * 1e9 / drive_hz) for place in range(40)]
+        first = next(time for time in times if system.update(time, [bright()]))
+        assert first == pytest.approx(expected_ns, abs=1_000)

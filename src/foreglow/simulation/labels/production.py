@@ -25,8 +25,9 @@ class ProductionConfig(SpecModel):
             at 400 m on a straight level road: two lamps with 200 cd each give 0.0025 lx there, and that is about what
             a low beam emits above its cut-off (R112 allows 350 cd at B50L, 625 cd in zone III).
         min_visible: Share of a lamp's disc that must be in sight.
-        confirm_frames: Consecutive frames until a light is believed: 2 to 5 are published, and five by the paper's own
-            plausibility rule.
+        confirm_frames: Consecutive frames of its own camera until a light is believed: 2 to 5 are published, and five
+            by the paper's own plausibility rule.
+        rate_hz: Frames a second of its own camera, whatever the drive's.
         latency_s: From the last of these frames to the reaction. Published from camera to beam: 196 +- 21 ms,
             288 +- 17 ms, and below 200 ms.
         release_s: A vehicle stays reported for this long after its last sight, since the beam is only restored then.
@@ -36,6 +37,7 @@ class ProductionConfig(SpecModel):
     min_illuminance_lx: NonNegative = 0.002
     min_visible: Annotated[float, Field(ge=0, le=1)] = 0.5
     confirm_frames: Annotated[int, Field(ge=1)] = 5
+    rate_hz: Positive = 18.0
     latency_s: NonNegative = 0.24
     release_s: NonNegative = 2.0
 
@@ -44,7 +46,7 @@ class ProductionConfig(SpecModel):
 class _Light:
     """What the system remembers of one vehicle."""
 
-    num_consecutive: int = 0
+    since_ns: int | None = None
     confirmed_ns: int | None = None
     last_seen_ns: int = 0
 
@@ -65,11 +67,13 @@ class ProductionSystem:
     def update(self, timestamp_ns: int, vehicles: Iterable[VehicleTruth]) -> frozenset[int]:
         """Ids of the vehicles that are reported at the time of this image, which is the next one of the drive."""
         seen = {one.vehicle_id for one in vehicles if self._is_bright(one)}
+        # The first frame counts, and times are rounded to nanoseconds: a millisecond is not missed.
+        confirm_ns = round((self.config.confirm_frames - 1) / self.config.rate_hz * 1e9) - 1_000_000
         for vehicle_id in seen:
             light = self._lights.setdefault(vehicle_id, _Light())
-            light.num_consecutive += 1
+            light.since_ns = timestamp_ns if light.since_ns is None else light.since_ns
             light.last_seen_ns = timestamp_ns
-            if light.confirmed_ns is None and light.num_consecutive >= self.config.confirm_frames:
+            if light.confirmed_ns is None and timestamp_ns - light.since_ns >= confirm_ns:
                 light.confirmed_ns = timestamp_ns
         for vehicle_id in [one for one in self._lights if one not in seen]:
             light = self._lights[vehicle_id]
