@@ -82,6 +82,7 @@ def test_the_report_on_a_data_set(data: Path, tmp_path: Path) -> None:
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["labels"]["num_images"] == 8
     assert all(row["is_close"] for row in results["label_rows"] if row["ratio"] is not None)  # compared with itself
+    assert {row["ratio"] for row in results["pixel_rows"] if row["name"] == "dark grey"} != {None}
     assert [effect["factor"] for effect in results["effects"]] == [0.5, 0.7, 1.0, 1.4, 2.0]
     report = (tmp_path / "report.md").read_text()
     assert "| instances per image |" in report

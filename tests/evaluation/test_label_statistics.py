@@ -14,7 +14,6 @@ from foreglow.evaluation.label_statistics import (
     LabelledImage,
     Spread,
     compare_labels,
-    comparison_to_json,
     label_statistics,
     labels_of_split,
     read_label_digest,
@@ -98,7 +97,7 @@ def test_what_one_side_lacks_is_not_close() -> None:
 
 def test_rows_as_json() -> None:
     rows = [Comparison("share", 0.5, math.nan, math.nan, False)]
-    assert json.loads(comparison_to_json(rows)) == [
+    assert json.loads(json.dumps([row.to_json() for row in rows], allow_nan=False)) == [
         {"name": "share", "real": 0.5, "simulated": None, "ratio": None, "is_close": False}
     ]
 

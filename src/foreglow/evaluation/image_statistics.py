@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from foreglow.config import preset
 from foreglow.pipeline import Pipeline
+from foreglow.simulation.camera.optics import REFERENCE_WIDTH_PX
 
-REFERENCE_WIDTH_PX = 1280
 DARK_ROWS = 0.4
 """The upper share of the rows is night sky or forest: noise and pattern are measured there."""
 
@@ -73,7 +73,7 @@ class ImageStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class PixelComparison:
     """One number of real and simulated images.
 
     Attributes:
@@ -90,6 +90,11 @@ class Comparison:
     def ratio(self) -> float:
         """Simulated over real; NaN where the real one is 0 or the signs differ."""
         return self.simulated / self.real if self.real * self.simulated > 0 else math.nan
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields and the ratio by name, for JSON: null instead of NaN."""
+        values = dataclasses.asdict(self) | {"ratio": self.ratio}
+        return {name: _or_none(value) for name, value in values.items()}
 
 
 def image_statistics(images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]]) -> ImageStatistics:
@@ -116,7 +121,7 @@ def image_statistics(images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]]) ->
     return ImageStatistics(**{**means, "num_images": len(listed)})
 
 
-def compare(real: ImageStatistics, simulated: ImageStatistics) -> tuple[Comparison, ...]:
+def compare(real: ImageStatistics, simulated: ImageStatistics) -> tuple[PixelComparison, ...]:
     """Both, number by number, as the rows of a table."""
     rows = []
     for field in dataclasses.fields(ImageStatistics):
@@ -129,7 +134,7 @@ def compare(real: ImageStatistics, simulated: ImageStatistics) -> tuple[Comparis
             names = [f"lamp, {a:g} to {b:g} px" for a, b in itertools.pairwise(LAMP_RADII_PX)]
         else:
             names, one, other = [field.name.replace("_", " ")], (one,), (other,)
-        rows += [Comparison(*row) for row in zip(names, one, other, strict=True)]
+        rows += [PixelComparison(*row) for row in zip(names, one, other, strict=True)]
     return tuple(rows)
 
 

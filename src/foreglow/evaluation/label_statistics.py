@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -247,11 +246,6 @@ def read_label_digest(path: Path, width_px: int = 1280, height_px: int = 960) ->
         tuple(LabelledImage(len(one.vehicles), shares(one.direct), shares(one.indirect)) for one in images)
         for images in read_json(path, _Digest).root.values()
     )
-
-
-def comparison_to_json(rows: Iterable[Comparison]) -> str:
-    """The rows of `compare_labels` as JSON text: a list of objects."""
-    return json.dumps([row.to_json() for row in rows], indent=1)
 
 
 def _lead_frames(drive: Sequence[LabelledImage]) -> float:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN, read_image, to_grey
-from foreglow.evaluation.image_statistics import Comparison as ImageComparison
-from foreglow.evaluation.image_statistics import ImageStatistics, image_statistics
+from foreglow.evaluation.image_statistics import ImageStatistics, PixelComparison, image_statistics
 from foreglow.evaluation.image_statistics import compare as compare_images
 from foreglow.evaluation.label_statistics import (
     Comparison,
@@ -50,7 +49,7 @@ class SimulatorResults:
     labels: LabelStatistics
     label_rows: tuple[Comparison, ...] | None
     pixels: ImageStatistics
-    pixel_rows: tuple[ImageComparison, ...] | None
+    pixel_rows: tuple[PixelComparison, ...] | None
     effects: tuple[RuleEffect, ...]
     leads_s: tuple[float, ...]
     production_delays_s: tuple[float, ...]
@@ -62,6 +61,7 @@ class SimulatorResults:
             "labels": self.labels.to_json(),
             "label_rows": None if self.label_rows is None else [row.to_json() for row in self.label_rows],
             "pixels": self.pixels.to_json(),
+            "pixel_rows": None if self.pixel_rows is None else [row.to_json() for row in self.pixel_rows],
             "effects": [effect.to_json() for effect in self.effects],
             "leads_s": list(self.leads_s),
             "production_delays_s": list(self.production_delays_s),

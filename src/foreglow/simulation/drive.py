@@ -14,7 +14,7 @@ from foreglow.simulation.camera.streaks import FallingParticles
 from foreglow.simulation.labels.annotation import Annotation, Annotator
 from foreglow.simulation.labels.categories import ImageCategories
 from foreglow.simulation.labels.production import ProductionSystem
-from foreglow.simulation.light.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER
+from foreglow.simulation.light.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER, mesh_name
 from foreglow.simulation.light.render import QUALITIES, Renderer, RenderSettings
 from foreglow.simulation.scenes.scene import CameraSpec, Scene
 from foreglow.simulation.traffic.actors import Actor, actors_at, ego_lamps, ego_tables
@@ -196,10 +196,7 @@ class _Run:
 
 def _body_meshes(scene: Scene) -> dict[str, Mesh]:
     """The bodies that the scene needs, as the renderer calls them."""
-    return {
-        f"{one.kind}/{'light' if one.is_light else 'dark'}": BODIES[one.kind].painted(one.is_light)
-        for one in scene.vehicles
-    }
+    return {mesh_name(one.kind, one.is_light): BODIES[one.kind].painted(one.is_light) for one in scene.vehicles}
 
 
 def _vehicle_truth(

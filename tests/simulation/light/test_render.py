@@ -262,19 +262,19 @@ def test_bodies_are_seen_and_throw_shadows() -> None:
     assert (without.bodies == -1).all()
 
 
-def test_visible_share() -> None:
+def test_is_visible() -> None:
     bodies = {"car/dark": small.box([0, 0, 0], 0.5)}
     world = small.renderer(small.wall(10, 2.0), bodies=bodies)
     placed = [PlacedBody("car", False, small.looking([5, y, 0])) for y in (0.0, 6.0)]
     # Through the first body; past everything; inside the second body; behind the wall; on the wall's own face.
     origins = np.array([[8.0, 0, 0], [8, 3, 0], [5, 6, 0], [12, 0, 0], [10, 1.9, 0]])
     target = np.array([0.0, 0.0, 0.0])
-    assert world.visible_share(origins, target, []).tolist() == [True, True, True, False, True]
-    assert world.visible_share(origins, target, placed).tolist() == [False, True, False, False, True]
-    inside = world.visible_share(origins, target, placed, ignore_body=1)
+    assert world.is_visible(origins, target, []).tolist() == [True, True, True, False, True]
+    assert world.is_visible(origins, target, placed).tolist() == [False, True, False, False, True]
+    inside = world.is_visible(origins, target, placed, ignore_body=1)
     assert inside.tolist() == [False, True, True, False, True]
-    assert world.visible_share(origins, target, placed, ignore_body=0).tolist() == [True, True, False, False, True]
-    assert world.visible_share(np.zeros((0, 3)), target, placed).shape == (0,)
+    assert world.is_visible(origins, target, placed, ignore_body=0).tolist() == [True, True, False, False, True]
+    assert world.is_visible(np.zeros((0, 3)), target, placed).shape == (0,)
 
 
 def test_more_samples_smooth_an_edge() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from foreglow.simulation.scenes.scene import Branch, RoadSpec
-from foreglow.simulation.scenes.surroundings import SIGN_KINDS, Rail, Side, Sign, SurroundingsSpec, Verge, Wall
+from foreglow.simulation.scenes.surroundings import Rail, Side, Sign, SignKind, SurroundingsSpec, Verge, Wall
 from foreglow.simulation.world.furniture import BURIED_M, build_furniture, clear_spans
 from foreglow.simulation.world.mesh import joined
 from foreglow.simulation.world.road import Road, branch_road
@@ -154,7 +156,7 @@ def test_delineators_stand_behind_a_rail() -> None:
     assert np.all(t[t > 0] - 3.5 < 0.7)
 
 
-@pytest.mark.parametrize("kind", SIGN_KINDS)
+@pytest.mark.parametrize("kind", get_args(SignKind))
 def test_sign_has_its_size_faces_its_reader_and_shows_its_back(kind: str) -> None:
     sign = Sign(side="right", s_m=10, kind=kind, size_m=0.8, height_m=1.5)  # type: ignore[arg-type]
     mesh = sign_mesh(sign)

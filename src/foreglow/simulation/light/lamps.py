@@ -43,3 +43,17 @@ class PlacedBody:
     kind: str
     is_light: bool
     world_from_vehicle: Pose
+
+    @property
+    def mesh_name(self) -> str:
+        """What the renderer calls its mesh."""
+        return mesh_name(self.kind, self.is_light)
+
+
+def mesh_name(kind: str, is_light: bool) -> str:
+    """What the renderer calls the mesh of a kind of body in one of its paints.
+
+    >>> mesh_name("car", False)
+    'car/dark'
+    """
+    return f"{kind}/{'light' if is_light else 'dark'}"

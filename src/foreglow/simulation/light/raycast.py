@@ -117,10 +117,9 @@ class Solids:
         self._placed = tuple(bodies)
 
     def _mesh(self, body: PlacedBody) -> Mesh:
-        key = f"{body.kind}/{'light' if body.is_light else 'dark'}"
-        if key not in self._bodies:
-            raise ValueError(f"bodies: expected one of {', '.join(self._bodies)}, got {key!r}")
-        return self._bodies[key]
+        if body.mesh_name not in self._bodies:
+            raise ValueError(f"bodies: expected one of {', '.join(self._bodies)}, got {body.mesh_name!r}")
+        return self._bodies[body.mesh_name]
 
     def hit(self, origin: Number, direction: Number) -> Hit:
         """What each ray meets first."""

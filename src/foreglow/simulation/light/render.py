@@ -127,7 +127,7 @@ class Renderer:
             first.body.numpy().astype(np.int16).reshape(samples.shape),
         )
 
-    def visible_share(
+    def is_visible(
         self,
         origins_m: NDArray[np.floating],
         target_m: NDArray[np.floating],

@@ -26,7 +26,6 @@ NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Side: TypeAlias = Literal["left", "right"]
 
-SIGN_KINDS = ("chevron_left", "chevron_right", "round", "triangle", "rectangle", "post_marker")
 SignKind: TypeAlias = Literal["chevron_left", "chevron_right", "round", "triangle", "rectangle", "post_marker"]
 
 

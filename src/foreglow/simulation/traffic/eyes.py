@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from foreglow.geometry import Floats, Pose
-from foreglow.photometry import illuminance_lx
 from foreglow.simulation.light.lamps import PlacedLamp
 from foreglow.simulation.traffic.actors import Actor
 from foreglow.simulation.traffic.sightings import Sightings
@@ -69,8 +68,8 @@ class Eyes:
         places = np.array([lamp.world_from_lamp.position_m for lamp in lamps])
         distances = np.linalg.norm(places - eye_m, axis=1)
         facing = np.clip((places - eye_m) @ forward / distances, 0.0, None)
-        direct = np.array([float(illuminance_lx(one.table, one.world_from_lamp, eye_m)) * one.scale for one in lamps])
-        direct *= facing * (distances < FARTHEST_M) * np.array([self._sightings.attenuation(d) for d in distances])
+        direct = np.array([self._sightings.illuminance_lx(lamp, eye_m) for lamp in lamps])
+        direct *= facing * (distances < FARTHEST_M)
         if float(direct.sum()) < FAINTEST_LX:
             return 0.0
         return float((direct * self._sightings.is_free(places, eye_m, ignore_body)).sum())

@@ -56,9 +56,9 @@ class FixedLights:
             pane = PANE[:1] * 0.0 if is_small else PANE
             # A little before the face, which would hide its own points.
             points = light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m]))
-            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane))
+            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane), bool)
             cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(pane) / np.pi)
-            for point in points[seen > 0]:
+            for point in points[seen]:
                 positions.append(sightings.project(point))
                 illuminances.append(intensity / len(pane) / distance**2 * sightings.attenuation(distance))
                 radii.append(sightings.radius_px(float(cell_m), distance))

@@ -55,22 +55,14 @@ class Sightings:
         if not actor.lamps:
             return ()
         discs = np.concatenate([_disc_points(lamp.placed) for lamp in actor.lamps])
-        is_seen = self._renderer.visible_share(discs, self.camera_m, self._bodies).reshape(len(actor.lamps), len(DISC))
+        is_seen = self.is_free(discs, self.camera_m).reshape(len(actor.lamps), len(DISC))
         return tuple(self._lamp(lamp, float(seen.mean())) for lamp, seen in zip(actor.lamps, is_seen, strict=True))
 
-    def _at_camera_lx(self, lamp: PlacedLamp, visible_share: float) -> float:
-        """Illuminance at the camera, facing the lamp, through the haze."""
-        distance = float(np.linalg.norm(self.camera_m - lamp.world_from_lamp.position_m))
-        free = float(illuminance_lx(lamp.table, lamp.world_from_lamp, self.camera_m)) * lamp.scale
-        return visible_share * free * self.attenuation(distance)
-
-    def visible_points(self, points_world_m: Floats) -> Floats:
-        """Which of the points, shape (N, 3), the camera sees, shape (N,), 0 or 1; those outside the image are 0."""
-        is_inside = self._is_in_image(points_world_m)
-        is_seen = np.zeros(len(points_world_m))
-        if is_inside.any():
-            inside = points_world_m[is_inside]
-            is_seen[is_inside] = self._renderer.visible_share(inside, self.camera_m, self._bodies)
+    def visible_points(self, points_world_m: Floats) -> NDArray[np.bool_]:
+        """Which of the points, shape (N, 3), the camera sees, shape (N,); none outside the image."""
+        is_seen = self._is_in_image(points_world_m)
+        if is_seen.any():
+            is_seen[is_seen] = self.is_free(points_world_m[is_seen], self.camera_m)
         return is_seen
 
     def body_share(self, place: int, actor: Actor) -> float:
@@ -79,7 +71,7 @@ class Sightings:
         is_inside = self._is_in_image(points)
         if not is_inside.any():
             return 0.0
-        is_seen = self._renderer.visible_share(points[is_inside], self.camera_m, self._bodies, ignore_body=place)
+        is_seen = self.is_free(points[is_inside], self.camera_m, place)
         return float(is_seen.sum() / len(points))
 
     def box_xyxy_px(self, actor: Actor) -> tuple[int, int, int, int] | None:
@@ -103,7 +95,12 @@ class Sightings:
         distances = [float(np.linalg.norm(lamps[place].position_world_m - self.camera_m)) for place in seen]
         return LampPoints(
             np.array([lamps[place].position_px for place in seen]).reshape(-1, 2),
-            np.array([self._at_camera_lx(actor.lamps[place].placed, lamps[place].visible_share) for place in seen]),
+            np.array(
+                [
+                    lamps[place].visible_share * self.illuminance_lx(actor.lamps[place].placed, self.camera_m)
+                    for place in seen
+                ]
+            ),
             np.array([self.radius_px(lamps[place].radius_m, d) for place, d in zip(seen, distances, strict=True)]),
         )
 
@@ -119,6 +116,12 @@ class Sightings:
         """Share of the light that passes the haze."""
         return float(np.exp(-self._haze_per_m * distance_m))
 
+    def illuminance_lx(self, lamp: PlacedLamp, point_m: Floats) -> float:
+        """Illuminance at a point, shape (3,), that faces `lamp` with only the haze in between."""
+        distance = float(np.linalg.norm(point_m - lamp.world_from_lamp.position_m))
+        free = float(illuminance_lx(lamp.table, lamp.world_from_lamp, point_m)) * lamp.scale
+        return free * self.attenuation(distance)
+
     def range_m(self, actor: Actor) -> float:
         """From the camera to the middle between a vehicle's headlamps, or to its box's centre if it has none lit."""
         heads = [lamp.placed.world_from_lamp.position_m for lamp in actor.lamps if not lamp.is_rear]
@@ -127,7 +130,7 @@ class Sightings:
 
     def is_free(self, origins_m: Floats, target_m: Floats, ignore_body: int | None = None) -> NDArray[np.bool_]:
         """Whether each of `origins_m`, shape (N, 3), sees `target_m`, shape (3,), in the world; shape (N,)."""
-        return self._renderer.visible_share(origins_m, target_m, self._bodies, ignore_body=ignore_body)
+        return self._renderer.is_visible(origins_m, target_m, self._bodies, ignore_body=ignore_body)
 
     def _lamp(self, lamp: LitLamp, visible_share: float) -> LampTruth:
         placed = lamp.placed
@@ -145,7 +148,7 @@ class Sightings:
             visible_share=share,
         )
 
-    def _is_in_image(self, points_world_m: Floats) -> Floats:
+    def _is_in_image(self, points_world_m: Floats) -> NDArray[np.bool_]:
         in_camera = self._camera_pose.to_body(points_world_m)
         # Far outside the field of view the distortion folds back: the angle is checked as well.
         is_ahead = in_camera[:, 0] > 0.2 * np.linalg.norm(in_camera, axis=1)
