@@ -14,7 +14,7 @@ import foreglow
 SOURCE = Path(foreglow.__file__).parent
 VALUES = {"types", "geometry", "photometry", "config", "calibration"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
-TOOLS = {"learning", "evaluation", "runtime"}
+TOOLS = {"evaluation", "learning", "experiments", "runtime"}
 
 ALLOWED: dict[str, set[str]] = {
     "files": set(),
@@ -27,7 +27,9 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},
-    **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in TOOLS},
+    **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
+    "learning": VALUES | STAGES | {"files", "pipeline", "datasets", "simulation", "evaluation"},
+    "experiments": VALUES | STAGES | {"files", "pipeline", "datasets", "simulation", "evaluation", "learning"},
     "reports": VALUES | TOOLS | {"files", "simulation"},
     "cli": VALUES | STAGES | TOOLS | {"files", "pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},

@@ -218,7 +218,7 @@ def experiment_simulator(
     real_image: Annotated[Path | None, _file(help="A real image of the same exposure, to compare with.")] = None,
 ) -> None:
     """Hold a simulated data set beside real drives: labels, pixels, and the time that indirect light leads."""
-    from foreglow.evaluation.simulator import examine
+    from foreglow.experiments.simulator import examine
     from foreglow.reports.simulator_page import write_report
 
     report = write_report(examine(data, real_labels, real_image), out)

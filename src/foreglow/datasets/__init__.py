@@ -20,10 +20,12 @@ from foreglow.datasets.pvdn_schema import (
 )
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
 from foreglow.datasets.source import FrameSource, OnError
+from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder
 from foreglow.datasets.video import Video
 
 __all__ = [
     "PVDN",
+    "SPLIT_NAMES",
     "BoxLabels",
     "CategoryConfig",
     "Cycle",
@@ -39,12 +41,14 @@ __all__ = [
     "RoadType",
     "Selection",
     "Sequence",
+    "SplitName",
     "Vehicle",
     "Video",
     "Weather",
     "download_pvdn",
     "open_source",
     "read_image",
+    "split_folder",
     "to_grey",
     "write_pvdn",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from foreglow.evaluation.image_statistics import LAMP_RADII_PX, PERCENTILES
 from foreglow.evaluation.perceivability import RuleEffect
-from foreglow.evaluation.simulator import SimulatorResults
+from foreglow.experiments.simulator import SimulatorResults
 from foreglow.files import write_atomic
 
 BIN_S = 0.25

@@ -1,0 +1,40 @@
+"""Finding the splits of a data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import split_folder
+
+
+def make_split(path: Path) -> Path:
+    (path / "labels").mkdir(parents=True)
+    (path / "labels" / "sequences.json").write_text("{}")
+    return path
+
+
+def test_split_beside_others(tmp_path: Path) -> None:
+    make_split(tmp_path / "train")
+    assert split_folder(tmp_path, "train") == tmp_path / "train"
+
+
+def test_split_of_the_only_cycle(tmp_path: Path) -> None:
+    make_split(tmp_path / "day" / "val")
+    assert split_folder(str(tmp_path), "val") == tmp_path / "day" / "val"
+
+
+def test_several_cycles_are_named(tmp_path: Path) -> None:
+    for cycle in ("day", "night"):
+        make_split(tmp_path / cycle / "val")
+    with pytest.raises(ValueError, match="expected a single split val.*day.*night"):
+        split_folder(tmp_path, "val")
+
+
+def test_missing_split_or_folder(tmp_path: Path) -> None:
+    make_split(tmp_path / "day" / "val")
+    with pytest.raises(FileNotFoundError, match="split test"):
+        split_folder(tmp_path, "test")
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        split_folder(tmp_path / "nowhere", "test")
