@@ -127,11 +127,13 @@ class InputMaker:
             return
         spacing_ns = _SPACING * self.spec.lag_s * 1e9
         if not self._earlier or frame.timestamp_ns - self._earlier[-1][0] >= spacing_ns:
-            self._earlier.append((frame.timestamp_ns, frame.image.copy(order="C")))
+            kept: Image = frame.image.copy(order="C")
+            self._earlier.append((frame.timestamp_ns, kept))
 
 
 def _with_adjacent_columns(image: Image) -> Image:
-    return image if image.strides[1] == image.itemsize else np.ascontiguousarray(image)
+    adjacent: Image = image if image.strides[1] == image.itemsize else image.copy(order="C")
+    return adjacent
 
 
 def _is_alike(frame: Frame, image: Image) -> bool:
