@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
+
+from foreglow.classifier.inputs import InputSpec
 
 
 class ArtifactNetwork(nn.Module):
@@ -74,3 +78,10 @@ class CompactNetwork(nn.Module):
 def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
     convolution = nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False)
     return [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
+
+
+NETWORKS: dict[str, Callable[[InputSpec], nn.Module]] = {
+    "paper": lambda spec: ArtifactNetwork(),  # noqa: ARG005
+    "compact": lambda spec: CompactNetwork(spec.num_channels, spec.num_features),
+}
+"""Untrained networks by name, for what they shall read."""
