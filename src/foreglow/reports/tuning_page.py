@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, BEST, OTHERS = "#222222", "#d9822b", "#888888"
-NUM_SHOWN = 10
 
 HEADINGS = {
     "q": "q",
@@ -90,7 +90,7 @@ def _summary(tuning: Tuning) -> dict[str, Any]:
         "has_local_changes": has_local_changes,
         "data": str(tuning.data),
         "study": tuning.study_name,
-        "settings": dataclasses.asdict(tuning.settings),
+        "settings": {**dataclasses.asdict(tuning.settings), "storage": _without_password(tuning.settings.storage)},
         "num_finished": len(tuning.trials),
         "num_pruned": sum(one.state == "PRUNED" for one in tuning.trials),
         "seconds": tuning.seconds,
@@ -99,6 +99,15 @@ def _summary(tuning: Tuning) -> dict[str, Any]:
         "paper": _as_json(tuning.paper, tuning),
         "finalists": [_as_json(one, tuning) for one in tuning.finalists],
     }
+
+
+def _without_password(storage: str | None) -> str | None:
+    """A database's URL as it may be shown.
+
+    >>> _without_password("postgresql://ann:secret@host/db")
+    'postgresql://ann@host/db'
+    """
+    return None if storage is None else re.sub(r"(://[^:/@]*):[^@/]*@", r"\1@", storage)
 
 
 def _as_json(one: Finalist, tuning: Tuning) -> dict[str, Any]:
@@ -173,7 +182,7 @@ def _number(value: float | None, digits: int) -> str:
 
 
 def _parallel_figure(tuning: Tuning) -> Figure:
-    """A line a finished trial through its parameters to its loss; the darker the better, the best one in colour."""
+    """A line a finished trial through its parameters to its loss; the darker the better, the best one on train in colour."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 

@@ -107,7 +107,7 @@ def test_stack_of_two_sizes_and_depths(tmp_path: Path, monkeypatch: pytest.Monke
     dataset = PVDN(make_pvdn(tmp_path))
     frames: dict[int, Image] = {
         11: np.full((72, 96), 9, np.uint8),
-        13: np.arange(40, dtype=np.uint16).reshape(5, 8) * np.uint16(1000),
+        13: np.arange(4160, dtype=np.uint16).reshape(64, 65) * np.uint16(15),
     }
 
     for image_id, image in frames.items():
