@@ -28,7 +28,7 @@ def test_split_of_the_only_cycle(tmp_path: Path) -> None:
 def test_several_cycles_are_named(tmp_path: Path) -> None:
     for cycle in ("day", "night"):
         make_split(tmp_path / cycle / "val")
-    with pytest.raises(ValueError, match="expected a single split val.*day.*night"):
+    with pytest.raises(ValueError, match=r"expected a single split val.*day.*night"):
         split_folder(tmp_path, "val")
 
 
