@@ -97,6 +97,7 @@ class Breakdown:
     Attributes:
         threshold: A box is accepted if its score is above.
         precision: Of all accepted boxes.
+        whole: All lights together; its `f1` is the F of `evaluate_boxes`.
         groups: By aspect (`kind`, `source`, `sight`, `strength`, `hidden kind`, `distance`, `weather`), its groups in
             the order of a table; groups without lights are left out.
         false_boxes: In all images.
@@ -105,6 +106,7 @@ class Breakdown:
 
     threshold: float
     precision: float
+    whole: LightGroup
     groups: Mapping[str, tuple[LightGroup, ...]]
     false_boxes: FalseBoxes
     false_boxes_empty: FalseBoxes
@@ -118,6 +120,7 @@ class Breakdown:
         return {
             "threshold": self.threshold,
             "precision": plain(self.precision),
+            "whole": self.whole.to_json(),
             "groups": {aspect: [one.to_json() for one in groups] for aspect, groups in self.groups.items()},
             "false_boxes": self.false_boxes.to_json(),
             "false_boxes_empty": self.false_boxes_empty.to_json(),
@@ -230,6 +233,7 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
     return Breakdown(
         threshold=threshold,
         precision=precision,
+        whole=group("all", np.ones(len(matched.lights), np.bool_)),
         groups={
             aspect: tuple(group(name, its) for name, its in members.items() if its.any())
             for aspect, members in _members(matched.lights, weather_of or {}).items()
