@@ -132,6 +132,8 @@ class SplitLabels:
     """What the labels of a split say, read once for any number of predictions.
 
     Attributes:
+        name: The split, such as `day/val`.
+        rate_hz: Its frames a second.
         lights: By image id, for every image.
         doubtful_px: By image id, shape (D, 2): light that is neither an instance nor a fault to find.
         empty_images: Images in which no vehicle's light is to be seen, not even a doubtful one.
@@ -140,6 +142,8 @@ class SplitLabels:
         time_s: By image id, from the first image of its sequence, seconds.
     """
 
+    name: str
+    rate_hz: float
     lights: Mapping[int, tuple[Light, ...]]
     doubtful_px: Mapping[int, NDArray[np.float64]]
     empty_images: frozenset[int]
@@ -188,6 +192,8 @@ def read_split_labels(dataset: PVDN) -> SplitLabels:
     """
     ids = dataset.frame_ids
     return SplitLabels(
+        name=dataset.name,
+        rate_hz=dataset.rate_hz,
         lights=read_lights(dataset),
         doubtful_px={one: _positions(dataset.doubtful(one)) for one in ids},
         empty_images=frozenset(empty_images(dataset)),

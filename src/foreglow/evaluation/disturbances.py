@@ -11,7 +11,7 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
@@ -64,7 +64,7 @@ class Disturbance:
         pixels = frame.image * np.float32(255.0 / full)
         disturbed = self.apply(pixels, black_level(pixels), rng) * np.float32(full / 255.0)
         np.rint(np.clip(disturbed, 0.0, np.float32(full), out=disturbed), out=disturbed)
-        image: Image = disturbed.astype(frame.image.dtype)
+        image = cast("Image", disturbed.astype(frame.image.dtype))
         return Frame(image, frame.timestamp_ns, frame.frame, frame.sequence, frame.path)
 
 
@@ -156,13 +156,16 @@ def black_level(pixels: NDArray[np.float32]) -> float:
 def noise_level(pixels: NDArray[np.float32]) -> float:
     """Standard deviation of the noise in the darker half of the image, grey levels.
 
-    From the mean absolute difference of some neighbours in a row, which is 2 sigma / sqrt(pi) for Gaussian noise; texture
-    makes it a little too high.
+    From the mean absolute difference of some neighbours in a row, which is 2 sigma / sqrt(pi) for Gaussian noise;
+    texture makes it a little too high.
     """
     first = pixels[::4, :-1:4]
     second = pixels[::4, 1::4]
-    is_dark = np.maximum(first, second) <= np.median(first)
-    return float(np.abs(first - second)[is_dark].mean() * math.sqrt(math.pi) / 2.0) if is_dark.any() else 0.0
+    if not first.size:
+        return 0.0
+    brighter = np.maximum(first, second)
+    is_dark = brighter <= np.median(brighter)
+    return float(np.abs(first - second)[is_dark].mean() * math.sqrt(math.pi) / 2.0)
 
 
 def _blurred(pixels: Pixels, sigma_px: float) -> Pixels:

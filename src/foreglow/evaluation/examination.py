@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -24,7 +24,9 @@ from foreglow.evaluation.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.evaluation.first_found import FirstFound, first_found, share_found_ahead
 from foreglow.evaluation.predictions import Predictions
 from foreglow.evaluation.robustness import RobustnessRow
-from foreglow.evaluation.split_run import SplitRun
+
+RunTime: TypeAlias = Mapping[str, float | None]
+"""`median`, `p95` and `p99` of one stage, milliseconds."""
 
 CURVE_THRESHOLDS = np.round(np.arange(0.0, 1.0, 0.01), 2)
 FALSE_BOX_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
@@ -114,7 +116,7 @@ class Examination:
     breakdown: Breakdown
     vehicles: tuple[FirstFound, ...]
     ranking: Ranking | None
-    run_time_ms: Mapping[str, Mapping[str, float]]
+    run_time_ms: Mapping[str, RunTime]
     robustness: tuple[RobustnessRow, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -166,39 +168,29 @@ def rank(labels: SplitLabels, predictions: Predictions) -> Ranking:
 
 
 def examine(
-    labels: SplitLabels, predictions: Predictions, threshold: float, *, name: str, detector: str, rate_hz: float
+    labels: SplitLabels,
+    predictions: Predictions,
+    threshold: float,
+    detector: str,
+    run_time_ms: Mapping[str, RunTime] | None = None,
 ) -> Examination:
-    """All figures of `predictions` on a split, but for run-times and robustness.
+    """All figures of `predictions` on a split, but for robustness.
 
     Args:
         labels: Of the split.
         predictions: Boxes, with or without scores.
         threshold: A box is accepted if its score is above.
-        name: The split's name.
-        detector: What predicted.
-        rate_hz: The split's frames a second.
+        detector: What predicted, for the title.
+        run_time_ms: By stage and `total`, where it was measured.
     """
     matched = match_lights(labels, predictions)
     return Examination(
-        name=name,
+        name=labels.name,
         detector=detector,
-        rate_hz=rate_hz,
+        rate_hz=labels.rate_hz,
         quality=evaluate_boxes(labels.keypoints_px, predictions, threshold),
         breakdown=break_down(matched, threshold, labels.weather_of),
         vehicles=first_found(labels, matched, threshold),
         ranking=rank(labels, predictions) if matched.matches.is_scored else None,
-        run_time_ms={},
+        run_time_ms=run_time_ms or {},
     )
-
-
-def run_times_ms(run: SplitRun) -> dict[str, dict[str, float]]:
-    """Median, p95 and p99 over the images of each stage and of `total`, milliseconds; decoding is in none of them."""
-    return {
-        stage: dict(zip(("median", "p95", "p99"), _percentiles(values), strict=True))
-        for stage, values in {**run.stage_ms, "total": run.total_ms}.items()
-        if len(values)
-    }
-
-
-def _percentiles(values: Sequence[float] | np.ndarray) -> list[float]:
-    return [round(float(value), 4) for value in np.percentile(values, (50, 95, 99))]
