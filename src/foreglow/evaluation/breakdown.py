@@ -234,7 +234,7 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
 
     def group(name: str, members: NDArray[np.bool_]) -> LightGroup:
         recall, ceiling = _share(is_found[members]), _share(is_within_reach[members])
-        return LightGroup(name, int(members.sum()), recall, ceiling, harmonic_mean(precision, recall))
+        return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(precision, recall))
 
     return Breakdown(
         threshold=threshold,
@@ -267,13 +267,13 @@ def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
     return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
 
 
-def harmonic_mean(a: float, b: float) -> float:
-    """F of a precision and a recall: 2 a b / (a + b); 0 where both are 0, NaN where one is.
+def f1_of(precision: float, recall: float) -> float:
+    """2 P R / (P + R); 0 where nothing is found, whatever the precision, NaN where nothing was to be found.
 
-    >>> harmonic_mean(0.5, 1.0) == 2 / 3
+    >>> f1_of(0.5, 1.0) == 2 / 3
     True
     """
-    return 0.0 if a == b == 0.0 else 2.0 * a * b / (a + b)
+    return 0.0 if recall == 0.0 else 2.0 * precision * recall / (precision + recall)
 
 
 def plain(value: Any) -> Any:
