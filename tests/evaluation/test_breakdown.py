@@ -65,8 +65,6 @@ def test_groups_worked_by_hand(matched: LightMatches) -> None:
         ("hidden kind", "haze"): (1, 0.0, 1.0),
         ("distance", "60-90 m"): (2, 0.5, 0.5),
         ("distance", "130-200 m"): (2, 0.5, 1.0),
-        ("weather", "dry"): (4, 0.5, 0.75),
-        ("weather", "rain"): (1, 0.0, 0.0),
     }
 
 
@@ -89,6 +87,16 @@ def test_the_whole_agrees_with_the_metrics(matched: LightMatches, threshold: flo
     assert (found.whole.num, found.false_boxes.num) == (quality.tp + quality.fn, quality.fp)
     assert found.whole.recall == quality.recall
     assert math.isclose(found.whole.f1, quality.f1)
+
+
+def test_weathers_worked_by_hand(matched: LightMatches) -> None:
+    dry, rain = break_down(matched, 0.5, LABELS.weather_of).weathers
+    assert (dry.name, dry.lights.num, dry.lights.recall, dry.precision) == ("dry", 4, 0.5, 0.4)
+    assert math.isclose(dry.lights.f1, 2 / (2 + (3 + 2) / 2))
+    assert (dry.false_boxes.num, dry.false_boxes.num_images) == (3, 3)
+    assert (rain.name, rain.lights.recall, rain.lights.f1, rain.false_boxes.num) == ("rain", 0.0, 0.0, 0)
+    assert math.isnan(rain.precision)
+    assert break_down(matched, 0.5).weathers == ()
 
 
 def test_groups_divide_the_lights(matched: LightMatches) -> None:

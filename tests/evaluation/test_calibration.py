@@ -20,6 +20,7 @@ from foreglow.evaluation.calibration import (
 def test_figures_worked_by_hand() -> None:
     found = calibration([0.25, 0.25, 0.75, 0.75], [0, 0, 1, 0], num_bins=2)
     assert [(one.num, one.mean_score, one.share) for one in found.bins] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
+    assert [(one.num, one.mean_score, one.share) for one in found.tenths] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
     assert found.ece == 0.25
     assert found.brier == (3 * 0.0625 + 0.5625) / 4
     assert math.isclose(found.nll, -(3 * math.log(0.75) + math.log(0.25)) / 4)
@@ -74,6 +75,7 @@ def test_faultless_scores_end_at_the_limit() -> None:
 def test_certainty_stays_finite() -> None:
     found = calibration([0.0, 1.0, 1.0], [0, 1, 0])
     assert math.isfinite(found.nll)
+    assert [(one.num, one.share) for one in found.tenths] == [(1, 0.0), (2, 0.5)]
     assert np.isfinite(logits_of([0.0, 1.0])).all()
 
 

@@ -106,5 +106,9 @@ def test_recall_over_false_boxes_worked_by_hand() -> None:
     assert [round(3 * value) for value in curve.recall.tolist()] == [2, 2, 1, 1, 0]
     assert math.isclose(curve.recall_at(0.1), 2 / 3)
     assert math.isclose(curve.recall_at(0.0), 1 / 3)
-    assert curve.thinned(2).thresholds.tolist() == [0.0, 0.9]
+    assert curve.corners().thresholds.tolist() == [0.2, 0.6, 0.9]
+    assert [curve.corners().recall_at(limit) for limit in (0.0, 0.1)] == [
+        curve.recall_at(limit) for limit in (0.0, 0.1)
+    ]
+    assert curve.corners(2).thresholds.tolist() == [0.2, 0.9]
     assert math.isnan(recall_curve(np.empty(0), np.array([0.5]), 0).recall_at(1.0))

@@ -17,7 +17,7 @@ from foreglow.evaluation.disturbances import (
     noise_level,
     rain,
 )
-from foreglow.types import Frame
+from foreglow.types import Frame, Image
 from tests.stand_ins import night_image
 
 IMAGE = night_image(3, 240, 640)
@@ -48,7 +48,7 @@ def test_each_changes_the_image(disturbance: Disturbance) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_undisturbed_image_is_the_image(dtype: type) -> None:
-    every = np.arange(np.iinfo(dtype).max + 1, dtype=dtype).reshape(-1, 256)
+    every: Image = np.arange(np.iinfo(dtype).max + 1, dtype=dtype).reshape(-1, 256)
     assert np.array_equal(UNDISTURBED(Frame(every, 0)).image, every)
 
 
