@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+import tomli_w
 from pydantic import Field, model_validator
 
 from foreglow.classifier.inputs import InputSpec
@@ -147,6 +149,10 @@ RECIPES: dict[str, Recipe] = {
 """Recipes by name."""
 
 
+_NONE = "none"
+_OPTIONAL = ("patience", "max_gradient", "max_negatives_per_positive")
+
+
 def recipe(name: str) -> Recipe:
     """The recipe called `name`.
 
@@ -177,8 +183,26 @@ def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Rec
 def read_recipe(path: Path, base: Recipe) -> Recipe:
     """The recipe in the TOML file `path`; what it does not mention comes from `base`.
 
+    TOML knows no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive` and
+    `inputs.lag_s`.
+
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
-    return changed(base, read_toml(path), str(path))
+    fields = _mapped(read_toml(path), lambda value: None if value == _NONE else value)
+    return changed(base, fields, str(path))
+
+
+def recipe_to_toml(recipe: Recipe) -> str:
+    """`recipe` as TOML text that `read_recipe` reads back equal, over any base."""
+    return tomli_w.dumps(_mapped(recipe.model_dump(mode="json"), lambda value: _NONE if value is None else value))
+
+
+def _mapped(fields: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    """`fields` with the values that may be None changed."""
+    inputs = fields.get("inputs")
+    optional = {name: change(value) for name, value in fields.items() if name in _OPTIONAL}
+    if isinstance(inputs, dict) and "lag_s" in inputs:
+        optional["inputs"] = inputs | {"lag_s": change(inputs["lag_s"])}
+    return fields | optional
