@@ -21,24 +21,20 @@ if TYPE_CHECKING:
     from foreglow.learning.networks import CompactNetwork
 
 
-def write_compact(
-    network: CompactNetwork, spec: InputSpec, path: Path, metadata: Mapping[str, str], temperature: float = 1.0
-) -> None:
+def write_compact(network: CompactNetwork, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
     """Writes `network` to `path`, replacing what is there only once the new file is complete.
 
     The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N,
-    1), divided by `temperature`. Its metadata say what it reads.
+    1). Its metadata say what it reads.
 
     Raises:
         OSError: If the file cannot be written; nothing is left behind then.
     """
-    model = build_compact(network, spec, metadata, temperature)
+    model = build_compact(network, spec, metadata)
     write_atomic(path, model.SerializeToString(deterministic=True))
 
 
-def build_compact(
-    network: CompactNetwork, spec: InputSpec, metadata: Mapping[str, str], temperature: float = 1.0
-) -> ModelProto:
+def build_compact(network: CompactNetwork, spec: InputSpec, metadata: Mapping[str, str]) -> ModelProto:
     """`network` in evaluation mode as an ONNX model."""
     from onnx import TensorProto, checker, helper
 
@@ -59,8 +55,7 @@ def build_compact(
         name = graph.node("Relu", name)
     name = graph.node("Concat", graph.node("Flatten", name), "features", axis=1)
     name = graph.node("Relu", graph.linear(name, _array(network.hidden.weight), _array(network.hidden.bias)))
-    last = _array(network.last.weight) / temperature, _array(network.last.bias) / temperature
-    graph.linear(name, *last, output="logits")
+    graph.linear(name, _array(network.last.weight), _array(network.last.bias), output="logits")
     inputs = [
         helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", spec.num_channels, spec.size_px, spec.size_px]),
         helper.make_tensor_value_info("features", TensorProto.FLOAT, ["N", spec.num_features]),
@@ -72,7 +67,7 @@ def build_compact(
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    said = {"foreglow_version": version("foreglow"), "support": str(spec.support), "temperature": f"{temperature:.6g}"}
+    said = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
     if spec.lag_s is not None:
         said["lag_s"] = repr(spec.lag_s)
     helper.set_model_props(model, dict(sorted((said | dict(metadata)).items())))

@@ -1,11 +1,16 @@
-"""Progress bars: one as a result sink, and one for scenes that are driven."""
+"""Progress bars: one as a result sink, one for scenes that are driven, and one for a training."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from foreglow.types import Frame, FrameResult
+
+if TYPE_CHECKING:
+    from foreglow.learning.training import Epoch
 
 
 class ProgressSink:
@@ -82,3 +87,42 @@ class StepProgress:
     def close(self) -> None:
         """Takes the bars away."""
         self._progress.stop()
+
+
+class TrainingBar:
+    """Shows on stderr how far a training is, and one line an epoch; without a terminal the lines alone."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(
+            *columns, console=self._console, transient=True, disable=not self._console.is_terminal
+        )
+        self._task = self._progress.add_task("")
+        self._best = 0.0
+
+    def samples(self, split: str, num_done: int, num_images: int) -> None:
+        """Takes note that the samples of `num_done` images are there."""
+        self._show(f"{split} images", num_done, num_images)
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
+        """Takes note of a step."""
+        self._show(f"epoch {epoch}, steps", num_done, num_steps)
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
+        """Writes the epoch's line."""
+        self._best = max(self._best, epoch.f1)
+        self._console.print(
+            f"epoch {epoch.number}/{num_epochs}: loss {epoch.train_loss:.4f}, validation {epoch.val_loss:.4f}, "
+            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
+            f"{epoch.seconds:.0f} s",
+            highlight=False,
+        )
+
+    def close(self) -> None:
+        """Takes the bar away."""
+        self._progress.stop()
+
+    def _show(self, description: str, num_done: int, total: int) -> None:
+        self._progress.start()
+        self._progress.update(self._task, description=description, completed=num_done, total=total)
