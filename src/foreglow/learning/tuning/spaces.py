@@ -104,18 +104,28 @@ SPACES: dict[str, Space] = {
         },
         _PAPER_FIRST,
     ),
-    # Own: windows up to the size of a near lamp with its glare (only window // 2 counts), finer steps, and the two
-    # switches that the paper does not mention.
+    # Own: windows up to the size of a near lamp with its glare (only window // 2 counts), finer steps, smaller boxes,
+    # splitting, and the two switches that the paper does not mention.
     "wide": Space(
         {
             "kappa": Real(0.25, 0.75, 0.05),
             "window_px": Whole(5, 63, 2),
             "min_deviation": Real(0.0, 0.05, 0.0025),
             "gap_px": Whole(1, 9),
+            "min_area_px": Whole(6, 26, 5),
+            "min_width_px": Whole(3, 6),
+            "split_saddle": Real(0.0, 0.9, 0.05),
             "is_capped": Switch(),
             "is_blurred": Switch(),
         },
-        {**_PAPER_FIRST, "is_capped": True, "is_blurred": True},
+        {
+            **_PAPER_FIRST,
+            "min_area_px": 11,
+            "min_width_px": 6,
+            "split_saddle": 0.0,
+            "is_capped": True,
+            "is_blurred": True,
+        },
         _wide_fields,
     ),
 }
