@@ -200,7 +200,7 @@ def tune(
     data: Annotated[Path, _argument(metavar="DATA", help="A data set in PVDN's format: train, and val and test.")],
     trials: Annotated[int, typer.Option(min=1, metavar="N", help="Trials in total, earlier calls included.")] = 200,
     images: Annotated[int, typer.Option(min=1, metavar="N", help="Images of train, spread over its scenes.")] = 600,
-    objective: Annotated[str, typer.Option(metavar="q|q-recall|light", help="What is minimised.")] = "q",
+    objective: Annotated[str, typer.Option(metavar="q|q-only|light", help="What is minimised.")] = "q",
     space: Annotated[
         str | None, typer.Option(metavar="paper|wide", help="What is varied [default: the objective's own].")
     ] = None,

@@ -182,7 +182,7 @@ def _number(value: float | None, digits: int) -> str:
 
 
 def _parallel_figure(tuning: Tuning) -> Figure:
-    """A line a finished trial through its parameters to its loss; the darker the better, the best one on train in colour."""
+    """A line a trial through its parameters to its loss; the darker the better, the best on train in colour."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
