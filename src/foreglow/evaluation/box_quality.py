@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN
+from foreglow.evaluation.matching import match_boxes
 from foreglow.evaluation.predictions import Predictions, read_predictions
 
 
@@ -102,24 +103,12 @@ def evaluate_boxes(
     """
     if math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
-    points, num_points, boxes, num_boxes = _flat(keypoints_px, predictions, threshold)
-
-    # Every box meets every keypoint of its image: pair p joins pair_box[p] and pair_point[p].
-    image_of_box = np.repeat(np.arange(len(num_boxes)), num_boxes)
-    num_partners = num_points[image_of_box]
-    pair_box = np.repeat(np.arange(len(boxes)), num_partners)
-    first_point = (np.cumsum(num_points) - num_points)[image_of_box]
-    first_pair = np.cumsum(num_partners) - num_partners
-    pair_point = np.arange(len(pair_box)) - np.repeat(first_pair - first_point, num_partners)
-
-    x, y = points[pair_point].T
-    x1, y1, x2, y2 = boxes[pair_box].T
-    is_inside = (x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)
-    keypoints_in_box = np.bincount(pair_box[is_inside], minlength=len(boxes))  # n_K of each box
-    boxes_around_keypoint = np.bincount(pair_point[is_inside], minlength=len(points))  # n_B of each keypoint
+    matches = match_boxes(keypoints_px, predictions)
+    keypoints_in_box = matches.points_in_box[matches.scores > threshold]  # n_K of each box that counts
+    boxes_around_keypoint = matches.boxes_around_point(threshold)  # n_B of each keypoint
 
     tp = int(np.count_nonzero(boxes_around_keypoint))
-    fn = len(points) - tp
+    fn = matches.num_points - tp
     fp = int(np.count_nonzero(keypoints_in_box == 0))
     q_k, q_k_std = _mean_and_std(1.0 / keypoints_in_box[keypoints_in_box > 0])
     q_b, q_b_std = _mean_and_std(1.0 / boxes_around_keypoint[boxes_around_keypoint > 0])
@@ -190,25 +179,6 @@ def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
         ValueError: If a keypoint file is broken.
     """
     return {image_id: dataset.keypoints_px(image_id) for image_id in dataset.frame_ids}
-
-
-def _flat(
-    keypoints_px: Mapping[int, NDArray[Any]], predictions: Predictions, threshold: float
-) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
-    """All keypoints, how many each image has, all boxes that count, how many each image has."""
-    points: list[NDArray[np.float64]] = [np.empty((0, 2))]
-    boxes: list[NDArray[np.float64]] = [np.empty((0, 4))]
-    for image_id, its_points in keypoints_px.items():
-        if its_points.ndim != 2 or its_points.shape[1] != 2:
-            raise ValueError(f"keypoints_px: image {image_id}: expected shape (K, 2), got {its_points.shape}")
-        points.append(np.asarray(its_points, np.float64))
-        its_boxes = predictions.boxes_xyxy_px.get(image_id, boxes[0])
-        if predictions.is_scored and len(its_boxes):
-            its_boxes = its_boxes[predictions.scores[image_id] > threshold]
-        boxes.append(its_boxes)
-    num_points = np.array([len(one) for one in points[1:]], np.intp)
-    num_boxes = np.array([len(one) for one in boxes[1:]], np.intp)
-    return np.concatenate(points), num_points, np.concatenate(boxes), num_boxes
 
 
 def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
