@@ -117,6 +117,7 @@ class TrainingBar:
             f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
             f"{epoch.seconds:.0f} s",
             highlight=False,
+            soft_wrap=True,
         )
 
     def close(self) -> None:
