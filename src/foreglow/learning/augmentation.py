@@ -52,15 +52,15 @@ def stretched(crops: Tensor) -> Tensor:
     """Every channel of every crop stretched to [0, 1] by its own minimum and maximum; constant ones are zero."""
     low = crops.amin(dim=(2, 3), keepdim=True)
     width = crops.amax(dim=(2, 3), keepdim=True) - low
-    return (crops - low) * torch.where(width > _MIN_RANGE, 1 / width.clamp_min(_MIN_RANGE), 0)
+    return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0)
 
 
 def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
     """Where each pixel of the altered crop is read: shape (N, 2, 3), from and to [-1, 1] as `affine_grid` has it.
 
     Read backwards, from the result to the crop: the cut-out of size (w, h) around a centre such that it stays inside,
-    turned about the crop's own centre, reflected. As in torchvision's RandomResizedCrop, area and ratio are drawn and
-    a side that would be longer than the crop is cut to it.
+    turned about the crop's own centre, reflected. Area and ratio are drawn as in torchvision's RandomResizedCrop; a
+    side that would be longer than the crop is cut to it, where torchvision draws again.
     """
     angle = torch.deg2rad(_uniform(num_maps, -augmentation.rotation_deg, augmentation.rotation_deg, random))
     area = _uniform(num_maps, augmentation.min_area, 1, random)
