@@ -49,6 +49,12 @@ void BlobSplitter::collect(const Box& box, const WorkingImage& image, std::int64
     for (const Pixel& pixel : pixels_) sorted_[starts_[top_level - pixel.level]++] = pixel;
 }
 
+void BlobSplitter::widen(Part& part, const Box& box) {
+    if (part.is_closed) return;
+    part.extent = {std::min(part.extent.x1, box.x1), std::min(part.extent.y1, box.y1),
+                   std::max(part.extent.x2, box.x2), std::max(part.extent.y2, box.y2)};
+}
+
 void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRule& rule) {
     const std::int32_t stride = width + 2;
     part_of_.assign(static_cast<std::size_t>(stride) * (height + 2), -1);
@@ -76,17 +82,19 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
         part_of_[place] = highest;
         Part& whole = parts_[highest];
         ++whole.num_pixels;
-        whole.extent = {std::min(whole.extent.x1, pixel.x), std::min(whole.extent.y1, pixel.y),
-                        std::max(whole.extent.x2, pixel.x + 1), std::max(whole.extent.y2, pixel.y + 1)};
+        widen(whole, {pixel.x, pixel.y, pixel.x + 1, pixel.y + 1});
+        if (num_met > 2) std::sort(met, met + num_met);  // what closes a part must not depend on where it was met
         for (std::int32_t i = 0; i < num_met; ++i) {
             Part& part = parts_[met[i]];
             if (met[i] == highest) continue;
             const bool is_shallow = static_cast<double>(pixel.level) > rule.saddle * static_cast<double>(part.peak);
-            if (!is_shallow && static_cast<double>(part.num_pixels) >= rule.min_area_px) continue;
+            if (!is_shallow && static_cast<double>(part.num_pixels) >= rule.min_area_px) {
+                part.is_closed = whole.is_closed = true;
+                continue;
+            }
             part.parent = highest;
             whole.num_pixels += part.num_pixels;
-            whole.extent = {std::min(whole.extent.x1, part.extent.x1), std::min(whole.extent.y1, part.extent.y1),
-                            std::max(whole.extent.x2, part.extent.x2), std::max(whole.extent.y2, part.extent.y2)};
+            widen(whole, part.extent);
         }
     }
 }

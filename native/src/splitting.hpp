@@ -17,7 +17,7 @@ struct SplitRule {
 };
 
 // Floods the set pixels of a box from the brightest down. A peak's pixels become a part of their own where they meet
-// those of a higher peak at a level of at most `saddle` times their own peak.
+// those of a higher peak at a level of at most `saddle` times their own peak; from then on neither part grows wider.
 class BlobSplitter {
 public:
     // Levels that the range of the frame is divided into, less one.
@@ -35,6 +35,7 @@ private:
     struct Part {
         std::int32_t parent, peak, num_pixels;
         Box extent;
+        bool is_closed = false;
     };
     struct Pixel {
         std::int16_t level;
@@ -45,6 +46,7 @@ private:
         const std::uint64_t* words = bits_.data() + (2 * y + (x & 1)) * num_words_;
         return (words[x >> 7] >> ((x >> 1) & 63)) & 1;
     }
+    static void widen(Part& part, const Box& box);
     void collect(const Box& box, const WorkingImage& image, std::int64_t black, std::int64_t range);
     void flood(std::int32_t width, std::int32_t height, const SplitRule& rule);
     std::int32_t root(std::int32_t part);

@@ -200,7 +200,7 @@ def tune(
     data: Annotated[Path, _argument(metavar="DATA", help="A data set in PVDN's format: train, and val and test.")],
     trials: Annotated[int, typer.Option(min=1, metavar="N", help="Trials in total, earlier calls included.")] = 200,
     images: Annotated[int, typer.Option(min=1, metavar="N", help="Images of train, spread over its scenes.")] = 600,
-    objective: Annotated[str, typer.Option(metavar="q|q-recall|light", help="What is minimised.")] = "q",
+    objective: Annotated[str, typer.Option(metavar="q|q-only|light", help="What is minimised.")] = "q",
     space: Annotated[
         str | None, typer.Option(metavar="paper|wide", help="What is varied [default: the objective's own].")
     ] = None,
@@ -215,10 +215,12 @@ def tune(
     """Search the parameters of the proposals: on train, chosen on val, reported on test."""
     from foreglow.learning.tuning import TuningSettings
     from foreglow.learning.tuning import tune as search
+    from foreglow.reports.figures import require_matplotlib
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.tables import tuning_lines
     from foreglow.reports.tuning_page import write_report
 
+    require_matplotlib()
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, jobs=jobs, storage=storage
     )

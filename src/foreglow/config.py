@@ -99,8 +99,8 @@ class ClassifierConfig(FrozenModel):
     """Parameters of the classification stage.
 
     Attributes:
-        model: Path of the ONNX model, relative to the working directory (also in a file); None leaves the proposals
-            unclassified.
+        model: Path of the ONNX model, relative to the working directory (also in a file), or the name of one that
+            ships, `foreglow`; None leaves the proposals unclassified.
         support: The crop is this many times the box's width and height to either side of its centre; None for what
             the model was trained with, or the paper's M = 2 where it does not say.
         score_threshold: A proposal is accepted when its score is above this.

@@ -115,12 +115,24 @@ def test_noise_is_bounded_and_new_for_every_pixel() -> None:
     assert altered(images, noise=1.0).amax() <= 1
 
 
-def test_stretching_is_by_channel_and_leaves_constant_ones_black() -> None:
-    images = torch.cat([0.2 + 0.1 * crops(), torch.full((8, 1, 32, 32), 0.3)], dim=1)
+def test_stretching_is_by_the_first_channel_and_leaves_constant_ones_black() -> None:
+    images = crops(num_channels=2)
+    low, high = images[:, 0].amin(dim=(1, 2)), images[:, 0].amax(dim=(1, 2))
     found = altered(images, normalise=True)
     assert (found[:, 0].amin(dim=(1, 2)) == 0).all()
-    torch.testing.assert_close(found[:, 0].amax(dim=(1, 2)), torch.ones(8))
-    assert (found[:, 1] == 0).all()
+    assert (found[:, 0].amax(dim=(1, 2)) == 1).all()
+    expected = (images[:, 1] - low[:, None, None]) / (high - low)[:, None, None]
+    torch.testing.assert_close(found[:, 1], expected.clamp(0, 1))
+    assert (altered(torch.full((8, 1, 4, 4), 0.3), normalise=True) == 0).all()
+
+
+def test_a_missing_history_stays_black() -> None:
+    images = crops(num_channels=2)
+    images[::2, 1] = 0
+    fields = {"noise": 0.5, "gamma": 0.2, "normalise": True, "rotation_deg": 20.0}
+    found = altered(images, **fields)
+    assert (found[::2, 1] == 0).all()
+    assert (found[1::2, 1].amax(dim=(1, 2)) > 0).all()
 
 
 def test_history_is_dropped_from_the_second_channel_alone() -> None:

@@ -202,9 +202,7 @@ def test_a_loss_that_explodes_is_said(tmp_path: Path) -> None:
         torch.nn.init.constant_(network.out.weight, 3e38)
         return network
 
-    with pytest.raises(
-        ValueError, match=r"epoch 1: expected a finite training loss, got .*; try a lower"
-    ):
+    with pytest.raises(ValueError, match=r"epoch 1: expected a finite training loss, got .*; try a lower"):
         run(tmp_path, recipe, make_network=huge)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from foreglow.classifier.inputs import FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.config import ClassifierConfig
+from foreglow.models import model_path
 from foreglow.types import Detections, Frame, Proposals
 
 if TYPE_CHECKING:
@@ -42,10 +43,10 @@ class OnnxClassifier:
         if config.model is None:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
-        self._path = config.model
-        self._session = _open(config.model, config.num_threads)
-        self._names, self.spec = _checked_inputs(config, self._session)
-        self._outputs = [_checked_output(config.model, self._session)]
+        self._path = model_path(config.model)
+        self._session = _open(self._path, config.num_threads)
+        self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
+        self._outputs = [_checked_output(self._path, self._session)]
         self._maker = InputMaker(self.spec)
 
     def reset(self) -> None:
@@ -136,9 +137,9 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
         raise ValueError(f"{path}: expected an ONNX model that can be run: {reason}") from error
 
 
-def _checked_inputs(config: ClassifierConfig, session: InferenceSession) -> tuple[list[str], InputSpec]:
-    """Names of the model's inputs, crops first, and what they are."""
-    path, nodes = config.model, session.get_inputs()
+def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSession) -> tuple[list[str], InputSpec]:
+    """Names of the model's inputs, crops first, and what they are; a support that is wanted overrides the model's."""
+    nodes = session.get_inputs()
     if len(nodes) not in (1, 2):
         raise ValueError(f"{path}: inputs: expected crops, or crops and features, got {len(nodes)}")
     name, shape = _checked(path, nodes[0], "input")
@@ -159,7 +160,7 @@ def _checked_inputs(config: ClassifierConfig, session: InferenceSession) -> tupl
             raise ValueError(f"{path}: input {name}: expected shape (N, {len(FEATURES)}) with a free N, got {shape}")
         names.append(name)
     metadata = session.get_modelmeta().custom_metadata_map
-    support = config.support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
+    support = wanted_support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
     lag_s = None if channels == 1 else _number(path, metadata, "lag_s", None)
     try:
         return names, InputSpec(height, int(support), lag_s, len(FEATURES) if len(names) == 2 else 0)
@@ -167,7 +168,7 @@ def _checked_inputs(config: ClassifierConfig, session: InferenceSession) -> tupl
         raise ValueError(f"{path}: metadata: {error}") from error
 
 
-def _number(path: Path | None, metadata: dict[str, str], name: str, default: float | None) -> float:
+def _number(path: Path, metadata: dict[str, str], name: str, default: float | None) -> float:
     """The number called `name` in the model's metadata."""
     text = metadata.get(name)
     if text is None and default is not None:
@@ -189,7 +190,7 @@ def _checked_output(path: Path, session: InferenceSession) -> str:
     return name
 
 
-def _checked(path: Path | None, node: Any, what: str) -> tuple[str, tuple[int | str | None, ...]]:
+def _checked(path: Path, node: Any, what: str) -> tuple[str, tuple[int | str | None, ...]]:
     """Name and shape of one of a model's inputs or outputs; free dimensions are names or None."""
     if node.type != "tensor(float)":
         raise ValueError(f"{path}: {what} {node.name}: expected float32, got {node.type}")

@@ -8,7 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from foreglow.classifier.inputs import FEATURES
 from foreglow.learning.recipes import Augmentation
+
+HAS_EARLIER = FEATURES.index("has_earlier")
 
 # Below this a crop counts as constant: a hundredth of a grey level, which no camera sees.
 _MIN_RANGE = 1e-4
@@ -20,7 +23,7 @@ def augment(
     """Altered copies of `crops` and `features`, drawn from `random`, sample by sample.
 
     Reflection, rotation and the cut-out are one affine map with one bilinear interpolation, the same for all channels
-    of a sample. Every channel keeps to [0, 1].
+    of a sample. Every channel keeps to [0, 1], and a second one that is black, for want of an earlier image, stays so.
 
     Args:
         crops: Shape (N, C, S, S), float32 in [0, 1].
@@ -29,6 +32,7 @@ def augment(
         feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
         random: A generator on the CPU, whatever the device of the crops: the same seed draws the same.
     """
+    has_earlier = crops[:, 1:].amax(dim=(2, 3), keepdim=True) > 0
     crops = _moved(crops, augmentation, random)
     if augmentation.gamma:
         gamma = _uniform(len(crops), 1 - augmentation.gamma, 1 + augmentation.gamma, random)
@@ -39,9 +43,13 @@ def augment(
         crops = (crops + strength[:, None, None, None] * noise).clamp(0, 1)
     if augmentation.normalise:
         crops = stretched(crops)
+    crops = torch.cat([crops[:, :1], crops[:, 1:] * has_earlier], dim=1) if crops.shape[1] > 1 else crops
     if augmentation.history_dropout and crops.shape[1] > 1:
-        is_kept = _uniform(len(crops), 0, 1, random) >= augmentation.history_dropout
-        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept.to(crops.device)[:, None, None, None]], dim=1)
+        is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
+        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
+        if features.shape[1]:  # one of them says whether there is an earlier image
+            features = features.clone()
+            features[:, HAS_EARLIER] *= is_kept
     if augmentation.feature_noise and features.shape[1]:
         noise = torch.empty(features.shape).normal_(generator=random).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise
@@ -49,10 +57,13 @@ def augment(
 
 
 def stretched(crops: Tensor) -> Tensor:
-    """Every channel of every crop stretched to [0, 1] by its own minimum and maximum; constant ones are zero."""
-    low = crops.amin(dim=(2, 3), keepdim=True)
-    width = crops.amax(dim=(2, 3), keepdim=True) - low
-    return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0)
+    """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant ones are zero.
+
+    A second channel is stretched alike and cut at 0 and 1, as `classifier.inputs` does.
+    """
+    low = crops[:, :1].amin(dim=(2, 3), keepdim=True)
+    width = crops[:, :1].amax(dim=(2, 3), keepdim=True) - low
+    return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0).clamp(0, 1)
 
 
 def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:

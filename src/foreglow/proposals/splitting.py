@@ -2,8 +2,9 @@
 
 With a wide window and without a limit on the area, what is large and bright is found, but so is a near lamp together
 with all the light around it, in one box. Here the pixels of a blob are flooded from the brightest down, as in a
-watershed. Where the waters of two peaks meet at a saddle that lies deep below the lower peak, they stay apart. Levels
-are whole numbers, so that every back end decides alike.
+watershed. Where the waters of two peaks meet at a saddle that lies deep below the lower peak, they stay apart, and
+their boxes end there: the glow further down belongs to no lamp in particular. Levels are whole numbers, so that every
+back end decides alike.
 
 Source: topographic persistence, as in Edelsbrunner, Letscher and Zomorodian, Discrete & Computational Geometry 28
 (2002).
@@ -43,11 +44,16 @@ class _Part:
     """The pixels that have been flooded from one peak."""
 
     peak: int
+    extent: Extent
     pixels: list[tuple[int, int]] = field(default_factory=list)
+    is_closed: bool = False
 
-    def extent(self) -> Extent:
-        rows, columns = zip(*self.pixels, strict=True)
-        return min(rows), min(columns), max(rows) + 1, max(columns) + 1
+    def take(self, pixels: list[tuple[int, int]], extent: Extent) -> None:
+        """Adds pixels; the extent grows unless it is closed."""
+        self.pixels += pixels
+        if not self.is_closed:
+            low, high = np.minimum(self.extent, extent), np.maximum(self.extent, extent)
+            self.extent = int(low[0]), int(low[1]), int(high[2]), int(high[3])
 
 
 def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.int64]:
@@ -75,7 +81,8 @@ def split_blob(
     All set pixels in the blob's box take part, from the highest level down, row by row where levels are equal. A pixel
     joins the highest peak among its eight neighbours (the first one of equals), or is a peak itself. Every other
     peak that it touches joins the highest as well, unless the pixel's level is at most `saddle` times that peak's and
-    that peak has `min_area_px` pixels by then. The blob is split where at least two parts are large enough.
+    that peak has `min_area_px` pixels by then: the boxes of both are closed then, and what joins them later no longer
+    widens them. The blob is split where at least two parts are large enough.
 
     Args:
         blob: Box of the blob.
@@ -99,19 +106,21 @@ def split_blob(
         around = [part_of.get((y + dy, x + dx)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
         met = [part for part in parts if any(part is one for one in around)]
         if not met:
-            met = [_Part(level)]
+            met = [_Part(level, (y, x, y + 1, x + 1))]
             parts.append(met[0])
         highest = max(met, key=lambda part: part.peak)  # the first of equals
-        highest.pixels.append((y, x))
+        highest.take([(y, x)], (y, x, y + 1, x + 1))
         part_of[y, x] = highest
         for part in met:
-            if part is highest or (level <= rule.saddle * part.peak and len(part.pixels) >= rule.min_area_px):
+            if part is highest:
                 continue
-            highest.pixels += part.pixels
+            if level <= rule.saddle * part.peak and len(part.pixels) >= rule.min_area_px:
+                part.is_closed = highest.is_closed = True
+                continue
+            highest.take(part.pixels, part.extent)
             part_of.update(dict.fromkeys(part.pixels, highest))
             parts.remove(part)
-    extents = [part.extent() for part in parts]
-    large = [one for one in extents if _is_large(one, rule)]
+    large = [part.extent for part in parts if _is_large(part.extent, rule)]
     if len(large) < 2:
         return (blob,)
     return tuple((y1 + top, x1 + left, y1 + bottom, x1 + right) for top, left, bottom, right in large)

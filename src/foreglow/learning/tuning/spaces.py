@@ -108,13 +108,13 @@ SPACES: dict[str, Space] = {
     # splitting, and the two switches that the paper does not mention.
     "wide": Space(
         {
-            "kappa": Real(0.25, 0.75, 0.05),
-            "window_px": Whole(5, 63, 2),
+            "kappa": Real(0.25, 0.75, 0.025),
+            "window_px": Whole(5, 79, 2),
             "min_deviation": Real(0.0, 0.05, 0.0025),
             "gap_px": Whole(1, 9),
             "min_area_px": Whole(6, 26, 5),
             "min_width_px": Whole(3, 6),
-            "split_saddle": Real(0.0, 0.9, 0.05),
+            "split_saddle": Real(0.0, 0.9, 0.025),
             "is_capped": Switch(),
             "is_blurred": Switch(),
         },
