@@ -24,12 +24,22 @@ def test_the_published_recipe() -> None:
     """Paper and published code, number by number."""
     paper = recipe("paper")
     assert (paper.epochs, paper.batch_size, paper.learning_rate, paper.weight_decay) == (300, 64, 1e-3, 0.01)
-    assert (paper.optimiser, paper.schedule, paper.plateau_factor, paper.plateau_patience) == ("adam", "plateau", 0.9, 5)
+    assert (paper.optimiser, paper.schedule, paper.plateau_factor, paper.plateau_patience) == (
+        "adam",
+        "plateau",
+        0.9,
+        5,
+    )
     assert (paper.positive_weight, paper.best_by) == ("balanced", "loss")
     augmentation = paper.augmentation
     assert (augmentation.flip, augmentation.rotation_deg, augmentation.min_area) == (0.5, 20.0, 0.8)
     assert (augmentation.max_ratio, augmentation.gamma, augmentation.normalise) == (1.5, 0.2, True)
-    assert (paper.inputs.size_px, paper.inputs.support, paper.inputs.lag_s, paper.inputs.num_features) == (64, 2, None, 0)
+    assert (paper.inputs.size_px, paper.inputs.support, paper.inputs.lag_s, paper.inputs.num_features) == (
+        64,
+        2,
+        None,
+        0,
+    )
     assert paper.jitter.num_copies == 0
 
 
@@ -96,5 +106,5 @@ def test_plateau_is_that_of_torch() -> None:
 
 def test_recipes_are_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        recipe("paper").epochs = 3  # type: ignore[misc]
+        recipe("paper").epochs = 3
     assert isinstance(recipe("paper"), Recipe)
