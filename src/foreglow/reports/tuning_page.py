@@ -20,7 +20,6 @@ from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord,
 from foreglow.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.runtime.summary import checkout_state
 
-
 HEADINGS = {
     "q": "q",
     "q_k": "q_K",
