@@ -14,10 +14,12 @@ import foreglow
 SOURCE = Path(foreglow.__file__).parent
 VALUES = {"types", "geometry", "photometry", "config", "calibration"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
+BASE = {"files", "provenance"}
 TOOLS = {"evaluation", "learning", "experiments", "runtime"}
 
 ALLOWED: dict[str, set[str]] = {
     "files": set(),
+    "provenance": set(),
     "types": set(),
     "geometry": {"types"},
     "photometry": {"types", "geometry"},
@@ -27,11 +29,11 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},
-    **{tool: VALUES | STAGES | {"files", "pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
-    "learning": VALUES | STAGES | {"files", "pipeline", "datasets", "simulation", "evaluation"},
-    "experiments": VALUES | STAGES | {"files", "pipeline", "datasets", "simulation", "evaluation", "learning"},
-    "reports": VALUES | TOOLS | {"files", "simulation"},
-    "cli": VALUES | STAGES | TOOLS | {"files", "pipeline", "datasets", "simulation", "reports", ""},
+    **{tool: VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
+    "learning": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation"},
+    "experiments": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation", "learning"},
+    "reports": VALUES | TOOLS | BASE | {"simulation"},
+    "cli": VALUES | STAGES | TOOLS | BASE | {"pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},
 }
 """For every part, the other parts that it may import; "" is the package itself."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
-import subprocess
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -14,6 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from foreglow.provenance import checkout_state
 from foreglow.types import Frame, FrameResult
 
 RunTime: TypeAlias = dict[str, float | None]
@@ -121,23 +121,6 @@ def run_time(values_ms: Sequence[float]) -> RunTime:
         return dict.fromkeys(("median", "p95", "p99"))
     median, p95, p99 = np.percentile(values_ms, (50, 95, 99)).round(4).tolist()
     return {"median": median, "p95": p95, "p99": p99}
-
-
-def checkout_state() -> tuple[str | None, bool | None]:
-    """The commit of the checkout that this package runs from and whether it has local changes; else None, None."""
-    root = Path(__file__).resolve().parents[3]
-    if not (root / ".git").exists() or not (root / "src" / "foreglow").is_dir():
-        return None, None
-    try:
-        commit = _git(root, "rev-parse", "HEAD")
-        return commit, bool(_git(root, "status", "--porcelain"))
-    except (OSError, subprocess.SubprocessError):  # no git here, or a checkout that it refuses to read
-        return None, None
-
-
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
-    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()
 
 
 def processor_name() -> str:

@@ -1,0 +1,31 @@
+"""What made a result: the version of this package, and the commit of the checkout that it runs from."""
+
+from __future__ import annotations
+
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+def provenance() -> dict[str, Any]:
+    """Version, commit and whether the checkout had changes of its own, for JSON; the last two null where installed."""
+    commit, has_local_changes = checkout_state()
+    return {"version": metadata.version("foreglow"), "commit": commit, "has_local_changes": has_local_changes}
+
+
+def checkout_state() -> tuple[str | None, bool | None]:
+    """The commit of the checkout that this package runs from and whether it has local changes; else None, None."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists() or not (root / "src" / "foreglow").is_dir():
+        return None, None
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        return commit, bool(_git(root, "status", "--porcelain"))
+    except (OSError, subprocess.SubprocessError):  # no git here, or a checkout that it refuses to read
+        return None, None
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()
