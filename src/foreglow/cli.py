@@ -20,7 +20,13 @@ if TYPE_CHECKING:
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary
     from foreglow.simulation import Scene
 
-EXTRAS = {"onnx": "train", "torch": "train", "mitsuba": "sim", "drjit": "sim", "matplotlib": "plots"}
+EXTRAS = {
+    **dict.fromkeys(("onnx", "torch"), "train"),
+    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    "matplotlib": "plots",
+    "ultralytics": "ultralytics",
+}
 """Optional modules, and the extra that installs each."""
 
 
@@ -64,11 +70,15 @@ app = typer.Typer(
 experiments = typer.Typer(no_args_is_help=True, help="Experiments: figures, tables and a report in a folder.")
 app.add_typer(experiments, name="experiment")
 
+yolo = typer.Typer(no_args_is_help=True, help="A YOLO on the same boxes, to compare with.")
+app.add_typer(yolo, name="yolo")
+
 # readable=False leaves unreadable files to the readers, whose errors take one line.
 _argument = functools.partial(typer.Argument, readable=False)
 _file = functools.partial(typer.Option, readable=False, metavar="FILE")
 _folder = functools.partial(typer.Option, readable=False, metavar="DIR")
 
+_BOXES_HELP = "Boxes of this preset [default: those that `annotate` wrote, else of paper]."
 _SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
 Source = Annotated[Path, _argument(metavar="SOURCE", help=_SOURCE_HELP)]
 ModelOption = Annotated[Path | None, _file(help="ONNX model that classifies the proposals; overrides the file's.")]
@@ -206,6 +216,67 @@ def simulate(
     else:
         drawn = _own_scenes(scene) or simulation.draw_scenes(scenes, seed, cast("simulation.Split", split))
         _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), jobs, quality)
+
+
+@app.command("export-yolo")
+def export_yolo(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set with train, val and test, such as PVDN/day.")],
+    out: Annotated[Path, _folder(help="Folder of the YOLO data set.")],
+    preset: Annotated[str | None, typer.Option(metavar="NAME", help=_BOXES_HELP)] = None,
+    size: Annotated[int, typer.Option(min=32, max=4096, help="Side of the square images, pixels.")] = 960,
+) -> None:
+    """Write the labelled boxes of DATA as a YOLO data set."""
+    from foreglow.learning.yolo import export_yolo
+    from foreglow.reports.progress import CountProgress
+
+    with CountProgress("images") as progress:
+        export = export_yolo(data, out, preset_name=preset, size_px=size, progress=progress)
+    counts = ", ".join(f"{name} {count} ({export.num_boxes[name]} boxes)" for name, count in export.num_images.items())
+    typer.echo(f"wrote {export.data_file}: images of {counts}; boxes: {export.settings.boxes}")
+
+
+@yolo.command("train")
+def yolo_train(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set, or what export-yolo made of one.")],
+    out: Annotated[Path, _folder(help="Folder of the run; an interrupted one goes on.")],
+    size: Annotated[str, typer.Option(metavar="n|t|s|m|l|x", help="Size of the network; s and x in the paper.")] = "s",
+    image_size: Annotated[int, typer.Option(help="Side of the images, a multiple of 32; 960 in the paper.")] = 320,
+    epochs: Annotated[int, typer.Option(help="Passes over the training split.")] = 3,
+    batch: Annotated[int, typer.Option(help="Images a step.")] = 16,
+    seed: Annotated[int, typer.Option(help="Of weights, order and augmentation.")] = 0,
+    device: Annotated[str, typer.Option(metavar="auto|cpu|N", help="Where to train; N is a GPU.")] = "auto",
+    backend: Annotated[str, typer.Option(metavar="libreyolo|ultralytics", help="Which library.")] = "libreyolo",
+    preset: Annotated[str | None, typer.Option(metavar="NAME", help=_BOXES_HELP)] = None,
+) -> None:
+    """Train a YOLO from random weights on the labelled boxes of DATA."""
+    from foreglow.config import validated
+    from foreglow.learning.yolo import YoloConfig, train_yolo
+    from foreglow.reports.progress import CountProgress
+
+    fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
+    config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
+    with CountProgress("images exported") as progress:
+        run = train_yolo(data, out, config, preset_name=preset, progress=progress)
+    millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
+    typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
+
+
+@yolo.command("predict")
+def yolo_predict(
+    trained: Annotated[Path, _argument(metavar="RUN", help="Folder of a finished `yolo train`.")],
+    split: Annotated[Path, _argument(metavar="SPLIT", help="A PVDN split, such as PVDN/day/val.")],
+    out: Annotated[Path, _file(help="The predictions to write, JSON for `evaluate --predictions`.")],
+) -> None:
+    """Write what a trained YOLO finds in a split."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation.predictions import write_predictions
+    from foreglow.learning.yolo import predict_yolo, read_yolo_run
+    from foreglow.reports.progress import CountProgress
+
+    with CountProgress("images") as progress:
+        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=progress)
+    write_predictions(out, found.predictions)
+    typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")
 
 
 @experiments.command("simulator")

@@ -1,6 +1,8 @@
-"""Progress bars: one as a result sink, and one for scenes that are driven."""
+"""Progress bars: one as a result sink, one for scenes that are driven, and one for whatever is counted."""
 
 from __future__ import annotations
+
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -60,4 +62,28 @@ class SceneProgress:
 
     def close(self) -> None:
         """Takes the bar away."""
+        self._progress.stop()
+
+
+class CountProgress:
+    """Shows on stderr how many things of how many are done, in a `with` block; nothing where stderr is no terminal."""
+
+    def __init__(self, things: str) -> None:
+        """A bar for `things`; their number is said with each call."""
+        console = Console(stderr=True)
+        columns = (TextColumn(things), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._progress.add_task(things, total=None)
+
+    def __call__(self, num_done: int, num_things: int) -> None:
+        """Takes note that `num_done` of `num_things` are done; takes the bar away at the last one."""
+        self._progress.start()
+        self._progress.update(self._task, completed=num_done, total=num_things)
+        if num_done == num_things:
+            self._progress.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
