@@ -203,14 +203,14 @@ def _share_changes(matches: Matches) -> tuple[Floats, Floats]:
     point = matches.pair_point[order]
     first = np.searchsorted(point, point)
     rank = np.arange(len(point)) - first + 1.0
-    change = 1.0 / rank
+    change: Floats = np.asarray(1.0 / rank, np.float64)
     change[rank > 1] -= 1.0 / (rank[rank > 1] - 1.0)
     return scores[order], change
 
 
 def _ratio(part: Floats, whole: Floats) -> Floats:
     """Shape (T,): part / whole, NaN where the whole is 0."""
-    return np.divide(part, whole, out=np.full(len(part), np.nan), where=whole > 0)
+    return np.asarray(np.divide(part, whole, out=np.full(len(part), np.nan), where=whole > 0))
 
 
 def _plain(values: Floats) -> list[Any]:

@@ -97,7 +97,8 @@ def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions)
     Raises:
         ValueError: If the points have another shape.
 
-    >>> matches = match_boxes({7: np.array([[10, 10]])}, Predictions({7: np.array([[5.0, 5, 10, 10]])}, {7: np.ones(1)}))
+    >>> predictions = Predictions({7: np.array([[5.0, 5, 10, 10]])}, {7: np.ones(1)})
+    >>> matches = match_boxes({7: np.array([[10, 10]])}, predictions)
     >>> matches.pair_point.tolist(), matches.pair_box.tolist()
     ([0], [0])
     """

@@ -5,9 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,9 +13,10 @@ from foreglow.evaluation.image_statistics import LAMP_RADII_PX, PERCENTILES
 from foreglow.evaluation.perceivability import RuleEffect
 from foreglow.experiments.simulator import SimulatorResults
 from foreglow.files import write_atomic
+from foreglow.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
 
 BIN_S = 0.25
-INK, PROVIDENT, PRODUCTION, REAL = "#222222", "#d9822b", "#3b6fb6", "#888888"
+PROVIDENT, PRODUCTION, REAL = AMBER, BLUE, GREY
 
 
 def write_report(results: SimulatorResults, folder: Path) -> Path:
@@ -125,7 +124,7 @@ def _number(value: float) -> str:
 
 def _leads_figure(results: SimulatorResults) -> bytes:
     """Histograms of both leads."""
-    figure, axes = _subplots(1)
+    figure, axes = subplots(1)
     times = [*results.leads_s, *results.production_delays_s, 0.0]
     edges = np.arange(np.floor(min(times) / BIN_S) * BIN_S, max(times) + 2 * BIN_S, BIN_S)
     axes[0].hist(results.leads_s, edges, color=PROVIDENT, alpha=0.75, label="first lamp")
@@ -133,12 +132,12 @@ def _leads_figure(results: SimulatorResults) -> bytes:
     axes[0].axvline(0.0, color=INK, linewidth=0.8)
     axes[0].set(xlabel="seconds after the first indirect light", ylabel="drives")
     axes[0].legend(frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
 def _pixels_figure(results: SimulatorResults) -> bytes:
     """Grey levels over their share of the image, and over the distance from a lamp."""
-    figure, axes = _subplots(2)
+    figure, axes = subplots(2)
     radii = [(low + high) / 2 for low, high in itertools.pairwise(LAMP_RADII_PX)]
     axes[0].plot(PERCENTILES, results.pixels.percentiles_grey, color=PROVIDENT, marker="o", label="simulated")
     axes[1].plot(radii, results.pixels.lamp_grey, color=PROVIDENT, marker="o", label="simulated")
@@ -152,20 +151,4 @@ def _pixels_figure(results: SimulatorResults) -> bytes:
     axes[0].set(xlabel="percentile of the pixels", ylabel="grey level")
     axes[1].set(xlabel="pixels from a lamp", ylabel="grey level", xscale="log")
     axes[0].legend(frameon=False)
-    return _png(figure)
-
-
-def _subplots(num: int) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0 * num, 3.4), layout="constrained")
-    axes = figure.subplots(1, num, squeeze=False)[0]
-    for one in axes:
-        one.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _png(figure: Any) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    return buffer.getvalue()
+    return png(figure)

@@ -1,0 +1,166 @@
+"""Whether scores are probabilities: reliability, calibration error, Brier score, likelihood, and a temperature."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import expit, logit
+
+Floats = NDArray[np.float64]
+
+SMALLEST_SCORE = 1e-7
+"""Scores are kept this far from 0 and 1 before their logit is taken: single precision knows nothing beyond."""
+
+TEMPERATURE_LIMITS = (0.02, 50.0)
+"""The fit ends here where scores divide the classes without a fault, or say nothing of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """Boxes of similar scores.
+
+    Attributes:
+        num: How many.
+        mean_score: Their mean score.
+        share: Share of them that hold a light artifact.
+    """
+
+    num: int
+    mean_score: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """How well scores tell the probability of a light artifact in the box.
+
+    Attributes:
+        num: Boxes with a score; those with only doubtful light are left out.
+        share: Share of them that hold a light artifact.
+        ece: Expected calibration error: mean over the boxes of |share - mean score| of their bin.
+        brier: Mean of (score - label)^2.
+        nll: Mean of -log of the probability given to the label, in nats; scores kept 1e-7 from 0 and 1.
+        temperature: What the logits have to be divided by for the lowest nll: above 1 for too sure a classifier.
+        nll_at_temperature: The nll with it.
+        ece_at_temperature: The calibration error with it.
+        bins: The reliability diagram, by score.
+    """
+
+    num: int
+    share: float
+    ece: float
+    brier: float
+    nll: float
+    temperature: float
+    nll_at_temperature: float
+    ece_at_temperature: float
+    bins: tuple[Bin, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON."""
+        return dataclasses.asdict(self)
+
+
+def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Calibration:
+    """How well `scores` tell the probability of `labels`.
+
+    Args:
+        scores: Shape (N,), from 0 to 1.
+        labels: Shape (N,), true where the box holds a light artifact.
+        num_bins: Of the reliability diagram.
+
+    Raises:
+        ValueError: If there are not both classes, or scores and labels do not fit.
+    """
+    given, truth = _checked(scores, labels)
+    logits = logits_of(given)
+    temperature = fit_temperature(logits, truth)
+    bins = reliability(given, truth, num_bins)
+    return Calibration(
+        num=len(given),
+        share=float(truth.mean()),
+        ece=_ece(bins),
+        brier=float(np.mean((given - truth) ** 2)),
+        nll=_nll(logits, truth),
+        temperature=temperature,
+        nll_at_temperature=_nll(logits / temperature, truth),
+        ece_at_temperature=_ece(reliability(expit(logits / temperature), truth, num_bins)),
+        bins=bins,
+    )
+
+
+def reliability(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> tuple[Bin, ...]:
+    """Boxes in `num_bins` bins of as equal counts as ties allow: equal scores share a bin; fewer bins if need be.
+
+    >>> [(one.num, one.share) for one in reliability([0.1, 0.2, 0.8, 0.9], [False, False, True, False], 2)]
+    [(2, 0.0), (2, 0.5)]
+    """
+    given, truth = np.asarray(scores, np.float64), np.asarray(labels, np.float64)
+    order = np.argsort(given, kind="stable")
+    given, truth = given[order], truth[order]
+    starts = np.round(np.arange(num_bins) * len(given) / num_bins).astype(int)
+    edges = np.unique([*np.searchsorted(given, given[starts[starts < len(given)]]), len(given)])
+    return tuple(
+        Bin(stop - start, float(given[start:stop].mean()), float(truth[start:stop].mean()))
+        for start, stop in itertools.pairwise(edges.tolist())
+    )
+
+
+def expected_calibration_error(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> float:
+    """Mean over the boxes of |share of artifacts - mean score| of their bin of equal counts; NaN of nothing."""
+    return _ece(reliability(scores, labels, num_bins))
+
+
+def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
+    """The temperature T, from 0.02 to 50, for which sigmoid(logits / T) gives `labels` the highest likelihood.
+
+    The likelihood is log-concave in 1 / T, so there is one best T.
+
+    Raises:
+        ValueError: If there are not both classes, or logits and labels do not fit.
+
+    Source: Guo et al., On Calibration of Modern Neural Networks, ICML 2017, section 4.2.
+
+    >>> round(fit_temperature([2.0, 2.0, 2.0, -2.0, -2.0, -2.0], [1, 1, 0, 0, 0, 1]), 3)  # 2 / log(2)
+    2.885
+    """
+    given, truth = _checked(logits, labels)
+    low, high = (math.log(1.0 / limit) for limit in reversed(TEMPERATURE_LIMITS))
+    best = minimize_scalar(
+        lambda log_slope: _nll(given * math.exp(log_slope), truth),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    return float(math.exp(-best.x))
+
+
+def logits_of(scores: ArrayLike) -> Floats:
+    """log(s / (1 - s)) of scores, kept 1e-7 from 0 and 1."""
+    return np.asarray(logit(np.clip(np.asarray(scores, np.float64), SMALLEST_SCORE, 1.0 - SMALLEST_SCORE)))
+
+
+def _checked(values: ArrayLike, labels: ArrayLike) -> tuple[Floats, Floats]:
+    given, truth = np.asarray(values, np.float64), np.asarray(labels, np.float64)
+    if given.shape != truth.shape or given.ndim != 1:
+        raise ValueError(f"labels: expected one a score, shape {given.shape}, got {truth.shape}")
+    if not 0.0 < truth.sum() < len(truth):
+        raise ValueError(f"labels: expected boxes with and without an artifact, got {truth.sum():g} of {len(truth)}")
+    return given, truth
+
+
+def _nll(logits: Floats, labels: Floats) -> float:
+    """Mean of log(1 + exp(-z)) where the label is 1, and of log(1 + exp(z)) where it is 0."""
+    return float(np.mean(np.logaddexp(0.0, np.where(labels > 0.5, -logits, logits))))
+
+
+def _ece(bins: tuple[Bin, ...]) -> float:
+    num = sum(one.num for one in bins)
+    return sum(one.num * abs(one.share - one.mean_score) for one in bins) / num if num else math.nan
