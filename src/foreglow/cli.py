@@ -196,6 +196,50 @@ def import_weights(
 
 
 @app.command()
+def train(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set in PVDN's format, with train and val.")],
+    out: Annotated[Path, _folder(help="Folder for the model; an interrupted training in it goes on.")],
+    recipe: Annotated[
+        str, typer.Option(metavar="paper|foreglow", help="How to train, and which network.")
+    ] = "foreglow",
+    recipe_file: Annotated[Path | None, _file(help="TOML whose fields override the recipe.")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, metavar="N", help="Passes over the data, at most.")] = None,
+    patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is drawn.")] = None,
+    max_negatives: Annotated[
+        float | None, typer.Option(min=0.01, metavar="X", help="At most X boxes without light for each with, an epoch.")
+    ] = None,
+    precision: Annotated[
+        str | None, typer.Option(metavar="fp32|bf16", help="bf16 is faster where there is it.")
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Preset of the proposals [the recipe's name].")
+    ] = None,
+    config: Annotated[Path | None, _file(help="TOML whose fields override the preset.")] = None,
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    cache: Annotated[Path | None, _folder(help="Where samples are kept [default: in the folder].")] = None,
+) -> None:
+    """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
+    from foreglow.learning import recipes
+    from foreglow.learning.training_run import train_model
+    from foreglow.reports.progress import TrainingBar
+    from foreglow.reports.tables import training_lines
+    from foreglow.reports.training_curves import draw_training
+
+    chosen = recipes.recipe(recipe) if recipe_file is None else recipes.read_recipe(recipe_file, recipes.recipe(recipe))
+    given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
+    given["max_negatives_per_positive"] = max_negatives
+    chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
+    configuration = _configuration(preset or recipe, config, None)
+    try:
+        with contextlib.closing(TrainingBar()) as progress:
+            trained = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
+    finally:  # also of a training that was interrupted
+        draw_training(out)
+    typer.echo("\n".join(training_lines(trained)))
+
+
+@app.command()
 def download(
     dataset: Annotated[str, typer.Argument(metavar="DATASET", help="The data set: pvdn.")],
     out: Annotated[Path, _folder(help="Where to put it.")] = Path("PVDN"),
@@ -261,7 +305,7 @@ def export_yolo(
     from foreglow.learning.yolo import export_yolo
     from foreglow.reports.progress import CountProgress
 
-    with CountProgress("images") as progress:
+    with contextlib.closing(CountProgress("images")) as progress:
         export = export_yolo(data, out, preset_name=preset, size_px=size, progress=progress)
     counts = ", ".join(f"{name} {count} ({export.num_boxes[name]} boxes)" for name, count in export.num_images.items())
     typer.echo(f"wrote {export.data_file}: images of {counts}; boxes: {export.settings.boxes}")
@@ -287,7 +331,7 @@ def yolo_train(
 
     fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
     config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
-    with CountProgress("images exported") as progress:
+    with contextlib.closing(CountProgress("images exported")) as progress:
         run = train_yolo(data, out, config, preset_name=preset, progress=progress)
     millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
     typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
@@ -305,7 +349,7 @@ def yolo_predict(
     from foreglow.learning.yolo import predict_yolo, read_yolo_run
     from foreglow.reports.progress import CountProgress
 
-    with CountProgress("images") as progress:
+    with contextlib.closing(CountProgress("images")) as progress:
         found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=progress)
     write_predictions(out, found.predictions)
     typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")

@@ -1,13 +1,16 @@
-"""Progress bars: one as a result sink, one for scenes that are driven, and one for whatever is counted."""
+"""Progress bars: one as a result sink, one for scenes that are driven, one for a training, one for what is counted."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from foreglow.types import Frame, FrameResult
+
+if TYPE_CHECKING:
+    from foreglow.learning.training import Epoch
 
 
 class ProgressSink:
@@ -65,25 +68,67 @@ class SceneProgress:
         self._progress.stop()
 
 
-class CountProgress:
-    """Shows on stderr how many things of how many are done, in a `with` block; nothing where stderr is no terminal."""
+class TrainingBar:
+    """Shows on stderr how far a training is, and one line an epoch; without a terminal the lines alone."""
 
-    def __init__(self, things: str) -> None:
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(
+            *columns, console=self._console, transient=True, disable=not self._console.is_terminal
+        )
+        self._task = self._progress.add_task("")
+        self._best = 0.0
+
+    def samples(self, split: str, num_done: int, num_images: int) -> None:
+        """Takes note that the samples of `num_done` images are there."""
+        self._show(f"{split} images", num_done, num_images)
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
+        """Takes note of a step."""
+        self._show(f"epoch {epoch}, steps", num_done, num_steps)
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
+        """Writes the epoch's line."""
+        self._best = max(self._best, epoch.f1)
+        self._console.print(
+            f"epoch {epoch.number}/{num_epochs}: loss {epoch.train_loss:.4f}, validation {epoch.val_loss:.4f}, "
+            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
+            f"{epoch.seconds:.0f} s",
+            highlight=False,
+        )
+
+    def close(self) -> None:
+        """Takes the bar away."""
+        self._progress.stop()
+
+    def _show(self, description: str, num_done: int, total: int) -> None:
+        self._progress.start()
+        self._progress.update(self._task, description=description, completed=num_done, total=total)
+
+
+class CountProgress:
+    """Shows on stderr how many things of how many are done; nothing where stderr is no terminal."""
+
+    def __init__(self, things: str = "") -> None:
         """A bar for `things`; their number is said with each call."""
         console = Console(stderr=True)
-        columns = (TextColumn(things), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._progress.add_task(things, total=None)
+        self._things = things
+        self._task = self._progress.add_task(things)
 
     def __call__(self, num_done: int, num_things: int) -> None:
-        """Takes note that `num_done` of `num_things` are done; takes the bar away at the last one."""
+        """Takes note that `num_done` of `num_things` are done."""
+        self.show(self._things, num_done, num_things)
+
+    def show(self, things: str, num_done: int, num_things: int) -> None:
+        """The same for other things; takes the bar away at the last one."""
         self._progress.start()
-        self._progress.update(self._task, completed=num_done, total=num_things)
+        self._progress.update(self._task, description=things, completed=num_done, total=num_things)
         if num_done == num_things:
             self._progress.stop()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Takes the bar away."""
         self._progress.stop()

@@ -9,6 +9,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from foreglow.evaluation import BoxQuality
+    from foreglow.learning.training_run import TrainedModel
     from foreglow.runtime import RunSummary
     from foreglow.simulation import DatasetSummary
 
@@ -45,8 +46,29 @@ def dataset_lines(summary: DatasetSummary) -> list[str]:
     ]
 
 
+def training_lines(trained: TrainedModel) -> list[str]:
+    """What came of a training, one fact a line; the last says how to use it."""
+    summary = trained.summary
+    counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
+    lines = [
+        f"{name}: {_counted(counts[name]['positive'], 'box')} with light, {counts[name]['negative']} without, "
+        f"{counts[name]['ignored']} doubtful and left out"
+        for name in ("train", "val")
+    ]
+    lines += [
+        f"{_counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}; on the validation boxes "
+        f"P {best['precision']:.3f}, R {best['recall']:.3f}, F {best['f1']:.3f} at a score of 0.5",
+        f"calibrated with temperature {figures['temperature']:.2f}: calibration error "
+        f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
+    ]
+    if not (trained.folder / "curves.png").is_file():
+        lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")
+    return [*lines, f"look in {trained.folder}; use it with foreglow run SOURCE --config {trained.folder}/config.toml"]
+
+
 def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    plural = "es" if noun.endswith("x") else "s"
+    return f"{number} {noun}{'' if number == 1 else plural}"
 
 
 def box_quality_table(quality: BoxQuality, title: str) -> Table:

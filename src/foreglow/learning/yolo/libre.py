@@ -57,7 +57,7 @@ class LibreBackend:
                 **training_arguments(config),
             )
         best = run / "weights" / "best.pt"
-        return best if best.exists() else checkpoint
+        return best if best.exists() and _read(best)["best_mAP50_95"] > 0 else checkpoint
 
     def load(self, weights: Path, config: YoloConfig) -> LibreDetector:
         """See `Backend.load`."""
@@ -123,12 +123,15 @@ def _epochs_in(checkpoint: Path) -> int:
     Raises:
         ValueError: If it is broken, such as by a kill while it was written.
     """
-    if not checkpoint.exists():
-        return 0
+    return int(_read(checkpoint)["epoch"]) + 1 if checkpoint.exists() else 0
+
+
+def _read(checkpoint: Path) -> dict[str, Any]:
     import torch
 
     try:
-        return int(torch.load(checkpoint, map_location="cpu", weights_only=True)["epoch"]) + 1
+        content = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        return {name: content[name] for name in ("epoch", "best_mAP50_95")}
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise ValueError(f"{checkpoint}: expected a checkpoint ({reason}); remove it to begin again") from error

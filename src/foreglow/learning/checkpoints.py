@@ -1,0 +1,86 @@
+"""Checkpoints: all that an interrupted training needs to go on as if nothing had been."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from foreglow.files import open_atomic
+
+NAME = "checkpoint.pt"
+_FORMAT = 1
+
+State = dict[str, Any]
+
+
+@dataclass(slots=True)
+class Checkpoint:
+    """The state of a training at the end of an epoch.
+
+    What is drawn depends on the seed and the epoch's number alone, and the learning rate on `epochs`, so neither
+    generators nor schedules have a state.
+
+    Attributes:
+        identity: What must be the same to go on: by name, the recipe's fields and the data's digests.
+        network: Weights and buffers as they are trained.
+        averaged: Their running mean; empty where the recipe wants none.
+        optimiser: The optimiser's state.
+        epochs: One row of figures an epoch.
+        best_epoch: Number of the best epoch, from 1; 0 before there is one.
+        best: Its weights and buffers.
+        num_steps: Steps taken.
+    """
+
+    identity: dict[str, Any]
+    network: State
+    averaged: State
+    optimiser: State
+    epochs: list[dict[str, float]] = field(default_factory=list)
+    best_epoch: int = 0
+    best: State = field(default_factory=dict)
+    num_steps: int = 0
+
+
+def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
+    """Writes it into `folder`, in place of the one before, whole or not at all.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    content = {name: getattr(checkpoint, name) for name in Checkpoint.__slots__}
+    with open_atomic(folder / NAME) as file:
+        torch.save({"format": _FORMAT, **content}, file)
+
+
+def read_checkpoint(folder: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
+    """The checkpoint in `folder`, on the CPU; None if there is none.
+
+    Raises:
+        ValueError: If it is damaged, or of a training with another identity; the message names the first difference.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return None
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        if content.pop("format") != _FORMAT:
+            raise ValueError("another format")
+        checkpoint = Checkpoint(**content)
+    except (
+        *(pickle.UnpicklingError, RuntimeError, EOFError, OSError),
+        *(ValueError, LookupError, AttributeError, TypeError),
+    ) as error:
+        raise ValueError(f"{path}: expected a whole checkpoint, found it damaged; remove it to start anew") from error
+    for name in sorted(identity.keys() | checkpoint.identity.keys()):
+        before, now = checkpoint.identity.get(name), identity.get(name)
+        if before != now:
+            raise ValueError(
+                f"{path}: {name}: expected that of the training begun here, {before!r}, got {now!r}; "
+                "choose another folder, or remove this one"
+            )
+    return checkpoint
