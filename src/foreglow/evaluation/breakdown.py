@@ -16,7 +16,7 @@ from foreglow.datasets import PVDN, Instance
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.evaluation.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.evaluation.lights import Light, empty_images, read_lights
-from foreglow.evaluation.matching import Matches, match_boxes
+from foreglow.evaluation.matching import NEVER, Matches, match_boxes
 from foreglow.evaluation.predictions import Predictions
 
 KINDS = ("lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze", "indirect")
@@ -88,6 +88,32 @@ class FalseBoxes:
 
 
 @dataclass(frozen=True, slots=True)
+class ImageGroup:
+    """The figures of some of the images alone, such as those in rain.
+
+    Attributes:
+        name: Of the group.
+        precision: Of the accepted boxes in these images; NaN without any.
+        lights: Their lights, with an F of this precision.
+        false_boxes: Their false boxes.
+    """
+
+    name: str
+    precision: float
+    lights: LightGroup
+    false_boxes: FalseBoxes
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {
+            "name": self.name,
+            "precision": plain(self.precision),
+            "lights": self.lights.to_json(),
+            "false_boxes": self.false_boxes.to_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Breakdown:
     """Recall by groups of lights, and false boxes.
 
@@ -98,8 +124,9 @@ class Breakdown:
         threshold: A box is accepted if its score is above.
         precision: Of all accepted boxes.
         whole: All lights together; its `f1` is the F of `evaluate_boxes`.
-        groups: By aspect (`kind`, `source`, `sight`, `strength`, `hidden kind`, `distance`, `weather`), its groups in
-            the order of a table; groups without lights are left out.
+        groups: By aspect (`kind`, `source`, `sight`, `strength`, `hidden kind`, `distance`), its groups in the order
+            of a table; groups without lights are left out.
+        weathers: The images of each weather, by its name.
         false_boxes: In all images.
         false_boxes_empty: In images without any vehicle's light.
     """
@@ -108,6 +135,7 @@ class Breakdown:
     precision: float
     whole: LightGroup
     groups: Mapping[str, tuple[LightGroup, ...]]
+    weathers: tuple[ImageGroup, ...]
     false_boxes: FalseBoxes
     false_boxes_empty: FalseBoxes
 
@@ -122,6 +150,7 @@ class Breakdown:
             "precision": plain(self.precision),
             "whole": self.whole.to_json(),
             "groups": {aspect: [one.to_json() for one in groups] for aspect, groups in self.groups.items()},
+            "weathers": [one.to_json() for one in self.weathers],
             "false_boxes": self.false_boxes.to_json(),
             "false_boxes_empty": self.false_boxes_empty.to_json(),
         }
@@ -223,27 +252,33 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
     Args:
         matched: Lights and boxes.
         threshold: On the scores.
-        weather_of: By image id, its weather, for groups by weather; None for none.
+        weather_of: By image id, its weather; None for no figures by weather.
     """
     matches = matched.matches
     is_found = matched.best_scores > threshold
-    is_within_reach = matched.best_scores > -np.inf
     is_false = (matches.scores > threshold) & ~matches.has_point
-    tp, fp = int(is_found.sum()), int(is_false.sum())
-    precision = tp / (tp + fp) if tp + fp else math.nan
+    precision = _precision(is_found, is_false)
 
-    def group(name: str, members: NDArray[np.bool_]) -> LightGroup:
-        recall, ceiling = _share(is_found[members]), _share(is_within_reach[members])
-        return LightGroup(name, int(members.sum()), recall, ceiling, harmonic_mean(precision, recall))
+    def group(name: str, members: NDArray[np.bool_], its_precision: float = precision) -> LightGroup:
+        recall, ceiling = _share(is_found[members]), _share(matched.best_scores[members] > NEVER)
+        return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(its_precision, recall))
 
+    weather = np.array([(weather_of or {}).get(image_id, "") for image_id in matches.image_ids], object)
+    weathers = []
+    for name in sorted(set((weather_of or {}).values())):
+        has_point, has_box = (weather == name)[matches.image_of_point], (weather == name)[matches.image_of_box]
+        its = _precision(is_found[has_point], is_false[has_box])
+        false = _false_boxes(is_false & has_box, matched.has_doubtful, int((weather == name).sum()))
+        weathers.append(ImageGroup(name, its, group(name, has_point, its), false))
     return Breakdown(
         threshold=threshold,
         precision=precision,
         whole=group("all", np.ones(len(matched.lights), np.bool_)),
         groups={
             aspect: tuple(group(name, its) for name, its in members.items() if its.any())
-            for aspect, members in _members(matched.lights, weather_of or {}).items()
+            for aspect, members in _members(matched.lights).items()
         },
+        weathers=tuple(weathers),
         false_boxes=_false_boxes(is_false, matched.has_doubtful, matches.num_images),
         false_boxes_empty=_false_boxes(is_false & matched.is_in_empty, matched.has_doubtful, matched.num_empty_images),
     )
@@ -267,13 +302,13 @@ def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
     return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
 
 
-def harmonic_mean(a: float, b: float) -> float:
-    """F of a precision and a recall: 2 a b / (a + b); 0 where both are 0, NaN where one is.
+def f1_of(precision: float, recall: float) -> float:
+    """2 P R / (P + R); 0 where nothing is found, whatever the precision, NaN where nothing was to be found.
 
-    >>> harmonic_mean(0.5, 1.0) == 2 / 3
+    >>> f1_of(0.5, 1.0) == 2 / 3
     True
     """
-    return 0.0 if a == b == 0.0 else 2.0 * a * b / (a + b)
+    return 0.0 if recall == 0.0 else 2.0 * precision * recall / (precision + recall)
 
 
 def plain(value: Any) -> Any:
@@ -281,14 +316,13 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _members(lights: Sequence[Light], weather_of: Mapping[int, str]) -> dict[str, dict[str, NDArray[np.bool_]]]:
+def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]:
     """By aspect and group, shape (P,): which lights belong to it."""
     kind = np.array([light.kind for light in lights], object)
     is_direct = np.array([light.is_direct for light in lights], np.bool_)
     is_hidden = np.array([light.is_hidden for light in lights], np.bool_)
     range_m = np.array([light.range_m for light in lights], np.float64)
     rank = np.array([light.rank for light in lights], np.int64)
-    weather = np.array([weather_of.get(light.image_id, "") for light in lights], object)
     return {
         "kind": {name: kind == name for name in KINDS},
         "source": {"direct": is_direct, "indirect": ~is_direct},
@@ -298,12 +332,16 @@ def _members(lights: Sequence[Light], weather_of: Mapping[int, str]) -> dict[str
         "distance": {
             f"{low:g}-{high:g} m": (low <= range_m) & (range_m < high) for low, high in pairwise(RANGE_EDGES_M)
         },
-        "weather": {name: weather == name for name in sorted(set(weather_of.values()))},
     }
 
 
 def _false_boxes(is_false: NDArray[np.bool_], has_doubtful: NDArray[np.bool_], num_images: int) -> FalseBoxes:
     return FalseBoxes(num_images, int(is_false.sum()), int((is_false & has_doubtful).sum()))
+
+
+def _precision(is_found: NDArray[np.bool_], is_false: NDArray[np.bool_]) -> float:
+    tp, fp = int(is_found.sum()), int(is_false.sum())
+    return tp / (tp + fp) if tp + fp else math.nan
 
 
 def _share(values: NDArray[np.bool_]) -> float:

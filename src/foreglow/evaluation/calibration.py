@@ -50,7 +50,9 @@ class Calibration:
         temperature: What the logits have to be divided by for the lowest nll: above 1 for too sure a classifier.
         nll_at_temperature: The nll with it.
         ece_at_temperature: The calibration error with it.
-        bins: The reliability diagram, by score.
+        bins: The reliability diagram, by score, in bins of equal counts: the figures are theirs.
+        tenths: The same in bins of a tenth of the score, empty ones left out: most boxes have low scores, so bins of
+            equal counts say little of the high ones.
     """
 
     num: int
@@ -62,6 +64,7 @@ class Calibration:
     nll_at_temperature: float
     ece_at_temperature: float
     bins: tuple[Bin, ...]
+    tenths: tuple[Bin, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All fields by name, for JSON."""
@@ -93,6 +96,7 @@ def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Cal
         nll_at_temperature=_nll(logits / temperature, truth),
         ece_at_temperature=_ece(reliability(expit(logits / temperature), truth, num_bins)),
         bins=bins,
+        tenths=_tenths(given, truth),
     )
 
 
@@ -145,6 +149,15 @@ def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
 def logits_of(scores: ArrayLike) -> Floats:
     """log(s / (1 - s)) of scores, kept 1e-7 from 0 and 1."""
     return np.asarray(logit(np.clip(np.asarray(scores, np.float64), SMALLEST_SCORE, 1.0 - SMALLEST_SCORE)))
+
+
+def _tenths(scores: Floats, labels: Floats) -> tuple[Bin, ...]:
+    """Boxes by the first decimal of their score; that of 1 is in the last bin."""
+    place = np.minimum((scores * 10.0).astype(int), 9)
+    members = [place == one for one in range(10)]
+    return tuple(
+        Bin(int(its.sum()), float(scores[its].mean()), float(labels[its].mean())) for its in members if its.any()
+    )
 
 
 def _checked(values: ArrayLike, labels: ArrayLike) -> tuple[Floats, Floats]:

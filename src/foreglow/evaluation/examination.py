@@ -161,7 +161,7 @@ def rank(labels: SplitLabels, predictions: Predictions) -> Ranking:
         best_threshold=best_threshold,
         best_f1=best_f1,
         curve=quality_curve(matches, CURVE_THRESHOLDS),
-        hidden=hidden_curve(matched).thinned(),
+        hidden=hidden_curve(matched).corners(),
         operating_points=tuple(points),
         calibration=calibration(matches.scores[is_certain], is_true[is_certain]) if has_both else None,
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.evaluation.breakdown import FalseBoxes, LightGroup
+from foreglow.evaluation.breakdown import FalseBoxes, ImageGroup, LightGroup
 from foreglow.evaluation.examination import Examination, Ranking
 from foreglow.evaluation.first_found import share_found_ahead
 from foreglow.evaluation.robustness import RobustnessRow
@@ -27,7 +27,6 @@ ASPECTS = {
     "strength": "by strength",
     "hidden kind": "hidden vehicles, by kind",
     "distance": "by distance to the vehicle",
-    "weather": "by weather",
 }
 
 
@@ -121,6 +120,10 @@ def _lines(examination: Examination, plots: set[str]) -> Iterator[str]:
     yield from _table(head, rows)
     yield "A minute has 18 x 60 images, whatever the rate of the data set."
     yield ""
+    yield "## By weather"
+    yield ""
+    head = ["weather", "images", "lights", "P", "R", "ceiling", "F", "false boxes a frame"]
+    yield from _table(head, [_weather_row(one) for one in breakdown.weathers])
     yield from _vehicle_lines(examination)
     if examination.run_time_ms:
         yield "## Run-time"
@@ -219,6 +222,12 @@ def _group_rows(groups: Mapping[str, Sequence[LightGroup]]) -> Iterator[list[Any
 def _false_row(name: str, boxes: FalseBoxes) -> list[Any]:
     rates = (boxes.per_frame, boxes.per_frame_without_doubtful)
     return [name, boxes.num_images, boxes.num, boxes.num_doubtful, *map(_number, rates), f"{boxes.per_minute:.0f}"]
+
+
+def _weather_row(group: ImageGroup) -> list[Any]:
+    lights, false = group.lights, group.false_boxes
+    rates = (group.precision, lights.recall, lights.ceiling, lights.f1, false.per_frame)
+    return [group.name, false.num_images, lights.num, *map(_number, rates)]
 
 
 def _false_boxes_in_words(examination: Examination) -> str:

@@ -54,7 +54,8 @@ def hidden_plot(ranking: Ranking, breakdown: Breakdown) -> bytes:
     figure, axes = subplots(1)
     curve = ranking.hidden
     false_boxes = np.maximum(curve.false_boxes_per_frame, FEWEST_FALSE_BOXES)
-    axes[0].step(false_boxes, curve.recall, color=AMBER, where="post")
+    # Between two corners, the recall of the one with fewer false boxes can be had.
+    axes[0].step(false_boxes[::-1], curve.recall[::-1], color=AMBER, where="post")
     group = breakdown.group("sight", "hidden")
     if group is not None and not math.isnan(breakdown.false_boxes_empty.per_frame):
         at_threshold = max(breakdown.false_boxes_empty.per_frame, FEWEST_FALSE_BOXES)
@@ -71,11 +72,14 @@ def hidden_plot(ranking: Ranking, breakdown: Breakdown) -> bytes:
 
 
 def reliability_plot(calibration: Calibration) -> bytes:
-    """Share of light artifacts over the mean score of bins of equal counts."""
+    """Share of light artifacts over the mean score, in bins of equal counts and in bins of a tenth."""
     figure, axes = subplots(1, width_in=4.0, height_in=3.8)
     axes[0].plot([0, 1], [0, 1], color=GREY, linewidth=0.8, linestyle=":")
-    scores, shares = [one.mean_score for one in calibration.bins], [one.share for one in calibration.bins]
-    axes[0].plot(scores, shares, color=BLUE, marker="o", markersize=4)
+    kinds = (("tenths of the score", calibration.tenths, AMBER), ("equal counts", calibration.bins, BLUE))
+    for label, bins, color in kinds:
+        scores, shares = [one.mean_score for one in bins], [one.share for one in bins]
+        axes[0].plot(scores, shares, color=color, marker="o", markersize=4, label=label)
+    axes[0].legend(frameon=False)
     axes[0].set(xlabel="mean score of a bin", ylabel="share with a light artifact", xlim=(0, 1), ylim=(0, 1))
     axes[0].set_title(f"calibration error {calibration.ece:.3f}", fontsize=10, loc="left")
     return png(figure)

@@ -1,0 +1,140 @@
+"""`foreglow evaluate`: a model or a file of predictions, and the folder with the report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+
+from tests.stand_ins import night_image
+from tests.test_cli import RESULTS, complaint, foreglow_command, names, write_split
+
+PLOTS = {"curve.png", "hidden.png", "kinds.png", "reliability.png"}
+
+
+@pytest.fixture(name="split")
+def fixture_split(tmp_path: Path) -> Path:
+    """Two images with a lamp each; the labels are beside it."""
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (split / "images" / "S00001").mkdir(parents=True)
+    for image_id in (2, 4):
+        cv2.imwrite(str(split / "images" / "S00001" / f"{image_id:06d}.png"), night_image(image_id))
+    return split
+
+
+@pytest.fixture(name="predictions")
+def fixture_predictions(tmp_path: Path) -> Path:
+    path = tmp_path / "predictions.json"
+    boxes = {"boxes": [[5, 5, 15, 15], [30, 30, 40, 40]], "scores": [0.9, 0.3]}
+    path.write_text(json.dumps({"2": boxes}))
+    return path
+
+
+@pytest.fixture(name="model")
+def fixture_model(tmp_path: Path) -> Path:
+    pytest.importorskip("onnx")
+    from tests.classifier.test_onnx import write_model
+
+    return write_model(tmp_path / "model.onnx")
+
+
+@pytest.fixture(name="config")
+def fixture_config(tmp_path: Path) -> Path:
+    path = tmp_path / "reference.toml"
+    path.write_text('[proposals]\nbackend = "reference"\nreference_width_px = 128\n')
+    return path
+
+
+def test_report_on_predictions(tmp_path: Path, split: Path, predictions: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "out"
+    result = foreglow_command("evaluate", split, "--predictions", predictions, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert f"look in {out / 'report.md'}" in result.stdout
+    assert names(out) == {"report.md", "results.json", *PLOTS}
+    results = json.loads((out / "results.json").read_text())
+    assert results["quality"]["recall"] == results["breakdown"]["whole"]["recall"] == 0.5
+    assert results["ranking"]["average_precision"] == 0.5
+    assert results["made_with"]["predictions"] == str(predictions)
+    report = (out / "report.md").read_text()
+    assert all(f"]({name})" in report for name in PLOTS)
+    assert "| lamp | 2 | 0.500 | 0.500 | 0.667 |" in report
+    again = tmp_path / "again"
+    assert foreglow_command("evaluate", split, "--predictions", predictions, "--out", again).exit_code == 0
+    for name in names(out):
+        assert (out / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:
+    pytest.importorskip("matplotlib")
+    plain = tmp_path / "plain.json"
+    plain.write_text(json.dumps({"2": [[5, 5, 15, 15]], "4": []}))
+    out = tmp_path / "out"
+    result = foreglow_command("evaluate", split, "--predictions", plain, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert names(out) == {"report.md", "results.json", "kinds.png"}
+    assert json.loads((out / "results.json").read_text())["ranking"] is None
+
+
+def test_a_model_is_run_on_the_split(tmp_path: Path, split: Path, model: Path, config: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "out"
+    options = ("--model", model, "--config", config, "--threshold", 0.01)
+    result = foreglow_command("evaluate", split, *options, "--out", out, "--robustness")
+    assert result.exit_code == 0, result.output
+    assert names(out) >= {"report.md", "results.json", "kinds.png", *RESULTS}
+    assert "score_threshold = 0.01" in (out / "config.toml").read_text()
+    results = json.loads((out / "results.json").read_text())
+    assert set(results["run_time_ms"]) == {"proposals", "classifier", "total"}
+    rows = results["robustness"]
+    assert rows[0]["name"] == "as it is"
+    assert rows[0]["f1"] == results["quality"]["f1"]
+    assert "## Robustness" in (out / "report.md").read_text()
+    # The same figures from the file that it wrote.
+    file = tmp_path / "quality.json"
+    again = ("--predictions", out / "frames.jsonl", "--threshold", 0.01, "--json", file)
+    assert foreglow_command("evaluate", split, *again).exit_code == 0
+    assert json.loads(file.read_text()) == results["quality"]
+
+
+def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model: Path, config: Path) -> None:
+    before = names(tmp_path)
+    result = foreglow_command("evaluate", split, "--model", model, "--config", config)
+    assert result.exit_code == 0, result.output
+    assert "ms a frame (median)" in result.stdout
+    assert names(tmp_path) == before
+
+
+def test_exactly_one_detector_is_needed(split: Path, predictions: Path, tmp_path: Path) -> None:
+    assert "expected --predictions FILE or --model FILE, got neither" in complaint("evaluate", split)
+    both = complaint("evaluate", split, "--predictions", predictions, "--model", tmp_path / "model.onnx")
+    assert "expected --predictions or --model, got both" in both
+    line = complaint("evaluate", split, "--predictions", predictions, "--preset", "paper")
+    assert "expected --predictions or --preset" in line
+    line = complaint("evaluate", split, "--predictions", predictions, "--robustness")
+    assert "expected --model with --robustness" in line
+
+
+def test_a_missing_model_is_one_line(tmp_path: Path, split: Path) -> None:
+    out = tmp_path / "out"
+    assert "none.onnx" in complaint("evaluate", split, "--model", tmp_path / "none.onnx", "--out", out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("threshold", [-1, "nan"])
+def test_thresholds_of_a_model_lie_within_its_scores(split: Path, tmp_path: Path, threshold: object) -> None:
+    line = complaint("evaluate", split, "--model", tmp_path / "model.onnx", "--threshold", threshold)
+    assert "score_threshold" in line
+
+
+def test_missing_matplotlib_is_named(
+    tmp_path: Path, split: Path, predictions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def require_matplotlib() -> None:
+        raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+
+    monkeypatch.setattr("foreglow.reports.figures.require_matplotlib", require_matplotlib)
+    line = complaint("evaluate", split, "--predictions", predictions, "--out", tmp_path / "out")
+    assert "pip install 'foreglow[plots]'" in line
