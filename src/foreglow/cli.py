@@ -18,8 +18,9 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
-    from foreglow.datasets import FrameSource, OnError
+    from foreglow.datasets import FrameSource, OnError, SplitName
     from foreglow.evaluation import Examination
+    from foreglow.experiments.detector_plan import DetectorPlan
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary
     from foreglow.simulation import Scene
 
@@ -85,6 +86,8 @@ _BOXES_HELP = "Boxes of this preset [default: those that `annotate` wrote, else 
 _SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
 Source = Annotated[Path, _argument(metavar="SOURCE", help=_SOURCE_HELP)]
 ModelOption = Annotated[Path | None, _file(help="ONNX model that classifies the proposals; overrides the file's.")]
+
+TrainedOption = Annotated[Path | None, _file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
 
 
 def _show_version(is_wanted: bool) -> None:
@@ -372,6 +375,50 @@ def experiment_simulator(
     typer.echo(f"look in {report}")
 
 
+@experiments.command("detector")
+def experiment_detector(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set with train, val and test.")],
+    out: Annotated[Path, _folder(help="Folder for the report; an interrupted experiment in it goes on.")],
+    baseline_model: TrainedOption = None,
+    paper_model: TrainedOption = None,
+    published: Annotated[Path | None, _file(help="The published weights, by import-weights.")] = None,
+    compact_model: TrainedOption = None,
+    our_model: TrainedOption = None,
+    yolo_small: Annotated[Path | None, _file(metavar="RUN", help="A finished `yolo train`.")] = None,
+    yolo_large: Annotated[Path | None, _file(metavar="RUN", help="Likewise, of size x.")] = None,
+    no_yolo: Annotated[bool, typer.Option("--no-yolo", help="Leave both YOLOs out.")] = False,
+    no_training: Annotated[bool, typer.Option("--no-training", help="Only rows whose model is given.")] = False,
+    rows: Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Only these rows [default: all].")] = None,
+    epochs_paper: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe paper.")] = None,
+    epochs_ours: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe foreglow.")] = None,
+    patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,
+    yolo_epochs: Annotated[int, typer.Option(min=1, metavar="N", help="Epochs of the YOLO.")] = 3,
+    yolo_image_size: Annotated[int, typer.Option(metavar="PX", help="Side of the YOLO's images.")] = 320,
+    seed: Annotated[int, typer.Option(min=0, help="Of all training and resampling.")] = 1,
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to train.")] = "auto",
+) -> None:
+    """Make the paper's table of detectors: baseline, paper, ours and YOLO, measured alike."""
+    from foreglow.experiments.detector_plan import ROWS, DetectorPlan
+
+    paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
+    epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
+    plan = DetectorPlan(
+        rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
+        given={name: path for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        split=cast("SplitName", split),
+        may_train=not no_training,
+        with_yolo=not no_yolo,
+        epochs={name: number for name, number in epochs.items() if number is not None},
+        patience=patience,
+        seed=seed,
+        yolo_epochs=yolo_epochs,
+        yolo_image_size_px=yolo_image_size,
+        device=device,
+    )
+    typer.echo(f"look in {_detector_report(data, out, plan)}")
+
+
 def main() -> None:
     """Runs the command line."""
     app()
@@ -449,6 +496,19 @@ def _examined_model(split: Path, configuration: PipelineConfig, out: Path | None
     with contextlib.closing(ProgressSink(dataset.num_frames)) as progress:
         rows = robustness(dataset, labels, configuration, seed=seed, progress=progress.write)
     return dataclasses.replace(examination, robustness=rows)
+
+
+def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
+    """Runs the experiment and writes its report, whose path it returns."""
+    from foreglow.datasets import PVDN, split_folder
+    from foreglow.experiments.detector import run_experiment
+    from foreglow.experiments.detector_pictures import pictures
+    from foreglow.reports.detector_page import write_report
+    from foreglow.reports.progress import CountProgress, TrainingBar
+
+    with contextlib.closing(CountProgress()) as progress, contextlib.closing(TrainingBar()) as training:
+        results = run_experiment(data, out, plan, progress=progress.show, training=training)
+    return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)
 
 
 def _opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
