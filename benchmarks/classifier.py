@@ -18,7 +18,7 @@ from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, optio
 from foreglow import _native
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
-from foreglow.types import Proposals
+from foreglow.types import Frame, Proposals
 
 NUM_CROPS = (1, 7, 32)
 
@@ -27,6 +27,7 @@ def measure(rounds: int) -> tuple[str, list[Row]]:
     """What the weights are; median and p99 of `classify`, crops and Python call included, and of the crops alone."""
     random = np.random.default_rng(0)
     image = random.integers(0, 256, (960, 1280)).astype(np.uint8)
+    frame = Frame(image, 0)
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         weights, models = imported_models(Path(folder))
@@ -36,7 +37,7 @@ def measure(rounds: int) -> tuple[str, list[Row]]:
         boxes = np.concatenate([corners, corners + random.integers(10, 60, (count, 2))], axis=1)
         proposals = Proposals(boxes.astype(np.int32))
         contenders = {
-            name: Contender(partial(classifier.classify, image, proposals), calls=5)
+            name: Contender(partial(classifier.classify, frame, proposals), calls=5)
             for name, classifier in classifiers.items()
         }
         crops = Contender(partial(_native.extract_crops, image, proposals.boxes_xyxy_px, 2, 64), calls=5)

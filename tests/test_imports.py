@@ -19,13 +19,14 @@ TOOLS = {"evaluation", "learning", "experiments", "runtime"}
 
 ALLOWED: dict[str, set[str]] = {
     "files": set(),
+    "models": set(),
     "provenance": set(),
     "types": set(),
     "geometry": {"types"},
     "photometry": {"types", "geometry"},
     "config": {"types", "geometry", "photometry"},
     "calibration": {"types", "geometry", "config"},
-    **{stage: VALUES | {"_native"} for stage in STAGES},
+    **{stage: VALUES | {"_native", "models"} for stage in STAGES},
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},

@@ -39,6 +39,10 @@ public:
         return {*image_, across_, down_, static_cast<std::int32_t>(black_), static_cast<double>(range_)};
     }
 
+    // The block sum that counts as 0, and the distance from it that counts as 1.
+    std::int64_t black() const { return black_; }
+    std::int64_t range() const { return range_; }
+
     // Pixels since `start` that double precision decided.
     std::int64_t num_doubtful() const { return num_doubtful_; }
 

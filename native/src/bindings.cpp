@@ -1,10 +1,12 @@
 // The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL, returns arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstring>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -38,19 +40,36 @@ foreglow::ImageView view_of(const PixelArray& pixels) {
     return view;
 }
 
-auto extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t support, std::int32_t size_px) {
+template <std::size_t num_axes>
+auto owned(float* values, const std::size_t (&shape)[num_axes]) {
+    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<float*>(pointer); });
+    return nb::ndarray<nb::numpy, float, nb::ndim<num_axes>>(values, num_axes, shape, owner);
+}
+
+nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t support, std::int32_t size_px,
+                        const std::optional<PixelArray>& earlier) {
     if (support < 1 || size_px < 1) throw nb::value_error("support, size_px: expected at least 1");
     const foreglow::ImageView view = view_of(image);
+    foreglow::ImageView earlier_view;
+    if (earlier) {
+        earlier_view = view_of(*earlier);
+        if (earlier_view.pixel_type != view.pixel_type || earlier_view.width_px != view.width_px ||
+            earlier_view.height_px != view.height_px) {
+            throw nb::value_error("earlier: expected an image of the same size and type");
+        }
+    }
     const std::size_t num_boxes = boxes.shape(0), size = static_cast<std::size_t>(size_px);
-    float* crops = new float[num_boxes * size * size];
-    nb::capsule owner(crops, [](void* pointer) noexcept { delete[] static_cast<float*>(pointer); });
+    const std::size_t num_channels = earlier ? 2 : 1;
+    auto crops = owned<4>(new float[num_boxes * num_channels * size * size], {num_boxes, num_channels, size, size});
+    auto levels = owned<2>(new float[num_boxes * 2], {num_boxes, 2});
     {
         nb::gil_scoped_release released;
         static_assert(sizeof(foreglow::Box) == 4 * sizeof(std::int32_t));
-        foreglow::extract_crops(view, reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, support, size_px,
-                                crops);
+        foreglow::extract_crops(view, earlier ? &earlier_view : nullptr,
+                                reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, {support, size_px},
+                                crops.data(), levels.data());
     }
-    return nb::ndarray<nb::numpy, float, nb::ndim<4>>(crops, {num_boxes, 1, size, size}, owner);
+    return nb::make_tuple(crops, levels);
 }
 
 foreglow::ProposalParameters parameters_from(const nb::dict& fields) {
@@ -66,6 +85,7 @@ foreglow::ProposalParameters parameters_from(const nb::dict& fields) {
     read("min_area_px", p.min_area_px);
     read("max_area_px", p.max_area_px);
     read("min_width_px", p.min_width_px);
+    read("split_saddle", p.split_saddle);
     read("reduction", p.reduction);
     read("reference_width_px", p.reference_width_px);
     read("normalise", p.normalise);
@@ -108,7 +128,8 @@ auto propose(foreglow::ProposalGenerator& generator, const PixelArray& image) {
 NB_MODULE(_native, module) {
     module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals and foreglow.classifier.";
     module.def("extract_crops", &extract_crops, "image"_a, "boxes_xyxy_px"_a, "support"_a, "size_px"_a,
-               "Crops of `boxes_xyxy_px` (N, 4) int32 as float32 (N, 1, size_px, size_px) in [0, 1].");
+               "earlier"_a = nb::none(),
+               "Crops of `boxes_xyxy_px` (N, 4) int32 as float32 (N, C, size_px, size_px) in [0, 1], and their levels.");
     nb::class_<foreglow::ProposalGenerator>(module, "ProposalGenerator", "Finds proposals; one object a thread.")
         .def(nb::new_(&make_generator), "parameters"_a, "dispatch"_a)
         .def("propose", &propose, "image"_a, "Boxes (N, 4) int32 of a grey image, half-open, full-frame pixels.")

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -72,7 +73,7 @@ inline void sum_eight_across(const std::uint8_t* row, const std::int32_t* near, 
 }
 #endif
 
-// Cuts, resizes and stretches regions of one image; scratch memory is shared by all regions.
+// Cuts, resizes and stretches regions of images; scratch memory is shared by all regions.
 template <typename Pixel>
 class Cropper {
     using Maths = Arithmetic<Pixel>;
@@ -80,24 +81,30 @@ class Cropper {
     using Sum = typename Maths::Sum;
 
   public:
-    Cropper(const ImageView& image, std::int32_t size_px)
-        : image_(image),
-          size_(static_cast<std::size_t>(size_px)),
+    explicit Cropper(std::int32_t size_px)
+        : size_(static_cast<std::size_t>(size_px)),
           near_(size_),
           weights_(2 * size_),
           sums_{std::vector<Sum>(size_), std::vector<Sum>(size_)},
           levels_(size_ * size_) {}
 
-    // The region must hold at least one pixel of the image.
-    void extract(std::int32_t left, std::int32_t top, std::int32_t right, std::int32_t bottom, float* crop) {
-        resize(left, top, right - left, bottom - top);
-        const auto [lowest, highest] = extremes();
-        if (lowest == highest) {
-            std::fill(crop, crop + levels_.size(), 0.0F);
-            return;
-        }
-        const auto range = static_cast<float>(highest - lowest);
-        for (std::size_t i = 0; i < levels_.size(); ++i) crop[i] = static_cast<float>(levels_[i] - lowest) / range;
+    // What a crop is stretched by.
+    struct Range {
+        Pixel lowest, highest;
+    };
+
+    // The crop of `region`, which must hold at least one pixel of the image, stretched by its own range.
+    Range extract(const ImageView& image, const Box& region, float* crop) {
+        resize(image, region);
+        const Range range = extremes();
+        stretch(range, [](float value) { return value; }, crop);
+        return range;
+    }
+
+    // The crop of `region`, stretched by the range of another one and cut at 0 and 1.
+    void extract_within(const Range& range, const ImageView& image, const Box& region, float* crop) {
+        resize(image, region);
+        stretch(range, [](float value) { return std::clamp(value, 0.0F, 1.0F); }, crop);
     }
 
   private:
@@ -117,7 +124,21 @@ class Cropper {
         return {index, position - static_cast<float>(index)};
     }
 
-    void resize(std::int32_t left, std::int32_t top, std::int32_t width, std::int32_t height) {
+    template <typename Cut>
+    void stretch(const Range& range, const Cut& cut, float* crop) const {
+        if (range.lowest == range.highest) {
+            std::fill(crop, crop + levels_.size(), 0.0F);
+            return;
+        }
+        const auto length = static_cast<float>(range.highest - range.lowest);
+        for (std::size_t i = 0; i < levels_.size(); ++i) {
+            crop[i] = cut(static_cast<float>(levels_[i] - range.lowest) / length);
+        }
+    }
+
+    void resize(const ImageView& image, const Box& region) {
+        const std::int32_t left = region.x1, top = region.y1;
+        const std::int32_t width = region.x2 - region.x1, height = region.y2 - region.y1;
         const double column_scale = scale_of(width), row_scale = scale_of(height);
         for (std::size_t j = 0; j < size_; ++j) {
             Position position = position_of(j, column_scale);
@@ -141,7 +162,7 @@ class Cropper {
             const std::int32_t wanted[2] = {upper, lower};
             for (int k = 0; k < 2; ++k) {
                 if (rows[k] == wanted[k]) continue;
-                sum_across(image_.row<Pixel>(top + wanted[k]) + left, to_far, sums_[k].data());
+                sum_across(image.row<Pixel>(top + wanted[k]) + left, to_far, sums_[k].data());
                 rows[k] = wanted[k];
             }
             sum_down(Maths::weight(1.0F - position.fraction), Maths::weight(position.fraction), &levels_[i * size_]);
@@ -168,7 +189,7 @@ class Cropper {
         }
     }
 
-    std::pair<Pixel, Pixel> extremes() const {
+    Range extremes() const {
         Pixel lowest = levels_[0], highest = levels_[0];
         for (const Pixel level : levels_) {
             lowest = std::min(lowest, level);
@@ -177,7 +198,6 @@ class Cropper {
         return {lowest, highest};
     }
 
-    const ImageView& image_;
     std::size_t size_;
     std::vector<std::int32_t> near_;
     std::vector<Weight> weights_;  // near and far in turn
@@ -185,39 +205,47 @@ class Cropper {
     std::vector<Pixel> levels_;
 };
 
+// The region of the image that belongs to `box`; without a pixel where it lies outside.
+Box region_of(const Box& box, const ImageView& image, std::int64_t support) {
+    const std::int64_t width = std::int64_t{box.x2} - box.x1, height = std::int64_t{box.y2} - box.y1;
+    const std::int64_t x = box.x1 + width / 2, y = box.y1 + height / 2;
+    const auto clip = [](std::int64_t value, std::int32_t limit) {
+        return static_cast<std::int32_t>(std::clamp<std::int64_t>(value, 0, limit));
+    };
+    return {clip(x - support * width, image.width_px), clip(y - support * height, image.height_px),
+            clip(x + support * width, image.width_px), clip(y + support * height, image.height_px)};
+}
+
 template <typename Pixel>
-void extract_all(const ImageView& image, const Box* boxes, std::size_t num_boxes, std::int32_t support,
-                 std::int32_t size_px, float* crops) {
-    Cropper<Pixel> cropper(image, size_px);
-    const std::size_t num_pixels = static_cast<std::size_t>(size_px) * static_cast<std::size_t>(size_px);
+void extract_all(const ImageView& image, const ImageView* earlier, const Box* boxes, std::size_t num_boxes,
+                 const CropSpec& spec, float* crops, float* levels) {
+    Cropper<Pixel> cropper(spec.size_px);
+    constexpr auto full_scale = static_cast<float>(std::numeric_limits<Pixel>::max());
+    const std::size_t num_pixels = static_cast<std::size_t>(spec.size_px) * static_cast<std::size_t>(spec.size_px);
+    const std::size_t num_channels = earlier == nullptr ? 1 : 2;
     for (std::size_t i = 0; i < num_boxes; ++i) {
-        const Box& box = boxes[i];
-        const std::int64_t width = std::int64_t{box.x2} - box.x1, height = std::int64_t{box.y2} - box.y1;
-        const std::int64_t x = box.x1 + width / 2, y = box.y1 + height / 2;
-        const auto clip = [](std::int64_t value, std::int32_t limit) {
-            return static_cast<std::int32_t>(std::clamp<std::int64_t>(value, 0, limit));
-        };
-        const std::int32_t left = clip(x - support * width, image.width_px);
-        const std::int32_t right = clip(x + support * width, image.width_px);
-        const std::int32_t top = clip(y - support * height, image.height_px);
-        const std::int32_t bottom = clip(y + support * height, image.height_px);
-        float* crop = crops + i * num_pixels;
-        if (left >= right || top >= bottom) {
-            std::fill(crop, crop + num_pixels, 0.0F);
-        } else {
-            cropper.extract(left, top, right, bottom, crop);
+        float* crop = crops + i * num_channels * num_pixels;
+        const Box region = region_of(boxes[i], image, spec.support);
+        if (region.x1 >= region.x2 || region.y1 >= region.y2) {
+            std::fill(crop, crop + num_channels * num_pixels, 0.0F);
+            levels[2 * i] = levels[2 * i + 1] = 0.0F;
+            continue;
         }
+        const auto range = cropper.extract(image, region, crop);
+        levels[2 * i] = static_cast<float>(range.lowest) / full_scale;
+        levels[2 * i + 1] = static_cast<float>(range.highest) / full_scale;
+        if (earlier != nullptr) cropper.extract_within(range, *earlier, region, crop + num_pixels);
     }
 }
 
 }  // namespace
 
-void extract_crops(const ImageView& image, const Box* boxes, std::size_t num_boxes, std::int32_t support,
-                   std::int32_t size_px, float* crops) {
+void extract_crops(const ImageView& image, const ImageView* earlier, const Box* boxes, std::size_t num_boxes,
+                   const CropSpec& spec, float* crops, float* levels) {
     if (image.pixel_type == PixelType::u8) {
-        extract_all<std::uint8_t>(image, boxes, num_boxes, support, size_px, crops);
+        extract_all<std::uint8_t>(image, earlier, boxes, num_boxes, spec, crops, levels);
     } else {
-        extract_all<std::uint16_t>(image, boxes, num_boxes, support, size_px, crops);
+        extract_all<std::uint16_t>(image, earlier, boxes, num_boxes, spec, crops, levels);
     }
 }
 

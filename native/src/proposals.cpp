@@ -10,6 +10,7 @@
 #include "blobs.hpp"
 #include "dispatch.hpp"
 #include "kernels.hpp"
+#include "splitting.hpp"
 #include "working_image.hpp"
 
 namespace foreglow {
@@ -27,6 +28,7 @@ const ProposalParameters& checked(const ProposalParameters& p) {
     require(p.gap_px >= 1 && p.gap_px <= 64, "gap_px: expected 1..64");
     require(p.min_area_px >= 0.0 && p.max_area_px > 0.0 && p.min_width_px >= 0.0,
             "min_area_px, max_area_px, min_width_px: expected positive numbers");
+    require(p.split_saddle >= 0.0 && p.split_saddle <= 1.0, "split_saddle: expected 0..1");
     require(p.reduction >= 1 && p.reduction <= 16, "reduction: expected 1..16");
     require(p.reference_width_px >= 64 && p.reference_width_px <= 16384, "reference_width_px: expected 64..16384");
     require(p.blur_width_px == 1 || p.blur_width_px == 3 || p.blur_width_px == 5, "blur_width_px: expected 1, 3 or 5");
@@ -80,12 +82,20 @@ public:
         if (image_.width == 0 || image_.height == 0) return boxes_;
         if (!threshold_.start(image_, sizes.half_window_px)) return boxes_;
         blobs_.start(sizes.gap_px);
+        const bool is_split = parameters_.split_saddle > 0.0;
+        if (is_split) splitter_.start(image_.width, image_.height);
         for (std::int64_t y = 0; y < image_.height; ++y) {
             const BinaryRow row = threshold_.next_row();
             blobs_.add_row(row.even, row.odd, row.num_words);
+            if (is_split) splitter_.add_row(row);
         }
         num_doubtful_ = threshold_.num_doubtful();
-        keep_boxes(sizes, region);
+        if (is_split) {
+            keep_boxes(parts_of(blobs_.boxes(), sizes), sizes, region);
+            boxes_.erase(std::unique(boxes_.begin(), boxes_.end(), is_same), boxes_.end());
+        } else {
+            keep_boxes(blobs_.boxes(), sizes, region);
+        }
         return boxes_;
     }
 
@@ -114,9 +124,22 @@ private:
         return view;
     }
 
-    void keep_boxes(const WorkingSizes& sizes, const Box& region) {
+    static bool is_same(const Box& a, const Box& b) {
+        return std::tie(a.x1, a.y1, a.x2, a.y2) == std::tie(b.x1, b.y1, b.x2, b.y2);
+    }
+
+    const std::vector<Box>& parts_of(const std::vector<Box>& blobs, const WorkingSizes& sizes) {
+        const SplitRule rule{parameters_.split_saddle, sizes.min_area_px, sizes.min_width_px};
+        parts_.clear();
+        for (const Box& blob : blobs) {
+            splitter_.split(blob, image_, threshold_.black(), threshold_.range(), rule, parts_);
+        }
+        return parts_;
+    }
+
+    void keep_boxes(const std::vector<Box>& candidates, const WorkingSizes& sizes, const Box& region) {
         const ExactBlur exact = threshold_.exact();
-        for (const Box& box : blobs_.boxes()) {
+        for (const Box& box : candidates) {
             const auto width = static_cast<double>(box.x2 - box.x1);
             const double area = width * static_cast<double>(box.y2 - box.y1);
             if (area < sizes.min_area_px || area > sizes.max_area_px || width < sizes.min_width_px) continue;
@@ -136,8 +159,9 @@ private:
     WorkingImage image_;
     AdaptiveThreshold threshold_;
     BlobFinder blobs_;
+    BlobSplitter splitter_;
     std::vector<double> scratch_;
-    std::vector<Box> boxes_;
+    std::vector<Box> boxes_, parts_;
     std::int64_t num_doubtful_ = 0;
 };
 

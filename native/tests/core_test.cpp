@@ -160,7 +160,8 @@ void test_crops_at_every_border() {
         for (std::int32_t y = -60; y < 110; y += 7) boxes.push_back({x, y, x + 1 + (x & 15), y + 1 + (y & 31)});
     }
     std::vector<float> crops(boxes.size() * 32 * 32, -1.0F);
-    foreglow::extract_crops(scene.view, boxes.data(), boxes.size(), 2, 32, crops.data());
+    std::vector<float> levels(2 * boxes.size());
+    foreglow::extract_crops(scene.view, nullptr, boxes.data(), boxes.size(), {2, 32}, crops.data(), levels.data());
     expect(std::all_of(crops.begin(), crops.end(), [](float value) { return value >= 0.0F && value <= 1.0F; }),
            "crops are written whole and lie in [0, 1]");
 }

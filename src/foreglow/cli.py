@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from foreglow.simulation import Scene
 
 EXTRAS = {
-    **dict.fromkeys(("onnx", "torch"), "train"),
+    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
     **dict.fromkeys(("mitsuba", "drjit"), "sim"),
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     "matplotlib": "plots",
@@ -175,6 +175,70 @@ def evaluate(
         options = {"split": split, "predictions": predictions, "model": model, "preset": preset, "config": config}
         given = {name: None if value is None else str(value) for name, value in options.items()}
         typer.echo(f"look in {write_report(examination, out, given | {'seed': seed})}")
+
+
+@app.command()
+def annotate(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set in PVDN's format, or one split of it.")],
+    preset: Annotated[str, typer.Option(metavar="paper|baseline", help="Parameters of the boxes.")] = "paper",
+    config: Annotated[Path | None, _file(help="TOML whose fields override the preset.")] = None,
+    split: Annotated[
+        list[str] | None, typer.Option(metavar="train|val|test", help="Only this split; repeatable.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 1,
+    json_file: Annotated[Path | None, _file("--json", help="Also write the numbers as JSON.")] = None,
+) -> None:
+    """Turn key points into labelled boxes, labels/bounding_boxes/*.json, and rate them."""
+    import json
+
+    import rich
+
+    from foreglow.files import write_atomic
+    from foreglow.learning.annotate import annotate_split, splits_to_annotate
+    from foreglow.reports.progress import StepProgress
+    from foreglow.reports.tables import annotation_table
+
+    configuration = _configuration(preset, config, None)
+    roots = splits_to_annotate(data, tuple(split or ()))
+    with contextlib.closing(StepProgress()) as progress:
+        made = [annotate_split(one, configuration, preset, jobs=jobs, progress=progress) for one in roots]
+    if json_file is not None:
+        numbers = {one.root.name: one.to_json() for one in made}
+        write_atomic(json_file, (json.dumps(numbers, indent=2, allow_nan=False) + "\n").encode())
+    rich.print(annotation_table(made, preset if config is None else f"{preset} with {config}"))
+
+
+@app.command()
+def tune(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set in PVDN's format: train, and val and test.")],
+    trials: Annotated[int, typer.Option(min=1, metavar="N", help="Trials in total, earlier calls included.")] = 200,
+    images: Annotated[int, typer.Option(min=1, metavar="N", help="Images of train, spread over its scenes.")] = 600,
+    objective: Annotated[str, typer.Option(metavar="q|q-only|light", help="What is minimised.")] = "q",
+    space: Annotated[
+        str | None, typer.Option(metavar="paper|wide", help="What is varied [default: the objective's own].")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="With one job: the same seed, the same trials.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    storage: Annotated[
+        str | None,
+        typer.Option(metavar="FILE|URL", help="Optuna's journal or database, for many machines [default: in DIR]."),
+    ] = None,
+    out: Annotated[Path, _folder(help="Folder for the results; the same one goes on.")] = Path("tune_output"),
+) -> None:
+    """Search the parameters of the proposals: on train, chosen on val, reported on test."""
+    from foreglow.learning.tuning import TuningSettings
+    from foreglow.learning.tuning import tune as search
+    from foreglow.reports.progress import StepProgress
+    from foreglow.reports.tables import tuning_lines
+    from foreglow.reports.tuning_page import write_report
+
+    settings = TuningSettings(
+        num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, jobs=jobs, storage=storage
+    )
+    with contextlib.closing(StepProgress()) as progress:
+        tuning = search(data, out, settings, progress)
+    typer.echo("\n".join(tuning_lines(tuning)))
+    typer.echo(f"look in {write_report(tuning, out)}; use it with --config {out / 'best.toml'}")
 
 
 @app.command("import-weights")

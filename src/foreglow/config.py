@@ -46,6 +46,8 @@ class ProposalConfig(FrozenModel):
         min_area_px: Smallest area of a box (published code only).
         max_area_px: Largest area of a box; infinity for no limit (published code only).
         min_width_px: Smallest width of a box (published code only).
+        split_saddle: A blob is split between two peaks of light where the saddle between them is at most this share of
+            the lower one, above the frame's black; 0 never splits (published). `proposals.splitting` has the rule.
         reduction: How many frame pixels make one working pixel along each axis at the reference width.
         reference_width_px: Width of the frame that all sizes are relative to.
         normalise: Stretch every frame to [0, 1] by its own minimum and maximum (published code only).
@@ -68,6 +70,7 @@ class ProposalConfig(FrozenModel):
     min_area_px: Annotated[float, Field(ge=0)] = 11.0
     max_area_px: Annotated[float, Field(gt=0, allow_inf_nan=True)] = 1999.0
     min_width_px: Annotated[float, Field(ge=0)] = 6.0
+    split_saddle: Annotated[float, Field(ge=0, le=1)] = 0.0
     reduction: Annotated[int, Field(ge=1, le=16)] = 2
     reference_width_px: Annotated[int, Field(ge=64, le=16384)] = 1280
     normalise: bool = True
@@ -96,15 +99,16 @@ class ClassifierConfig(FrozenModel):
     """Parameters of the classification stage.
 
     Attributes:
-        model: Path of the ONNX model, relative to the working directory (also in a file); None leaves the proposals
-            unclassified.
-        support: The crop is this many times the box's width and height to either side of its centre (paper: M = 2).
+        model: Path of the ONNX model, relative to the working directory (also in a file), or the name of one that
+            ships, `foreglow`; None leaves the proposals unclassified.
+        support: The crop is this many times the box's width and height to either side of its centre; None for what
+            the model was trained with, or the paper's M = 2 where it does not say.
         score_threshold: A proposal is accepted when its score is above this.
         num_threads: Threads of the inference.
     """
 
     model: Annotated[Path, Field(strict=False)] | None = None
-    support: Annotated[int, Field(ge=1, le=16)] = 2
+    support: Annotated[int | None, Field(ge=1, le=16)] = None
     score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1
 
@@ -206,7 +210,6 @@ def config_to_toml(config: PipelineConfig) -> str:
     >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
     [classifier]
     model = "model.onnx"
-    support = 2
     score_threshold = 0.5
     num_threads = 1
     <BLANKLINE>

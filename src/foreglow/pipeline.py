@@ -57,7 +57,7 @@ class Pipeline:
         stage_ms = {"proposals": (proposed - started) / 1e6}
         detections: Detections | None = None
         if self._classifier is not None:
-            detections = self._classifier.classify(frame.image, proposals)
+            detections = self._classifier.classify(frame, proposals)
             stage_ms["classifier"] = (time.perf_counter_ns() - proposed) / 1e6
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, stage_ms)
 
@@ -67,4 +67,6 @@ class Pipeline:
             yield self.step(frame)
 
     def reset(self) -> None:
-        """Forgets what earlier frames left behind; the stages so far keep nothing between frames."""
+        """Forgets what earlier frames left behind, as at the start of a sequence."""
+        if self._classifier is not None:
+            self._classifier.reset()

@@ -19,7 +19,7 @@ SIZE_PX = 64
 
 
 def crop(image: Any, box: tuple[int, int, int, int], support: int = 2, size_px: int = SIZE_PX) -> NDArray[Any]:
-    crops = _native.extract_crops(image, np.array([box], np.int32), support, size_px)
+    crops, _ = _native.extract_crops(image, np.array([box], np.int32), support, size_px)
     assert crops.shape == (1, 1, size_px, size_px)
     assert crops.dtype == np.float32
     result: NDArray[np.float32] = crops[0, 0]
@@ -41,7 +41,7 @@ def test_golden_crops(name: str) -> None:
         expected = stages["crops_dataset"]
     image: Any = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
     assert image is not None
-    crops = _native.extract_crops(image, np.array(boxes, np.int32), 2, SIZE_PX)
+    crops, _ = _native.extract_crops(image, np.array(boxes, np.int32), 2, SIZE_PX)
     np.testing.assert_allclose(crops[:, 0], expected, rtol=0, atol=1e-6)
 
 
@@ -104,7 +104,7 @@ def test_strides_do_not_matter() -> None:
 def test_crops_span_zero_to_one_and_keep_order() -> None:
     image = np.random.default_rng(3).integers(0, 256, (200, 300)).astype(np.uint8)
     boxes = np.array([[10, 10, 30, 25], [250, 150, 299, 199], [100, 20, 101, 21]], np.int32)
-    crops = _native.extract_crops(image, boxes, 2, SIZE_PX)
+    crops, _ = _native.extract_crops(image, boxes, 2, SIZE_PX)
     assert (crops.min(axis=(1, 2, 3)) == 0).all()
     assert (crops.max(axis=(1, 2, 3)) == 1).all()
     for box, one in zip(boxes, crops, strict=True):
@@ -112,4 +112,6 @@ def test_crops_span_zero_to_one_and_keep_order() -> None:
 
 
 def test_no_boxes() -> None:
-    assert _native.extract_crops(np.zeros((9, 9), np.uint8), np.zeros((0, 4), np.int32), 2, 8).shape == (0, 1, 8, 8)
+    crops, levels = _native.extract_crops(np.zeros((9, 9), np.uint8), np.zeros((0, 4), np.int32), 2, 8)
+    assert crops.shape == (0, 1, 8, 8)
+    assert levels.shape == (0, 2)

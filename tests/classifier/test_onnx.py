@@ -13,7 +13,7 @@ import pytest
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
-from foreglow.types import Proposals
+from foreglow.types import Frame, Proposals
 
 pytest.importorskip("onnx")
 
@@ -64,14 +64,14 @@ def write_model(
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 40])
 def test_scores_are_the_sigmoid_of_the_logits(tmp_path: Path, count: int) -> None:
     classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx")))
-    assert classifier.size_px == SIZE_PX
+    assert classifier.spec.size_px == SIZE_PX
     boxes = proposals(count)
-    detections = classifier.classify(IMAGE, boxes)
+    detections = classifier.classify(Frame(IMAGE, 0), boxes)
     np.testing.assert_array_equal(detections.boxes_xyxy_px, boxes.boxes_xyxy_px)
     from foreglow import _native
 
-    crops = _native.extract_crops(IMAGE, boxes.boxes_xyxy_px, 2, SIZE_PX).astype(np.float64)
-    expected = 1 / (1 + np.exp(-8 * (crops.mean(axis=(1, 2, 3)) - 0.5)))
+    crops, _ = _native.extract_crops(IMAGE, boxes.boxes_xyxy_px, 2, SIZE_PX)
+    expected = 1 / (1 + np.exp(-8 * (crops.astype(np.float64).mean(axis=(1, 2, 3)) - 0.5)))
     np.testing.assert_allclose(detections.scores, expected, atol=1e-6)
     np.testing.assert_array_equal(detections.is_accepted, detections.scores > 0.5)
 
@@ -79,41 +79,41 @@ def test_scores_are_the_sigmoid_of_the_logits(tmp_path: Path, count: int) -> Non
 def test_threshold_support_and_strides(tmp_path: Path) -> None:
     model = write_model(tmp_path / "model.onnx")
     strict = OnnxClassifier(ClassifierConfig(model=model, score_threshold=1.0))
-    assert not strict.classify(IMAGE, proposals(9)).is_accepted.any()
-    usual = OnnxClassifier(ClassifierConfig(model=model)).classify(IMAGE, proposals(9)).scores
-    wide = OnnxClassifier(ClassifierConfig(model=model, support=4)).classify(IMAGE, proposals(9)).scores
+    assert not strict.classify(Frame(IMAGE, 0), proposals(9)).is_accepted.any()
+    usual = OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(9)).scores
+    wide = OnnxClassifier(ClassifierConfig(model=model, support=4)).classify(Frame(IMAGE, 0), proposals(9)).scores
     assert not np.array_equal(usual, wide)
     strided = np.repeat(IMAGE, 2, axis=1)[:, ::2]
     classifier = OnnxClassifier(ClassifierConfig(model=model, num_threads=2))
-    np.testing.assert_array_equal(classifier.classify(strided, proposals(9)).scores, usual)
+    np.testing.assert_array_equal(classifier.classify(Frame(strided, 0), proposals(9)).scores, usual)
 
 
 def test_no_proposals_do_not_run_the_model(tmp_path: Path) -> None:
     classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=float("nan"))))
-    detections = classifier.classify(IMAGE, Proposals(np.zeros((0, 4), np.int32)))
+    detections = classifier.classify(Frame(IMAGE, 0), Proposals(np.zeros((0, 4), np.int32)))
     assert len(detections) == 0
     assert detections.scores.dtype == np.float32
 
 
 def test_extreme_logits_do_not_overflow(tmp_path: Path) -> None:
     classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=1e6)))
-    assert set(classifier.classify(IMAGE, proposals(20)).scores) <= {0.0, 1.0}
+    assert set(classifier.classify(Frame(IMAGE, 0), proposals(20)).scores) <= {0.0, 1.0}
 
 
 def test_scores_are_float32_with_column_of_logits(tmp_path: Path) -> None:
     """The mean over rows and columns leaves shape (N, 1)."""
     plain = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "plain.onnx")))
     column = write_model(tmp_path / "column.onnx", output_shape=("N", 1), axes=(2, 3))
-    detections = OnnxClassifier(ClassifierConfig(model=column)).classify(IMAGE, proposals(5))
-    np.testing.assert_allclose(detections.scores, plain.classify(IMAGE, proposals(5)).scores, atol=1e-6)
+    detections = OnnxClassifier(ClassifierConfig(model=column)).classify(Frame(IMAGE, 0), proposals(5))
+    np.testing.assert_allclose(detections.scores, plain.classify(Frame(IMAGE, 0), proposals(5)).scores, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"shape": ("N", 3, 16, 16)}, "got 3 channels"),
-        ({"shape": ("N", 1, 16, 24)}, r"expected shape \(N, 1, S, S\)"),
-        ({"shape": ("N", 1, "H", "W")}, r"expected shape \(N, 1, S, S\)"),
+        ({"shape": ("N", 1, 16, 24)}, r"expected shape \(N, C, S, S\)"),
+        ({"shape": ("N", 1, "H", "W")}, r"expected shape \(N, C, S, S\)"),
         ({"shape": (1, 1, 16, 16), "output_shape": (1,)}, "fixed batch of 1"),
         ({"shape": ("N", 16, 16), "axes": (1, 2)}, "got 3 dimensions"),
         ({"kind": TensorProto.DOUBLE}, r"expected float32, got tensor\(double\)"),
@@ -132,13 +132,13 @@ def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> N
 def test_wrong_output_found_when_run(tmp_path: Path) -> None:
     model = write_model(tmp_path / "model.onnx", output_shape=("K",), copies=2)
     with pytest.raises(ValueError, match="expected one logit for each of 3 crops"):
-        OnnxClassifier(ClassifierConfig(model=model)).classify(IMAGE, proposals(3))
+        OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(3))
 
 
 def test_not_finite_output(tmp_path: Path) -> None:
     classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=float("nan"))))
     with pytest.raises(ValueError, match="expected finite logits"):
-        classifier.classify(IMAGE, proposals(3))
+        classifier.classify(Frame(IMAGE, 0), proposals(3))
 
 
 def test_missing_and_unset_model(tmp_path: Path) -> None:

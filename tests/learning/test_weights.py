@@ -23,7 +23,7 @@ from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.learning import import_weights
 from foreglow.learning.probes import render_probes
-from foreglow.types import Proposals
+from foreglow.types import Frame, Proposals
 from tests.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
 
@@ -38,7 +38,7 @@ def test_published_scores(tmp_path: Path, fold: float | None, tolerance: float) 
     classifier = OnnxClassifier(ClassifierConfig(model=imported.path))
     for name in ("optimised", "baseline"):
         golden = json.loads(shared_file(f"reference/golden/{name}_scores.json").read_text())
-        detections = classifier.classify(image, Proposals(np.array(golden["boxes"], np.int32)))
+        detections = classifier.classify(Frame(image, 0), Proposals(np.array(golden["boxes"], np.int32)))
         expected = np.array(golden["dataset_sup2_minmax_score"])
         np.testing.assert_allclose(detections.scores, expected, rtol=0, atol=tolerance)
         np.testing.assert_array_equal(detections.is_accepted, expected > 0.5)

@@ -58,6 +58,7 @@ def any_config(generator: np.random.Generator, width_px: int, height_px: int) ->
         "min_area_px": float(generator.choice([0, 11])),
         "max_area_px": float(generator.choice([1999, np.inf])),
         "min_width_px": float(generator.choice([0, 6])),
+        "split_saddle": float(generator.choice([0.0, 0.3, 0.7, 1.0])),
         "reduction": int(generator.choice([1, 2, 2, 3, 12])),
         "reference_width_px": int(max(64, width_px * generator.choice([0.5, 1.0, 1.0, 1.7]))),
         "normalise": bool(generator.random() < 0.8),

@@ -28,6 +28,7 @@ struct ProposalParameters {
     double min_area_px = 11.0;
     double max_area_px = 1999.0;
     double min_width_px = 6.0;
+    double split_saddle = 0.0;
     std::int32_t reduction = 2;
     std::int32_t reference_width_px = 1280;
     bool normalise = true;

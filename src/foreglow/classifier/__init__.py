@@ -1,5 +1,6 @@
 """Stage 2: which proposals are light artifacts. Inference only; training lives in `foreglow.learning`."""
 
+from foreglow.classifier.inputs import FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.classifier.onnx import OnnxClassifier
 
-__all__ = ["OnnxClassifier"]
+__all__ = ["FEATURES", "ClassifierInputs", "InputMaker", "InputSpec", "OnnxClassifier"]

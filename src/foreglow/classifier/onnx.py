@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow import _native
+from foreglow.classifier.inputs import FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.config import ClassifierConfig
-from foreglow.types import Detections, Image, Proposals
+from foreglow.models import model_path
+from foreglow.types import Detections, Frame, Proposals
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -20,13 +21,15 @@ if TYPE_CHECKING:
 # Crops of one run: bounds the memory, and the activations of the first layers stay in the second-level cache.
 _MAX_BATCH = 8
 _HALF = np.float32(0.5)
+_PUBLISHED_SUPPORT = 2
 
 
 class OnnxClassifier:
     """Scores the crops of proposals with ONNX Runtime on the CPU.
 
-    The model reads float32 crops of shape (N, 1, S, S) in [0, 1], N free, and writes one logit a crop, shape (N,) or
-    (N, 1). S is read from the model.
+    The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, 7), as
+    `classifier.inputs` makes them. It writes one logit a crop, shape (N,) or (N, 1). Its metadata may name a `support`,
+    and must name the `lag_s` where C is 2.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -40,42 +43,48 @@ class OnnxClassifier:
         if config.model is None:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
-        self._path = config.model
-        self._session = _open(config.model, config.num_threads)
-        self._input, self._size_px = _checked_input(config.model, self._session)
-        self._outputs = [_checked_output(config.model, self._session)]
+        self._path = model_path(config.model)
+        self._session = _open(self._path, config.num_threads)
+        self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
+        self._outputs = [_checked_output(self._path, self._session)]
+        self._maker = InputMaker(self.spec)
 
-    @property
-    def size_px(self) -> int:
-        """Side of the square crops that the model reads."""
-        return self._size_px
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        self._maker.reset()
 
-    def classify(self, image: Image, proposals: Proposals) -> Detections:
+    def classify(self, frame: Frame, proposals: Proposals) -> Detections:
         """The proposals with their scores; without proposals the model is not run.
 
         Args:
-            image: The frame, shape (height, width), uint8 or uint16, any strides.
+            frame: The frame; where the model looks back in time, frames come in order.
             proposals: Boxes in this frame.
 
         Raises:
             ValueError: If the model writes something else than one finite logit a crop.
         """
-        boxes, threshold = proposals.boxes_xyxy_px, self.config.score_threshold
-        if len(boxes) == 0:
+        threshold = self.config.score_threshold
+        inputs = self._maker.make(frame, proposals)
+        if len(proposals) == 0:
             return Detections(proposals, np.zeros(0, np.float32), threshold)
-        pixels: Any = image if image.strides[1] == image.itemsize else np.ascontiguousarray(image)
-        crops = _native.extract_crops(pixels, np.ascontiguousarray(boxes), self.config.support, self._size_px)
-        batches = [self._run(crops[start : start + _MAX_BATCH]) for start in range(0, len(crops), _MAX_BATCH)]
-        logits = batches[0] if len(batches) == 1 else np.concatenate(batches)
+        logits = self._logits(inputs)
         if not math.isfinite(np.add.reduce(logits)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
         return Detections(proposals, _sigmoid(logits), threshold)
 
-    def _run(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
-        output: NDArray[np.float32] = self._session.run(self._outputs, {self._input: batch})[0]
-        if output.shape not in ((len(batch),), (len(batch), 1)):
+    def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:
+        """Shape (N,), batch by batch."""
+        arrays = (inputs.crops, inputs.features)[: len(self._names)]
+        starts = range(0, len(inputs.crops), _MAX_BATCH)
+        batches = [self._run([array[start : start + _MAX_BATCH] for array in arrays]) for start in starts]
+        return batches[0] if len(batches) == 1 else np.concatenate(batches)
+
+    def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        output: NDArray[np.float32] = self._session.run(self._outputs, dict(zip(self._names, batch, strict=True)))[0]
+        num_crops = len(batch[0])
+        if output.shape not in ((num_crops,), (num_crops, 1)):
             raise ValueError(
-                f"{self._path}: output: expected one logit for each of {len(batch)} crops, got shape {output.shape}"
+                f"{self._path}: output: expected one logit for each of {num_crops} crops, got shape {output.shape}"
             )
         return output.reshape(-1)
 
@@ -128,34 +137,61 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
         raise ValueError(f"{path}: expected an ONNX model that can be run: {reason}") from error
 
 
-def _checked_input(path: Path, session: InferenceSession) -> tuple[str, int]:
-    """Name and side of the model's only input."""
-    name, shape = _only(path, session.get_inputs(), "input")
-    expected = "expected shape (N, 1, S, S) with a free N and a fixed S"
+def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSession) -> tuple[list[str], InputSpec]:
+    """Names of the model's inputs, crops first, and what they are; a support that is wanted overrides the model's."""
+    nodes = session.get_inputs()
+    if len(nodes) not in (1, 2):
+        raise ValueError(f"{path}: inputs: expected crops, or crops and features, got {len(nodes)}")
+    name, shape = _checked(path, nodes[0], "input")
+    expected = "expected shape (N, C, S, S) with a free N, C of 1 or 2, and a fixed S"
     if len(shape) != 4:
         raise ValueError(f"{path}: input {name}: {expected}, got {len(shape)} dimensions {shape}")
     batch, channels, height, width = shape
     if isinstance(batch, int):
         raise ValueError(f"{path}: input {name}: {expected}, got a fixed batch of {batch} in {shape}")
-    if channels != 1:
+    if channels not in (1, 2):
         raise ValueError(f"{path}: input {name}: {expected}, got {channels} channels in {shape}")
     if not isinstance(height, int) or height != width or height < 1:
         raise ValueError(f"{path}: input {name}: {expected}, got {shape}")
-    return name, height
+    names = [name]
+    for node in nodes[1:]:
+        name, shape = _checked(path, node, "input")
+        if len(shape) != 2 or isinstance(shape[0], int) or shape[1] != len(FEATURES):
+            raise ValueError(f"{path}: input {name}: expected shape (N, {len(FEATURES)}) with a free N, got {shape}")
+        names.append(name)
+    metadata = session.get_modelmeta().custom_metadata_map
+    support = wanted_support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
+    lag_s = None if channels == 1 else _number(path, metadata, "lag_s", None)
+    try:
+        return names, InputSpec(height, int(support), lag_s, len(FEATURES) if len(names) == 2 else 0)
+    except ValueError as error:
+        raise ValueError(f"{path}: metadata: {error}") from error
+
+
+def _number(path: Path, metadata: dict[str, str], name: str, default: float | None) -> float:
+    """The number called `name` in the model's metadata."""
+    text = metadata.get(name)
+    if text is None and default is not None:
+        return default
+    try:
+        return float(text or "")
+    except ValueError as error:
+        raise ValueError(f"{path}: metadata: {name}: expected a number, got {text!r}") from error
 
 
 def _checked_output(path: Path, session: InferenceSession) -> str:
     """Name of the model's only output; what its shape leaves open is checked on every run."""
-    name, shape = _only(path, session.get_outputs(), "output")
+    nodes = session.get_outputs()
+    if len(nodes) != 1:
+        raise ValueError(f"{path}: outputs: expected one, got {len(nodes)}")
+    name, shape = _checked(path, nodes[0], "output")
     if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] != 1):
         raise ValueError(f"{path}: output {name}: expected shape (N,) or (N, 1) with a free N, got {shape}")
     return name
 
 
-def _only(path: Path, nodes: list[Any], what: str) -> tuple[str, tuple[int | str | None, ...]]:
-    """Name and shape of the only one of a model's inputs or outputs; free dimensions are names or None."""
-    if len(nodes) != 1:
-        raise ValueError(f"{path}: {what}s: expected one, got {len(nodes)}")
-    if nodes[0].type != "tensor(float)":
-        raise ValueError(f"{path}: {what} {nodes[0].name}: expected float32, got {nodes[0].type}")
-    return str(nodes[0].name), tuple(nodes[0].shape)
+def _checked(path: Path, node: Any, what: str) -> tuple[str, tuple[int | str | None, ...]]:
+    """Name and shape of one of a model's inputs or outputs; free dimensions are names or None."""
+    if node.type != "tensor(float)":
+        raise ValueError(f"{path}: {what} {node.name}: expected float32, got {node.type}")
+    return str(node.name), tuple(node.shape)

@@ -8,7 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from foreglow.classifier.inputs import FEATURES
 from foreglow.learning.recipes import Augmentation
+
+HAS_EARLIER = FEATURES.index("has_earlier")
 
 # Below this a crop counts as constant: a hundredth of a grey level, which no camera sees.
 _MIN_RANGE = 1e-4
@@ -40,8 +43,11 @@ def augment(
     if augmentation.normalise:
         crops = stretched(crops)
     if augmentation.history_dropout and crops.shape[1] > 1:
-        is_kept = _uniform(len(crops), 0, 1, random) >= augmentation.history_dropout
-        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept.to(crops.device)[:, None, None, None]], dim=1)
+        is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
+        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
+        if features.shape[1]:  # one of them says whether there is an earlier image
+            features = features.clone()
+            features[:, HAS_EARLIER] *= is_kept
     if augmentation.feature_noise and features.shape[1]:
         noise = torch.empty(features.shape).normal_(generator=random).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise
@@ -49,10 +55,13 @@ def augment(
 
 
 def stretched(crops: Tensor) -> Tensor:
-    """Every channel of every crop stretched to [0, 1] by its own minimum and maximum; constant ones are zero."""
-    low = crops.amin(dim=(2, 3), keepdim=True)
-    width = crops.amax(dim=(2, 3), keepdim=True) - low
-    return (crops - low) * torch.where(width > _MIN_RANGE, 1 / width.clamp_min(_MIN_RANGE), 0)
+    """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant ones are zero.
+
+    A second channel is stretched alike and cut at 0 and 1, as `classifier.inputs` does.
+    """
+    low = crops[:, :1].amin(dim=(2, 3), keepdim=True)
+    width = crops[:, :1].amax(dim=(2, 3), keepdim=True) - low
+    return ((crops - low) * torch.where(width > _MIN_RANGE, 1 / width.clamp_min(_MIN_RANGE), 0)).clamp(0, 1)
 
 
 def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from onnx import ModelProto
 
 # ReduceMax still has its axes as an attribute; read by every ONNX Runtime since 1.12.
-_OPSET, _IR_VERSION = 17, 8
+OPSET, IR_VERSION = 17, 8
 _READ_PX = SIZE_PX - 2
 _MAX_CHANNELS_IN_PHASES = 12
 _MAX_UNFILLED_CHANNELS = 8
@@ -51,7 +51,7 @@ def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
     """The network as an ONNX model."""
     from onnx import TensorProto, checker, helper
 
-    graph = _Graph()
+    graph = Graph()
     layers = _filled_up(layers)
     name, size_px = graph.cut("crops", _READ_PX), _READ_PX
     phases = (1, 1)  # of the image called `name`
@@ -83,8 +83,8 @@ def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
             graph.constants,
         ),
         producer_name="foreglow",
-        opset_imports=[helper.make_opsetid("", _OPSET)],
-        ir_version=_IR_VERSION,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
     )
     helper.set_model_props(model, dict(sorted(metadata.items())))
     checker.check_model(model)
@@ -142,7 +142,7 @@ def _filled_up(layers: Layers) -> Layers:
     return Layers(tuple(weights), tuple(biases))
 
 
-class _Graph:
+class Graph:
     """Nodes and constants of an ONNX graph under construction; every method returns the name of a result."""
 
     def __init__(self) -> None:
@@ -150,6 +150,7 @@ class _Graph:
         self.constants: list[Any] = []
 
     def node(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
+        """A node of the graph."""
         from onnx import helper
 
         output = output or f"{operator.lower()}{len(self.nodes)}"
@@ -157,6 +158,7 @@ class _Graph:
         return output
 
     def constant(self, values: NDArray[Any] | list[int]) -> str:
+        """A constant of the graph, float32, or int64 for a list."""
         from onnx import numpy_helper
 
         array = np.array(values, np.int64) if isinstance(values, list) else np.ascontiguousarray(values, np.float32)
@@ -185,8 +187,10 @@ class _Graph:
         return self.node("Relu", result)
 
     def largest_phase(self, name: str, num_channels: int, size_px: int) -> str:
+        """The largest over the four phases."""
         shape = self.constant([0, 4, num_channels, size_px, size_px])
         return self.node("ReduceMax", self.node("Reshape", name, shape), axes=[1], keepdims=0)
 
     def linear(self, name: str, weight: NDArray[Any], bias: NDArray[Any], output: str = "") -> str:
+        """A fully connected layer."""
         return self.node("Gemm", name, self.constant(weight), self.constant(bias), output=output, transB=1)

@@ -50,9 +50,9 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
 
         write_onnx(layers_from_state({name: one.numpy() for name, one in network.state_dict().items()}), path, metadata)
     else:
-        from foreglow.learning.export import export_network
+        from foreglow.learning.export_compact import write_compact
 
-        export_network(network, spec, path, metadata)
+        write_compact(network, spec, path, metadata)
 
 
 def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]) -> float:

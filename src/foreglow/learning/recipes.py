@@ -26,7 +26,7 @@ class Augmentation(FrozenModel):
         max_ratio: That part is up to this many times wider than high, or higher than wide; even in the logarithm.
         gamma: The exponent is 1 / g with g in 1 - gamma .. 1 + gamma.
         noise: Standard deviation of the noise on every pixel, drawn for each crop between 0 and this; white is 1.
-        normalise: Stretch every crop to [0, 1] afterwards, each channel by itself, as crops are made.
+        normalise: Stretch every crop to [0, 1] afterwards by its own range, a second channel by that of the first.
         history_dropout: Probability that the second channel, the earlier image, is black, as at a sequence's start.
         feature_noise: Standard deviation of the noise on the features, in standard deviations of each over the
             training samples.

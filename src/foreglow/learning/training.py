@@ -37,7 +37,8 @@ MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 
 CURVES = "curves.csv"
 
-_SCORING_BATCH = 512
+# Larger ones are slower on a processor: their activations leave every cache.
+_SCORING_BATCH = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,14 +157,15 @@ def train(
             write_atomic(folder / CURVES, curves_csv(checkpoint.epochs).encode())
             if progress is not None:
                 progress.epoch(epoch, recipe.epochs)
-    network = trainer.network.cpu().to(memory_format=torch.contiguous_format)
+    network = trainer.network
     network.load_state_dict(checkpoint.best)
+    val_logits = score_samples(network, val_samples, place)
     epochs = tuple(Epoch(**row) for row in checkpoint.epochs)  # type: ignore[arg-type]
     return TrainingResult(
-        network=network.eval(),
+        network=network.cpu().to(memory_format=torch.contiguous_format),  # type: ignore[call-overload]
         epochs=epochs,
         best=epochs[checkpoint.best_epoch - 1],
-        val_logits=score_samples(network, val_samples, torch.device("cpu")),
+        val_logits=val_logits,
         num_train=int(is_used.sum()),
         num_val=int((val_samples.labels != IGNORED).sum()),
         device=place.type,
@@ -206,7 +208,7 @@ def score_samples(
     with torch.inference_mode(), _precision(precision, device):
         for start in range(0, len(samples), _SCORING_BATCH):
             crops, features = _tensors(samples, np.arange(start, min(start + _SCORING_BATCH, len(samples))), device)
-            logits.append(network(crops, features).float().cpu().numpy())
+            logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
 
 
@@ -331,7 +333,7 @@ class _Trainer:
         targets = labels * (1 - recipe.label_smoothing) + recipe.label_smoothing / 2
         self._optimiser.zero_grad(set_to_none=True)
         with _precision(recipe.precision, self._device):
-            logits: Tensor = self.network(crops.contiguous(memory_format=torch.channels_last), features)
+            logits: Tensor = self.network(_laid_out(crops), features)
         loss = nn.functional.binary_cross_entropy_with_logits(
             logits.float(),
             targets,
@@ -390,6 +392,11 @@ def _tensors(samples: Samples, indices: NDArray[np.intp], device: torch.device) 
     crops = torch.from_numpy(np.ascontiguousarray(samples.crops[indices])).to(device)
     features = torch.from_numpy(np.ascontiguousarray(samples.features[indices])).to(device)
     return crops.float() / 255, features
+
+
+def _laid_out(crops: Tensor) -> Tensor:
+    """The crops with their channels last, as the network's weights are: half the time of the paper's network on a CPU."""
+    return crops.contiguous(memory_format=torch.channels_last)
 
 
 def _precision(precision: str, device: torch.device) -> contextlib.AbstractContextManager[object]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foreglow.config import ProposalConfig
+from foreglow.proposals.splitting import SplitRule, light_levels, split_blob
 from foreglow.types import Image, Proposals
 
 ROUNDING = 1e-10
@@ -79,12 +80,14 @@ class Stages(NamedTuple):
         mean: The local mean mu, float64.
         binary: I > T, bool.
         labels: Blob number of each pixel that is set, int32; 0 elsewhere.
+        levels: Whole levels of light in which blobs are split, int64, 0..1023; all 0 where nothing is to be split.
     """
 
     blurred: NDArray[np.float64]
     mean: NDArray[np.float64]
     binary: NDArray[np.bool_]
     labels: NDArray[np.int32]
+    levels: NDArray[np.int64]
 
 
 class ReferenceProposer:
@@ -105,16 +108,23 @@ class ReferenceProposer:
         stages = self.stages(image)
         if stages is None:
             return Proposals(np.zeros((0, 4), np.int32))
+        blobs = [
+            (rows.start, columns.start, rows.stop, columns.stop)
+            for rows, columns in ndimage.find_objects(stages.labels)
+        ]
+        if config.split_saddle > 0:
+            rule = SplitRule(config.split_saddle, sizes.min_area_px, sizes.min_width_px)
+            blobs = sorted({part for blob in blobs for part in split_blob(blob, stages.binary, stages.levels, rule)})
         boxes = []
-        for rows, columns in ndimage.find_objects(stages.labels):
-            width_px, height_px = columns.stop - columns.start, rows.stop - rows.start
+        for y1, x1, y2, x2 in blobs:
+            width_px, height_px = x2 - x1, y2 - y1
             area_px = width_px * height_px
             if not (sizes.min_area_px <= area_px <= sizes.max_area_px and width_px >= sizes.min_width_px):
                 continue
-            inside = stages.blurred[rows, columns]
+            inside = stages.blurred[y1:y2, x1:x2]
             deviation = np.abs(inside - inside.mean()).mean()  # paper: mean absolute deviation filter s
             if deviation > config.min_deviation + ROUNDING:
-                boxes.append((rows.start, columns.start, rows.stop, columns.stop))
+                boxes.append((y1, x1, y2, x2))
         y1x1y2x2 = np.array(sorted(boxes), np.int32).reshape(-1, 4)
         boxes_xyxy_px = y1x1y2x2[:, [1, 0, 3, 2]] * sizes.reduction
         return Proposals(boxes_xyxy_px + np.array([x_offset_px, y_offset_px] * 2, np.int32))
@@ -131,7 +141,11 @@ class ReferenceProposer:
         blurred = blur(normalised(sums, full_scale, config), config)
         mean = local_mean(blurred, sizes.half_window_px, config.window)
         binary = exceeds_threshold(blurred, mean, config.kappa, config.eps)
-        return Stages(blurred, mean, binary, label_blobs(binary, sizes.gap_px))
+        levels = np.zeros(sums.shape, np.int64)
+        if config.split_saddle > 0 and sums.min() < sums.max():
+            black, white = (int(sums.min()), int(sums.max())) if config.normalise else (0, full_scale)
+            levels = light_levels(sums, black, white)
+        return Stages(blurred, mean, binary, label_blobs(binary, sizes.gap_px), levels)
 
 
 def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:

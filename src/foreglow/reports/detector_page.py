@@ -112,20 +112,22 @@ def _html_lines(results: DetectorResults, pictures: Iterable[Shown]) -> Iterator
     yield ("</div>" if row else "") + "</body></html>"
 
 
-def _preamble(results: DetectorResults) -> Iterator[str]:
+def _preamble(results: DetectorResults) -> list[str]:
     num_images, num_scenes = len(results.labels.lights), len(set(results.labels.sequence_of.values()))
-    yield f"{num_images} images of {num_scenes} drives of {results.data}."
-    yield "Boxes count with a score above 0.5. In parentheses: the labelled boxes themselves, which bound any classifier;"
-    yield "for a YOLO, those that it learnt from, which bound nothing."
-    yield "Multiply-adds are those of one crop, or of one image of a YOLO, and of a whole frame."
-    yield "Run-times are for one thread and leave decoding out, mean ± standard deviation; a YOLO runs in torch, the"
-    yield "others in ONNX Runtime."
+    return [
+        f"{num_images} images of {num_scenes} drives of {results.data}. Boxes count with a score above 0.5.",
+        "In parentheses: the labelled boxes themselves, which bound any classifier;",
+        "for a YOLO, those that it learnt from, which bound nothing.",
+        "Multiply-adds are those of one crop, or of one image of a YOLO, and of a whole frame.",
+        "Run-times are for one thread and leave decoding out, mean ± standard deviation;",
+        "a YOLO runs in torch, the others in ONNX Runtime.",
+    ]
 
 
 def _further_tables(results: DetectorResults) -> Iterator[tuple[str, str, Table]]:
     yield (
         "Recall by what a light is",
-        "In brackets: the share of the lights in any box, whatever its score. Hidden: without a lamp of the vehicle so far.",
+        "In brackets: the share of the lights in any box, whatever its score. Hidden: no lamp of the vehicle so far.",
         kind_table(results.rows),
     )
     yield (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from foreglow.types import Frame, FrameResult
 
@@ -68,6 +68,27 @@ class SceneProgress:
         self._progress.stop()
 
 
+class StepProgress:
+    """Shows on stderr how far each named step of a long command is; nothing where stderr is not a terminal."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, what: str, num_done: int, num_all: int) -> None:
+        """Takes note that `num_done` of `num_all` of a step are done; a step gets its bar when it is first heard of."""
+        self._progress.start()
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=num_all)
+        self._progress.update(self._tasks[what], completed=num_done, total=num_all)
+
+    def close(self) -> None:
+        """Takes the bars away."""
+        self._progress.stop()
+
+
 class TrainingBar:
     """Shows on stderr how far a training is, and one line an epoch; without a terminal the lines alone."""
 
@@ -96,6 +117,7 @@ class TrainingBar:
             f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
             f"{epoch.seconds:.0f} s",
             highlight=False,
+            soft_wrap=True,
         )
 
     def close(self) -> None:

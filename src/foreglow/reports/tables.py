@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,9 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from foreglow.evaluation import BoxQuality
+    from foreglow.learning.annotate import Annotation
     from foreglow.learning.training_run import TrainedModel
+    from foreglow.learning.tuning import Tuning
     from foreglow.runtime import RunSummary
     from foreglow.simulation import DatasetSummary
 
@@ -44,6 +47,47 @@ def dataset_lines(summary: DatasetSummary) -> list[str]:
         f"instances: {labels.num_direct} direct, {labels.num_indirect} indirect, {labels.num_doubtful} doubtful",
         f"look in {summary.root}; foreglow run, evaluate and every later command read it as PVDN",
     ]
+
+
+def annotation_table(annotations: Sequence[Annotation], parameters: str) -> Table:
+    """The generated boxes, and how well the positive ones explain the key points: a column a split."""
+    caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
+    table = Table("", title=f"boxes of {parameters}", caption=caption, title_justify="left", caption_justify="left")
+    for one in annotations:
+        table.add_column(one.root.resolve().name, justify="right")
+    table.add_row("images", *(str(one.num_images) for one in annotations))
+    table.add_row("boxes", *(str(one.num_boxes) for one in annotations))
+    table.add_row("boxes an image", *(_number(one.boxes_per_image) for one in annotations))
+    table.add_row("positive boxes", *(str(one.num_positive) for one in annotations))
+    table.add_row("left out: doubtful light only", *(str(one.num_ignored) for one in annotations), end_section=True)
+    for label, name in (("P", "precision"), ("R", "recall"), ("F", "f1"), ("q", "q")):
+        table.add_row(label, *(_number(getattr(one.quality, name)) for one in annotations))
+    for label, name in (("q_K", "q_k"), ("q_B", "q_b")):
+        pairs = ((getattr(one.quality, name), getattr(one.quality, f"{name}_std")) for one in annotations)
+        table.add_row(label, *(f"{_number(mean)} ± {_number(spread)}" for mean, spread in pairs))
+    return table
+
+
+def tuning_lines(tuning: Tuning) -> list[str]:
+    """What came of a parameter search, beside the paper's parameters."""
+    chosen, paper = tuning.chosen, tuning.paper
+    num_pruned = sum(one.state == "PRUNED" for one in tuning.trials)
+    papers = paper.config.model_dump()
+    changes = ", ".join(
+        f"{name} {value}" for name, value in chosen.config.model_dump().items() if value != papers[name]
+    )
+    lines = [
+        f"{_counted(len(tuning.trials), 'trial')} ({num_pruned} ended early), objective {tuning.settings.objective}; "
+        f"the trials of this call took {tuning.seconds['trials']:.0f} s",
+        f"chosen: {changes}" if changes else "chosen: the paper's parameters",
+    ]
+    for split in ("train", "val", "test"):
+        found, beside = getattr(chosen, split), getattr(paper, split)
+        if found is not None:
+            names = {"q": "q", "recall": "R", "boxes_per_image": "boxes an image"}
+            parts = (f"{label} {found.figures[n]:.3f} (paper {beside.figures[n]:.3f})" for n, label in names.items())
+            lines.append(f"{split}: {', '.join(parts)}")
+    return lines
 
 
 def training_lines(trained: TrainedModel) -> list[str]:

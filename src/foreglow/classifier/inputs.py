@@ -1,0 +1,159 @@
+"""What a classifier reads: crops of the proposals and a few numbers beside them; the same in training and in the car.
+
+A crop is stretched to its own minimum and maximum, so what it showed in absolute terms is handed over as features.
+Where the model asks for time, a second channel shows the same region of an earlier frame: what brightened, and what
+moved against the picture, is plain there, with no tracking.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow import _native
+from foreglow.types import Frame, Image, Proposals
+
+FEATURES = ("darkest", "brightest", "width", "height", "frame_mean", "frame_brightest", "has_earlier")
+"""Names of the features, in their order: of the crop, of the box, of the frame; `_features` has the units."""
+
+_LOGARITHM = 255.0
+"""Levels become log(1 + 255 level) / log 256: 0 to 1, with as much room for dark grey as for bright."""
+
+_SAMPLING_PX = 16
+"""The frame's own level is taken from every 16th pixel of every 16th row."""
+
+_EARLIEST, _LATEST = 1.5, 0.6
+"""An earlier frame is used while its age is between these shares of the lag that the model asks for."""
+
+_SPACING = 0.2
+"""Earlier frames are kept at least this share of the lag apart: copying each one would take longer than it is worth."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputSpec:
+    """What a model reads.
+
+    Attributes:
+        size_px: Side of the square crops.
+        support: A crop reaches this many widths and heights of its box to either side of its centre (paper: M = 2).
+        lag_s: Age of the frame that the second channel shows; None for one channel.
+        num_features: Length of the feature vector: that of `FEATURES`, or 0 for none.
+
+    Raises:
+        ValueError: If a field is out of range.
+    """
+
+    size_px: int = 64
+    support: int = 2
+    lag_s: float | None = None
+    num_features: int = 0
+
+    def __post_init__(self) -> None:
+        if self.size_px < 1 or self.support < 1:
+            raise ValueError(f"InputSpec: expected size_px and support of at least 1, got {self}")
+        if self.lag_s is not None and not 0 < self.lag_s <= 10:
+            raise ValueError(f"InputSpec.lag_s: expected above 0 and at most 10 seconds, got {self.lag_s}")
+        if self.num_features not in (0, len(FEATURES)):
+            raise ValueError(f"InputSpec.num_features: expected 0 or {len(FEATURES)}, got {self.num_features}")
+
+    @property
+    def num_channels(self) -> int:
+        """1, or 2 with an earlier frame."""
+        return 1 if self.lag_s is None else 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassifierInputs:
+    """The inputs of one frame's proposals.
+
+    Attributes:
+        crops: Shape (N, C, S, S), float32 in [0, 1]; the second channel is stretched by the first one's range, cut at
+            0 and 1, and all 0 where there is no earlier frame.
+        features: Shape (N, F), float32.
+    """
+
+    crops: NDArray[np.float32]
+    features: NDArray[np.float32]
+
+
+class InputMaker:
+    """Makes a model's inputs, frame after frame; remembers earlier frames where the model asks for them."""
+
+    def __init__(self, spec: InputSpec) -> None:
+        self.spec = spec
+        self._earlier: list[tuple[int, Image]] = []  # oldest first, with their times in nanoseconds
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        self._earlier.clear()
+
+    def make(self, frame: Frame, proposals: Proposals) -> ClassifierInputs:
+        """The inputs for `proposals`, boxes of `frame`; frames come in order of time, or history starts anew."""
+        spec, image = self.spec, _with_adjacent_columns(frame.image)
+        earlier = self._seen_before(frame)
+        boxes = np.ascontiguousarray(proposals.boxes_xyxy_px)
+        if not len(boxes):
+            self._remember(frame)
+            crops = np.zeros((0, spec.num_channels, spec.size_px, spec.size_px), np.float32)
+            return ClassifierInputs(crops, np.zeros((0, spec.num_features), np.float32))
+        crops, levels = _native.extract_crops(image, boxes, spec.support, spec.size_px, earlier)
+        if earlier is None and spec.num_channels == 2:
+            crops = np.concatenate([crops, np.zeros_like(crops)], axis=1)
+        features = np.zeros((len(boxes), 0), np.float32)
+        if spec.num_features:
+            features = _features(image, boxes, levels, earlier is not None)
+        self._remember(frame)
+        return ClassifierInputs(crops, features)
+
+    def _seen_before(self, frame: Frame) -> Image | None:
+        """The kept image whose age is nearest to the lag; None without one."""
+        if self.spec.lag_s is None:
+            return None
+        if self._earlier and (frame.timestamp_ns <= self._earlier[-1][0] or not _is_alike(frame, self._earlier[-1][1])):
+            self._earlier.clear()
+        lag_ns = self.spec.lag_s * 1e9
+        self._earlier = [one for one in self._earlier if frame.timestamp_ns - one[0] <= _EARLIEST * lag_ns]
+        usable = [one for one in self._earlier if frame.timestamp_ns - one[0] >= _LATEST * lag_ns]
+        if not usable:
+            return None
+        return min(usable, key=lambda one: abs(frame.timestamp_ns - one[0] - lag_ns))[1]
+
+    def _remember(self, frame: Frame) -> None:
+        """Keeps a copy of the frame's image, since a camera may reuse its memory."""
+        if self.spec.lag_s is None:
+            return
+        spacing_ns = _SPACING * self.spec.lag_s * 1e9
+        if not self._earlier or frame.timestamp_ns - self._earlier[-1][0] >= spacing_ns:
+            kept: Image = frame.image.copy(order="C")
+            self._earlier.append((frame.timestamp_ns, kept))
+
+
+def _with_adjacent_columns(image: Image) -> Image:
+    adjacent: Image = image if image.strides[1] == image.itemsize else image.copy(order="C")
+    return adjacent
+
+
+def _is_alike(frame: Frame, image: Image) -> bool:
+    return frame.image.shape == image.shape and frame.image.dtype == image.dtype
+
+
+def _features(
+    image: Image, boxes_xyxy_px: NDArray[np.int32], levels: NDArray[np.float32], has_earlier: bool
+) -> NDArray[np.float32]:
+    """Shape (N, 7), in the order of `FEATURES`: levels on a logarithm, sizes as logarithms of shares of the width."""
+    full_scale, width_px = np.iinfo(image.dtype).max, image.shape[1]
+    sample = image[::_SAMPLING_PX, ::_SAMPLING_PX]
+    features = np.empty((len(boxes_xyxy_px), len(FEATURES)), np.float32)
+    features[:, 0:2] = _logarithmic(levels)
+    features[:, 2:4] = np.log2((boxes_xyxy_px[:, 2:] - boxes_xyxy_px[:, :2]) / width_px) / 10.0 + 1.0
+    features[:, 4] = _logarithmic(np.float32(sample.mean() / full_scale))
+    features[:, 5] = _logarithmic(np.float32(sample.max() / full_scale))
+    features[:, 6] = has_earlier
+    return features
+
+
+def _logarithmic(level: Any) -> Any:
+    return np.log1p(_LOGARITHM * level) / np.log1p(_LOGARITHM)

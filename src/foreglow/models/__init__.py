@@ -1,0 +1,21 @@
+"""The models that ship with Foreglow; each has a card beside it that says what it was trained on and what it can do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+BUNDLED = ("foreglow",)
+"""Names of the models."""
+
+
+def model_path(model: Path) -> Path:
+    """Where the model lies: that of the package for one of the names in `BUNDLED`, else `model` itself.
+
+    >>> model_path(Path("foreglow")).name
+    'foreglow.onnx'
+    >>> model_path(Path("runs/mine/model.onnx")).as_posix()
+    'runs/mine/model.onnx'
+    """
+    if str(model) in BUNDLED:
+        return Path(__file__).parent / f"{model}.onnx"
+    return model

@@ -1,0 +1,131 @@
+"""Splitting a blob whose light has several peaks, such as a lamp and its reflection on the road: the specification.
+
+With a wide window and without a limit on the area, what is large and bright is found, but so is a near lamp together
+with all the light around it, in one box. Here the pixels of a blob are flooded from the brightest down, as in a
+watershed. Where the waters of two peaks meet at a saddle that lies deep below the lower peak, they stay apart, and
+their boxes end there: the glow further down belongs to no lamp in particular. Levels are whole numbers, so that every
+back end decides alike.
+
+Source: topographic persistence, as in Edelsbrunner, Letscher and Zomorodian, Discrete & Computational Geometry 28
+(2002).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Extent: TypeAlias = tuple[int, int, int, int]
+"""Half-open y1, x1, y2, x2 in working pixels."""
+
+TOP_LEVEL = 1023
+
+
+@dataclass(frozen=True, slots=True)
+class SplitRule:
+    """When a blob is split.
+
+    Attributes:
+        saddle: The largest share of the lower peak that a saddle may have and still divide.
+        min_area_px: A peak with fewer pixels, or a smaller box, is no part of its own.
+        min_width_px: Nor is one with a narrower box.
+    """
+
+    saddle: float
+    min_area_px: float
+    min_width_px: float
+
+
+@dataclass(slots=True)
+class _Part:
+    """The pixels that have been flooded from one peak."""
+
+    peak: int
+    extent: Extent
+    pixels: list[tuple[int, int]] = field(default_factory=list)
+    is_closed: bool = False
+
+    def take(self, pixels: list[tuple[int, int]], extent: Extent) -> None:
+        """Adds pixels; the extent grows unless it is closed."""
+        self.pixels += pixels
+        if not self.is_closed:
+            low, high = np.minimum(self.extent, extent), np.maximum(self.extent, extent)
+            self.extent = int(low[0]), int(low[1]), int(high[2]), int(high[3])
+
+
+def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.int64]:
+    """Light in whole levels, 0 at `black` to 1023 at `white`, smoothed by (1 2 1) / 4 along both axes.
+
+    Args:
+        sums: Shape (height, width), sums over blocks of the frame; the border repeats.
+        black: The sum that counts as no light.
+        white: The sum that counts as full light.
+
+    >>> light_levels(np.array([[0, 0, 0], [0, 16, 0], [0, 0, 0]]), 0, 16).tolist()
+    [[63, 127, 63], [127, 255, 127], [63, 127, 63]]
+    """
+    padded = np.pad(sums, 1, mode="edge")
+    across = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
+    smoothed = across[:-2] + 2 * across[1:-1] + across[2:]
+    return np.asarray((smoothed - 16 * black) * TOP_LEVEL // (16 * (white - black)))
+
+
+def split_blob(
+    blob: Extent, binary: NDArray[np.bool_], levels: NDArray[np.int64], rule: SplitRule
+) -> tuple[Extent, ...]:
+    """The parts of `blob`, or `blob` alone where it is left whole.
+
+    All set pixels in the blob's box take part, from the highest level down, row by row where levels are equal. A pixel
+    joins the highest peak among its eight neighbours (the first one of equals), or is a peak itself. Every other
+    peak that it touches joins the highest as well, unless the pixel's level is at most `saddle` times that peak's and
+    that peak has `min_area_px` pixels by then: the boxes of both are closed then, and what joins them later no longer
+    widens them. The blob is split where at least two parts are large enough.
+
+    Args:
+        blob: Box of the blob.
+        binary: Shape (height, width): which pixels stand out.
+        levels: Shape (height, width), from `light_levels`.
+        rule: When to split.
+
+    >>> row = np.array([[9, 9, 1, 5, 5]])
+    >>> split_blob((0, 0, 1, 5), row > 0, row, SplitRule(0.5, 2, 1))
+    ((0, 0, 1, 3), (0, 3, 1, 5))
+    >>> split_blob((0, 0, 1, 5), row > 0, row, SplitRule(0.1, 2, 1))
+    ((0, 0, 1, 5),)
+    """
+    y1, x1, y2, x2 = blob
+    rows, columns = np.nonzero(binary[y1:y2, x1:x2])
+    heights = levels[y1:y2, x1:x2][rows, columns]
+    part_of: dict[tuple[int, int], _Part] = {}
+    parts: list[_Part] = []  # in the order of their peaks
+    for place in np.argsort(-heights, kind="stable"):
+        y, x, level = int(rows[place]), int(columns[place]), int(heights[place])
+        around = [part_of.get((y + dy, x + dx)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+        met = [part for part in parts if any(part is one for one in around)]
+        if not met:
+            met = [_Part(level, (y, x, y + 1, x + 1))]
+            parts.append(met[0])
+        highest = max(met, key=lambda part: part.peak)  # the first of equals
+        highest.take([(y, x)], (y, x, y + 1, x + 1))
+        part_of[y, x] = highest
+        for part in met:
+            if part is highest:
+                continue
+            if level <= rule.saddle * part.peak and len(part.pixels) >= rule.min_area_px:
+                part.is_closed = highest.is_closed = True
+                continue
+            highest.take(part.pixels, part.extent)
+            part_of.update(dict.fromkeys(part.pixels, highest))
+            parts.remove(part)
+    large = [part.extent for part in parts if _is_large(part.extent, rule)]
+    if len(large) < 2:
+        return (blob,)
+    return tuple((y1 + top, x1 + left, y1 + bottom, x1 + right) for top, left, bottom, right in large)
+
+
+def _is_large(extent: Extent, rule: SplitRule) -> bool:
+    height_px, width_px = extent[2] - extent[0], extent[3] - extent[1]
+    return width_px * height_px >= rule.min_area_px and width_px >= rule.min_width_px

@@ -1,0 +1,72 @@
+"""Our network as ONNX: the same logits as in torch, and a model that the classifier reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier
+from foreglow.config import ClassifierConfig
+from foreglow.types import Frame, Proposals
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from foreglow.learning.export_compact import num_multiply_adds, write_compact  # noqa: E402
+from foreglow.learning.networks import CompactNetwork  # noqa: E402
+
+SPEC = InputSpec(32, 2, 0.25, len(FEATURES))
+
+
+def network(seed: int = 0) -> CompactNetwork:
+    """A network whose batch normalisations have seen something."""
+    torch.manual_seed(seed)
+    made = CompactNetwork(SPEC.num_channels, SPEC.num_features)
+    made.train()
+    for _ in range(3):
+        made(torch.rand(64, 2, 32, 32), torch.rand(64, SPEC.num_features))
+    return made.eval()
+
+
+def test_same_logits_as_in_torch(tmp_path: Path) -> None:
+    import onnxruntime as ort
+
+    made = network()
+    write_compact(made, SPEC, tmp_path / "model.onnx", {})
+    crops, features = torch.rand(9, 2, 32, 32), torch.rand(9, SPEC.num_features)
+    with torch.no_grad():
+        wanted = made(crops, features).numpy()
+    session = ort.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
+    (found,) = session.run(None, {"crops": crops.numpy(), "features": features.numpy()})
+    np.testing.assert_allclose(found[:, 0], wanted, atol=1e-5)
+
+
+def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:
+    write_compact(network(), SPEC, tmp_path / "model.onnx", {"recipe": "test"})
+    classifier = OnnxClassifier(ClassifierConfig(model=tmp_path / "model.onnx"))
+    assert classifier.spec == SPEC
+    random = np.random.default_rng(0)
+    boxes = Proposals(np.array([[40, 30, 60, 42], [70, 50, 90, 60]], np.int32))
+    scores = []
+    for number in range(2):
+        image = random.integers(0, 256, (96, 128)).astype(np.uint8)
+        scores.append(classifier.classify(Frame(image, number * 250_000_000), boxes).scores)
+    classifier.reset()
+    alone = classifier.classify(Frame(image, 250_000_000), boxes).scores
+    assert not np.array_equal(alone, scores[1]), "the earlier frame makes a difference"
+
+
+def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_compact(network(3), SPEC, tmp_path / f"{name}.onnx", {"seed": "3"})
+    assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
+
+
+def test_within_the_budget_of_one_core() -> None:
+    made = network()
+    assert sum(one.numel() for one in made.parameters()) <= 60_000
+    assert num_multiply_adds(made, SPEC) <= 10_000_000
+    # conv 16x16x16x(2x5x5), 8x8x32x(16x3x3), 8x8x32x(32x3x3), 4x4x32x(32x3x3), 519x48, 48
+    assert num_multiply_adds(made, SPEC) == 204_800 + 294_912 + 589_824 + 147_456 + 24_912 + 48
