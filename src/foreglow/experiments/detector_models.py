@@ -6,6 +6,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +72,7 @@ def missing_reason(name: str, plan: DetectorPlan) -> str | None:
     if not plan.may_train:
         return f"not given ({spec.option}), and nothing is trained (--no-training)"
     if spec.kind == "yolo":
-        if importlib.util.find_spec("libreyolo") is None:
+        if not has_library():
             return "needs pip install 'foreglow[yolo]'"
         if spec.size == "x" and not _has_gpu(plan):
             command = "foreglow yolo train DATA --size x --image-size 960 --epochs 300 --out RUN"
@@ -227,6 +228,11 @@ def _model_file(given: Path, kind: str) -> Path:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, expected an ONNX model")
     return path
+
+
+def has_library() -> bool:
+    """Whether the library that trains YOLOs is installed."""
+    return "libreyolo" in sys.modules or importlib.util.find_spec("libreyolo") is not None
 
 
 def _has_gpu(plan: DetectorPlan) -> bool:

@@ -58,8 +58,8 @@ def write_report(results: DetectorResults, pictures: Iterable[Shown], folder: Pa
 
 def draw(shown: Shown) -> Picture:
     """The brightened image with its accepted boxes, and a mark at every labelled light: green if found, red if not."""
-    picture = annotate(shown.frame, shown.result)
     measures = Measures.of(shown.frame.width_px, shown.frame.height_px)
+    picture = annotate(shown.frame, shown.result)[: shown.frame.height_px * measures.enlargement]  # without its caption
     for (x, y), is_found in zip(shown.lights_px.tolist(), shown.is_found.tolist(), strict=True):
         place = (round((x + 0.5) * measures.enlargement), round((y + 0.5) * measures.enlargement))
         if is_found:
@@ -183,7 +183,7 @@ def _figure(shown: Shown) -> str:
     source = base64.b64encode(_jpeg(draw(shown))).decode()
     return (
         f'<figure><img alt="image {choice.image_id}" src="data:image/jpeg;base64,{source}">'
-        f"<figcaption>{mark}: image {choice.image_id}, {words}</figcaption></figure>"
+        f"<figcaption>{mark}: {shown.frame.sequence}, image {choice.image_id}: {words}</figcaption></figure>"
     )
 
 

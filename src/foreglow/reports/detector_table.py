@@ -99,6 +99,7 @@ def count(value: float) -> str:
 
 
 def _table(head: Cells, rows: Sequence[RowResult], cells: Callable[[RowResult], Cells]) -> Table:
+    head = head if len(head) > 1 else [*head, ""]  # of rows that could not be made nothing is known but why
     made = [[row.title, *(cells(row) if row.reason is None else [DASH] * (len(head) - 1))] for row in rows]
     return Table(head, made, [row.reason or "" for row in rows])
 
@@ -134,7 +135,7 @@ def _points(row: RowResult) -> list[dict[str, Any]]:
 
 
 def _rate(value: float | None) -> str:
-    return DASH if value is None else f"{value:.3f}".removeprefix("0") if 0 <= value < 1 else f"{value:.3g}"
+    return DASH if value is None else f"{value:.3f}".removeprefix("0") if 0 <= value < 1 else f"{value:.2f}"
 
 
 def _ms(value: float) -> str:

@@ -17,7 +17,7 @@ import tomli_w
 
 from foreglow.files import write_atomic
 from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
-from foreglow.runtime.summary import checkout_state
+from foreglow.provenance import checkout_state
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
