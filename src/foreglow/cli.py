@@ -228,10 +228,12 @@ def tune(
     """Search the parameters of the proposals: on train, chosen on val, reported on test."""
     from foreglow.learning.tuning import TuningSettings
     from foreglow.learning.tuning import tune as search
+    from foreglow.reports.figures import require_matplotlib
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.tables import tuning_lines
     from foreglow.reports.tuning_page import write_report
 
+    require_matplotlib()
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, jobs=jobs, storage=storage
     )

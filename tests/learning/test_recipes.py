@@ -106,5 +106,5 @@ def test_plateau_is_that_of_torch() -> None:
 
 def test_recipes_are_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        recipe("paper").epochs = 3  # type: ignore[misc]
+        recipe("paper").epochs = 3
     assert isinstance(recipe("paper"), Recipe)

@@ -42,7 +42,7 @@ def _labelled(image_id: int) -> LabelledImage:
     image = random.normal(6, 1, SIZE_PX)
     places = random.permutation([(30, 30), (30, 80), (30, 130), (90, 30), (90, 80), (90, 130)])[:3]
     for number, (row, column) in enumerate(places + random.integers(-4, 5, (3, 2))):
-        height, width = (3.5, 3.5) if number == 0 else (1.5, 8.0)
+        height, width = (3.5, 3.5) if number == 0 else (1.5, 6.0)
         image += 200 * np.exp(-(((rows - row) / height) ** 2 + ((columns - column) / width) ** 2) / 2)
         if number == 0:
             place_px = (int(column), int(row))

@@ -23,7 +23,7 @@ def augment(
     """Altered copies of `crops` and `features`, drawn from `random`, sample by sample.
 
     Reflection, rotation and the cut-out are one affine map with one bilinear interpolation, the same for all channels
-    of a sample. Every channel keeps to [0, 1].
+    of a sample. Every channel keeps to [0, 1], and a second one that is black, for want of an earlier image, stays so.
 
     Args:
         crops: Shape (N, C, S, S), float32 in [0, 1].
@@ -32,6 +32,7 @@ def augment(
         feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
         random: A generator on the CPU, whatever the device of the crops: the same seed draws the same.
     """
+    has_earlier = crops[:, 1:].amax(dim=(2, 3), keepdim=True) > 0
     crops = _moved(crops, augmentation, random)
     if augmentation.gamma:
         gamma = _uniform(len(crops), 1 - augmentation.gamma, 1 + augmentation.gamma, random)
@@ -42,6 +43,7 @@ def augment(
         crops = (crops + strength[:, None, None, None] * noise).clamp(0, 1)
     if augmentation.normalise:
         crops = stretched(crops)
+    crops = torch.cat([crops[:, :1], crops[:, 1:] * has_earlier], dim=1) if crops.shape[1] > 1 else crops
     if augmentation.history_dropout and crops.shape[1] > 1:
         is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
         crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
@@ -61,15 +63,15 @@ def stretched(crops: Tensor) -> Tensor:
     """
     low = crops[:, :1].amin(dim=(2, 3), keepdim=True)
     width = crops[:, :1].amax(dim=(2, 3), keepdim=True) - low
-    return ((crops - low) * torch.where(width > _MIN_RANGE, 1 / width.clamp_min(_MIN_RANGE), 0)).clamp(0, 1)
+    return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0).clamp(0, 1)
 
 
 def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
     """Where each pixel of the altered crop is read: shape (N, 2, 3), from and to [-1, 1] as `affine_grid` has it.
 
     Read backwards, from the result to the crop: the cut-out of size (w, h) around a centre such that it stays inside,
-    turned about the crop's own centre, reflected. As in torchvision's RandomResizedCrop, area and ratio are drawn and
-    a side that would be longer than the crop is cut to it.
+    turned about the crop's own centre, reflected. Area and ratio are drawn as in torchvision's RandomResizedCrop; a
+    side that would be longer than the crop is cut to it, where torchvision draws again.
     """
     angle = torch.deg2rad(_uniform(num_maps, -augmentation.rotation_deg, augmentation.rotation_deg, random))
     area = _uniform(num_maps, augmentation.min_area, 1, random)

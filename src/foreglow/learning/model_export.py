@@ -40,19 +40,23 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
     """Writes `network` to `path` as ONNX, replacing what is there only once the new file is complete.
 
     Raises:
+        ValueError: If it is none of the networks that can be exported.
         OSError: If it cannot be written.
     """
-    from foreglow.learning.networks import ArtifactNetwork
+    from foreglow.learning.networks import ArtifactNetwork, CompactNetwork
 
     if isinstance(network, ArtifactNetwork):
         from foreglow.learning.export import write_onnx
         from foreglow.learning.layers import layers_from_state
 
-        write_onnx(layers_from_state({name: one.numpy() for name, one in network.state_dict().items()}), path, metadata)
-    else:
+        layers = layers_from_state({name: one.numpy() for name, one in network.state_dict().items()})
+        write_onnx(layers, path, {"support": str(spec.support), **metadata})
+    elif isinstance(network, CompactNetwork):
         from foreglow.learning.export_compact import write_compact
 
         write_compact(network, spec, path, metadata)
+    else:
+        raise ValueError(f"network: expected one of networks.NETWORKS to export, got {type(network).__name__}")
 
 
 def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]) -> float:

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 import tomli_w
 from pydantic import Field, model_validator
 
-from foreglow.classifier.inputs import InputSpec
+from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
-from foreglow.learning.samples import Jitter
+from foreglow.learning.samples import Inputs, Jitter
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
@@ -83,7 +83,7 @@ class Recipe(FrozenModel):
     """
 
     network: str
-    inputs: InputSpec = InputSpec(size_px=64, support=2, lag_s=None, num_features=0)
+    inputs: Inputs = InputSpec()
     jitter: Jitter = Jitter()
     epochs: Annotated[int, Field(ge=1, le=100_000)]
     patience: Annotated[int, Field(ge=1)] | None = None
@@ -130,6 +130,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "foreglow": Recipe(
         network="compact",
+        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES)),
         jitter=Jitter(num_copies=1),
         epochs=40,
         batch_size=256,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
@@ -25,6 +26,30 @@ NO_GROUP = -1
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with how many are done and how many there are."""
+
+
+def input_spec(fields: Any) -> Any:
+    """An `InputSpec` of a dict of fields by name, such as a table of a TOML file; anything else as it is.
+
+    Raises:
+        ValueError: If a field is unknown or of another type.
+    """
+    if not isinstance(fields, dict):
+        return fields
+    known = {field.name: field.default for field in dataclasses.fields(InputSpec)}
+    for name, value in fields.items():
+        if name not in known:
+            raise ValueError(f"{name}: unknown, expected one of {', '.join(known)}")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if name == "lag_s" and not (value is None or is_number):
+            raise ValueError(f"{name}: expected a number or none, got {value!r}")
+        if name != "lag_s" and type(value) is not int:
+            raise ValueError(f"{name}: expected a whole number, got {value!r}")
+    return InputSpec(**fields)
+
+
+Inputs: TypeAlias = Annotated[InputSpec, BeforeValidator(input_spec)]
+"""What a model reads, as a field of a configuration."""
 
 
 class Jitter(FrozenModel):
@@ -51,14 +76,8 @@ class SampleConfig(FrozenModel):
     """Everything but the data that decides what the samples are."""
 
     proposals: ProposalConfig = ProposalConfig()
-    inputs: InputSpec = InputSpec(size_px=64, support=2, lag_s=None, num_features=0)
+    inputs: Inputs = InputSpec()
     jitter: Jitter = Jitter()
-
-    @model_validator(mode="after")
-    def _check(self) -> SampleConfig:
-        if self.inputs.num_features < 0:
-            raise ValueError(f"inputs.num_features: expected 0 or more, got {self.inputs.num_features}")
-        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +130,7 @@ class Samples:
 
     def __getitem__(self, chosen: Any) -> Samples:
         """Some of the samples: by slice, indices or mask."""
-        return replace(self, **{name: getattr(self, name)[chosen] for name in ARRAYS})
+        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in ARRAYS})
 
     def num_labelled(self, label: int) -> int:
         """How many samples have this label."""
@@ -128,7 +147,7 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "image_ids": (np.int64, ()),
     "sequence_ids": (np.int32, ()),
 }
-assert set(ARRAYS) | {"digest"} == {field.name for field in fields(Samples)}
+assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
 
 
 def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Samples:
@@ -143,7 +162,8 @@ def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | No
     parts = list(samples_by_image(dataset, config, progress))
     if not parts:
         return no_samples(config.inputs)
-    return Samples(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS})
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
+    return Samples(**arrays)
 
 
 def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Iterator[Samples]:
@@ -200,8 +220,7 @@ def jittered(boxes_xyxy_px: Boxes, frame: Frame, jitter: Jitter, random: np.rand
 
 def no_samples(inputs: InputSpec) -> Samples:
     """Empty samples of the right shapes."""
-    num_channels = 1 if inputs.lag_s is None else 2
-    shapes = {"crops": (num_channels, inputs.size_px, inputs.size_px), "features": (inputs.num_features,)}
+    shapes = {"crops": (inputs.num_channels, inputs.size_px, inputs.size_px), "features": (inputs.num_features,)}
     arrays: dict[str, Any] = {
         name: np.empty((0, *shapes.get(name, tuple(one or 0 for one in shape))), dtype)
         for name, (dtype, shape) in ARRAYS.items()

@@ -97,6 +97,7 @@ def train_model(
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (asked for here, so that nothing is computed in vain)
+    import torch  # noqa: F401
 
     from foreglow.learning.event_files import WithEventFiles, event_files_wanted
     from foreglow.learning.training import train

@@ -10,7 +10,7 @@ import math
 import re
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -18,11 +18,7 @@ import tomli_w
 from foreglow.files import write_atomic
 from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.provenance import checkout_state
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-INK, BEST, OTHERS = "#222222", "#d9822b", "#888888"
+from foreglow.reports.figures import AMBER, GREY, INK, png, subplots
 
 HEADINGS = {
     "q": "q",
@@ -49,10 +45,10 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
     write_atomic(folder / "best.toml", _best_toml(tuning).encode())
     write_atomic(folder / "trials.csv", _trials_csv(tuning).encode())
     write_atomic(folder / "summary.json", (json.dumps(_summary(tuning), indent=1, allow_nan=False) + "\n").encode())
-    write_atomic(folder / "parallel.png", _png(_parallel_figure(tuning)))
+    write_atomic(folder / "parallel.png", png(_parallel_figure(tuning)))
     importance = folder / "importance.png"
     if tuning.importances:
-        write_atomic(importance, _png(_importance_figure(tuning.importances)))
+        write_atomic(importance, png(_importance_figure(tuning.importances)))
     else:
         importance.unlink(missing_ok=True)
     report = folder / "report.md"
@@ -181,16 +177,14 @@ def _number(value: float | None, digits: int) -> str:
     return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _parallel_figure(tuning: Tuning) -> Figure:
+def _parallel_figure(tuning: Tuning) -> Any:
     """A line a trial through its parameters to its loss; the darker the better, the best on train in colour."""
     from matplotlib import colormaps
-    from matplotlib.figure import Figure
 
     complete = [one for one in tuning.trials if one.state == "COMPLETE"]
     complete.sort(key=lambda one: -one.loss)
     names = [*SPACES[tuning.settings.space_name].ranges, "loss"]
-    figure = Figure(figsize=(1.5 * len(names) + 1.0, 3.8), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = subplots(1, 1.5 * len(names) + 1.0, 3.8)
     table = np.array([[_coordinate(one, name) for name in names] for one in complete], np.float64)
     table = table.reshape(len(complete), len(names))
     table[:, -1] = [_rank(one.loss, complete) for one in complete]
@@ -200,7 +194,7 @@ def _parallel_figure(tuning: Tuning) -> Figure:
     for place, line in enumerate(heights):
         is_best = place == len(heights) - 1
         shade = 0.15 + 0.6 * place / max(len(heights) - 1, 1)
-        axes.plot(line, color=BEST if is_best else greys(shade), linewidth=2.2 if is_best else 0.8)
+        axes.plot(line, color=AMBER if is_best else greys(shade), linewidth=2.2 if is_best else 0.8)
     for place in range(len(names) - 1):
         for text, height in ((f"{low[place]:g}", -0.04), (f"{high[place]:g}", 1.04)):
             axes.text(place, height, text, ha="center", va="top" if height < 0 else "bottom", color=INK, fontsize=8)
@@ -233,20 +227,10 @@ def _rank(loss: float, trials: list[TrialRecord]) -> float:
     return sum(one.loss < loss for one in trials) / max(len(trials) - 1, 1)
 
 
-def _importance_figure(importances: dict[str, float]) -> Figure:
+def _importance_figure(importances: dict[str, float]) -> Any:
     """A bar a parameter."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0, 0.4 * len(importances) + 0.9), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = subplots(1, 5.0, 0.4 * len(importances) + 0.9)
     names = sorted(importances, key=lambda name: importances[name])
-    axes.barh(names, [importances[name] for name in names], color=OTHERS)
+    axes.barh(names, [importances[name] for name in names], color=GREY)
     axes.set(xlabel="importance")
-    axes.spines[["top", "right"]].set_visible(False)
     return figure
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    return buffer.getvalue()

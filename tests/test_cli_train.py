@@ -1,0 +1,152 @@
+"""`foreglow train`: from a data set to a model that `foreglow run` uses."""
+
+from __future__ import annotations
+
+import builtins
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from foreglow.config import PipelineConfig, preset, read_config
+from foreglow.datasets import PVDN
+from foreglow.evaluation import evaluate_boxes
+from foreglow.evaluation.box_quality import split_keypoints_px
+from foreglow.evaluation.predictions import Predictions
+from foreglow.learning.recipes import RECIPES, read_recipe
+from foreglow.learning.training_run import train_model
+from foreglow.pipeline import Pipeline
+from tests.learning.tiny_drives import CONFIG_TOML, make_drives
+from tests.test_cli import complaint, foreglow_command
+
+QUICK = """
+patience = 40
+batch_size = 8
+learning_rate = 0.02
+[augmentation]
+history_dropout = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_drives(tmp_path_factory.mktemp("data"), num_images=6)
+
+
+@pytest.fixture
+def options(data: Path, tmp_path: Path) -> list[object]:
+    """All options but the epochs and the output."""
+    (tmp_path / "quick.toml").write_text(QUICK)
+    (tmp_path / "config.toml").write_text(CONFIG_TOML)
+    files: list[object] = ["--recipe-file", tmp_path / "quick.toml", "--config", tmp_path / "config.toml"]
+    return ["train", data, *files, "--preset", "paper", "--device", "cpu"]
+
+
+def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options: list[object]) -> None:
+    out = tmp_path / "run"
+    done = foreglow_command(*options, "--out", out, "--epochs", 12, "--seed", 5)
+    assert done.exit_code == 0, done.output
+    assert "train: 24 boxes with light, 48 without, 0 doubtful" in done.stdout
+    names = {path.name for path in out.iterdir()}
+    assert names == {
+        *("model.onnx", "weights.pt", "checkpoint.pt", "summary.json", "recipe.toml", "config.toml"),
+        *("curves.csv", "curves.png", "samples"),
+    }
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["samples"]["train"] == {"positive": 24, "negative": 48, "ignored": 0}  # with copies
+    assert summary["samples"]["val"] == {"positive": 12, "negative": 24, "ignored": 0}
+    assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "compact", 12)
+    assert summary["largest_difference_of_export"] < 1e-3
+    assert summary["model_bytes"] == (out / "model.onnx").stat().st_size
+    assert {"version", "commit", "has_local_changes", "seconds", "device", "data"} <= summary.keys()
+    with (out / "curves.csv").open(newline="") as file:
+        assert [float(row["number"]) for row in csv.DictReader(file)] == list(range(1, 13))
+    picture = cv2.imread(str(out / "curves.png"))
+    assert picture is not None
+    assert picture.shape[0] > 100
+    assert read_recipe(out / "recipe.toml", RECIPES["paper"]).model_dump(mode="json") == summary["recipe"]
+
+    dataset, pipeline = PVDN(data / "day/val"), Pipeline(read_config(out / "config.toml"))
+    boxes, scores = {}, {}
+    for sequence in dataset.sequences:
+        pipeline.reset()
+        for image_id in sorted(sequence.image_ids):
+            detections = pipeline.step(dataset.read(image_id)).detections
+            assert detections is not None
+            boxes[image_id] = detections.boxes_xyxy_px.astype(float)
+            scores[image_id] = detections.scores.astype(float)
+    quality = evaluate_boxes(split_keypoints_px(dataset), Predictions(boxes, scores))
+    # One light a box here, so boxes and lights count alike: the pipeline finds what validation promised.
+    assert quality.f1 == pytest.approx(summary["validation"]["f1"])
+    assert quality.recall > 0.8
+
+
+def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options: list[object]) -> None:
+    out = tmp_path / "run"
+    first = foreglow_command(*options, "--out", out, "--epochs", 2)
+    model = (out / "model.onnx").read_bytes()
+    again = foreglow_command(*options, "--out", out, "--epochs", 2)
+    assert first.exit_code == again.exit_code == 0, again.output
+    assert (out / "model.onnx").read_bytes() == model
+    line = complaint(*options, "--out", out, "--epochs", 3)
+    assert "checkpoint.pt: epochs: expected that of the training begun here, 2, got 3; choose another folder" in line
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--recipe", "best"], "recipe: expected one of paper, foreglow, got 'best'"),
+        (["--precision", "fp16"], "precision: Input should be 'fp32' or 'bf16'"),
+        (["--device", "tpu"], "device: expected auto, cpu or cuda, got 'tpu'"),
+        (["--recipe-file", "none.toml"], "none.toml: no such configuration file"),
+    ],
+)
+def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: list[str], message: str) -> None:
+    assert message in complaint(*options, "--out", tmp_path / "run", "--epochs", 1, *given)
+
+
+def test_inputs_that_the_network_cannot_read(tmp_path: Path, options: list[object]) -> None:
+    (tmp_path / "quick.toml").write_text("[inputs]\nsize_px = 48\n")
+    line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1)
+    assert "recipe: inputs: the network compact cannot read InputSpec(size_px=48" in line
+
+
+def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) -> None:
+    data = make_drives(tmp_path / "own", num_images=1)
+    (data / "day" / "val").rename(data / "day" / "else")
+    line = complaint("train", data, *options[2:], "--out", tmp_path / "run")
+    assert "expected the split val in it" in line
+
+
+@pytest.mark.parametrize("missing", ["torch", "onnx"])
+def test_the_train_extra_is_named(
+    tmp_path: Path, options: list[object], monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any, **named: Any) -> Any:
+        if name.split(".")[0] == missing:
+            raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+        return real(name, *rest, **named)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    line = complaint(*options, "--out", tmp_path / "run")
+    assert f"{missing} is not installed; this command needs: pip install 'foreglow[train]'" in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_paper_recipe_exports_its_network(data: Path, tmp_path: Path) -> None:
+    """One step of the paper's network: exported in its own layout, calibrated, and checked against torch."""
+    recipe = RECIPES["paper"].model_copy(update={"epochs": 1, "max_negatives_per_positive": 1.0})
+    proposals = preset("paper").proposals.model_copy(update={"reference_width_px": 160})
+    trained = train_model(data, recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
+    assert trained.summary["num_parameters"] == 942_209
+    assert trained.summary["largest_difference_of_export"] < 1e-4
+    assert np.isfinite(trained.result.val_logits).all()
