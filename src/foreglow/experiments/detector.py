@@ -156,7 +156,7 @@ def _row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> Row
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
     row = make(name, place, dataset, labels).model_copy(update={"key": key})
     write_atomic(path, (row.model_dump_json(indent=1) + "\n").encode())
-    return row
+    return read_json(path, RowResult)  # as a repeated call will: JSON knows no infinite threshold
 
 
 def _classifier_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
