@@ -129,8 +129,7 @@ def test_stretching_is_by_the_first_channel_and_leaves_constant_ones_black() -> 
 def test_a_missing_history_stays_black() -> None:
     images = crops(num_channels=2)
     images[::2, 1] = 0
-    fields = {"noise": 0.5, "gamma": 0.2, "normalise": True, "rotation_deg": 20.0}
-    found = altered(images, **fields)
+    found = altered(images, noise=0.5, gamma=0.2, normalise=True, rotation_deg=20.0)
     assert (found[::2, 1] == 0).all()
     assert (found[1::2, 1].amax(dim=(1, 2)) > 0).all()
 

@@ -1,0 +1,76 @@
+"""The commands `export-yolo`, `yolo` and `experiment detector`: what they say, and one line for bad input."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.experiments.detector_data import make_data, make_model
+from tests.learning.yolo.fakes import Calls, fake_libreyolo
+from tests.test_cli import complaint, foreglow_command
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return make_data(tmp_path / "data")
+
+
+def test_export(data: Path, tmp_path: Path) -> None:
+    result = foreglow_command("export-yolo", data, "--out", tmp_path / "out", "--size", 64, "--preset", "paper")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith(f"wrote {tmp_path / 'out' / 'data.yaml'}: images of train 6 (")
+    assert result.stdout.endswith("boxes: preset paper\n")
+    assert "expected one of paper, baseline" in complaint(
+        "export-yolo", data, "--out", tmp_path / "x", "--preset", "none"
+    )
+    assert "no such folder" in complaint("export-yolo", tmp_path / "absent", "--out", tmp_path / "x")
+
+
+def test_train_predict_and_evaluate(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    calls = Calls("libreyolo")
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(calls))
+    run, found = tmp_path / "run", tmp_path / "found.json"
+    arguments = ("--image-size", 64, "--epochs", 2, "--batch", 4, "--seed", 7, "--device", "cpu", "--size", "n")
+    result = foreglow_command("yolo", "train", data, "--out", run, *arguments)
+    assert result.exit_code == 0, result.output
+    assert "0.00 million parameters" in result.stdout
+    assert (calls.trained[0]["batch"], calls.trained[0]["seed"], calls.made[0][1]["size"]) == (4, 7, "n")
+    result = foreglow_command("yolo", "predict", run, data / "test", "--out", found)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith(f"wrote {found}: 6 images, ")
+    result = foreglow_command("evaluate", data / "test", "--predictions", found)
+    assert result.exit_code == 0, result.output
+
+
+def test_bad_input_of_yolo(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert "yolo train: backend: " in complaint("yolo", "train", data, "--out", out, "--backend", "darknet")
+    assert "yolo train: image_size_px: " in complaint("yolo", "train", data, "--out", out, "--image-size", 100)
+    assert "expected a finished run" in complaint("yolo", "predict", out, data / "test", "--out", tmp_path / "x")
+    for name, extra in (("libreyolo", "yolo"), ("ultralytics", "ultralytics")):
+        monkeypatch.setitem(sys.modules, name, None)
+        line = complaint("yolo", "train", data, "--out", out, "--backend", name)
+        assert f"{name} is not installed; this command needs: pip install 'foreglow[{extra}]'" in line
+    assert not out.exists()
+
+
+def test_experiment(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    model, out = make_model(tmp_path / "model.onnx"), tmp_path / "out"
+    arguments = (data, "--out", out, "--paper-model", model, "--no-training", "--no-yolo")
+    result = foreglow_command("experiment", "detector", *arguments, "--rows", "paper,compact,yolo-large")
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"look in {out / 'report.html'}\n"
+    assert {path.name for path in out.iterdir()} == {"predictions", "rows", "results.json", "table.md", "report.html"}
+    rows = json.loads((out / "results.json").read_text())["rows"]
+    assert [row["reason"] is None for row in rows] == [True, False, False]
+
+
+def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
+    experiment = ("experiment", "detector", data, "--out", tmp_path / "out")
+    assert "rows: expected some of baseline" in complaint(*experiment, "--rows", "best")
+    assert "no such model, given with --our-model" in complaint(*experiment, "--our-model", tmp_path / "absent")
+    assert "expected the split" in complaint(*experiment, "--split", "all")
