@@ -328,7 +328,7 @@ def demo(
     out: Annotated[Path, _folder(help="Folder for the results.")] = Path("demo_output"),
     model: ModelOption = None,
 ) -> None:
-    """Run on SOURCE, or on the drive that ships, with annotated pictures, and tell what happened if there are labels."""
+    """Run on SOURCE, or on the drive that ships, with annotated pictures; say what happened if there are labels."""
     from foreglow.datasets import shipped_drive
 
     frames = _opened(shipped_drive() if source is None else source, out)
