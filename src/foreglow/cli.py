@@ -34,6 +34,9 @@ EXTRAS = {
 """Optional modules, and the extra that installs each."""
 
 
+DEFAULT_PRESET = "foreglow"
+"""What runs where nothing else is asked for."""
+
 DEMO_SCENARIO, DEMO_SEED = "curve", 0
 """The drive of `foreglow demo` without a source."""
 
@@ -85,6 +88,7 @@ _folder = functools.partial(typer.Option, readable=False, metavar="DIR")
 _BOXES_HELP = "Boxes of this preset [default: those that `annotate` wrote, else of paper]."
 _SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
 Source = Annotated[Path, _argument(metavar="SOURCE", help=_SOURCE_HELP)]
+PresetOption = Annotated[str, typer.Option(metavar="foreglow|paper|baseline", help="Parameters to start from.")]
 ModelOption = Annotated[Path | None, _file(help="ONNX model that classifies the proposals; overrides the file's.")]
 
 TrainedOption = Annotated[Path | None, _file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
@@ -111,7 +115,7 @@ def _options(
 def run(
     source: Source,
     out: Annotated[Path, _folder(help="Folder for the results; made if need be.")],
-    preset: Annotated[str, typer.Option(metavar="paper|baseline", help="Parameters to start from.")] = "paper",
+    preset: PresetOption = DEFAULT_PRESET,
     model: ModelOption = None,
     config: Annotated[Path | None, _file(help="TOML whose fields override the preset.")] = None,
     video: Annotated[
@@ -330,7 +334,7 @@ def demo(
     """Run on SOURCE, or on a simulated drive, with annotated pictures, and say where to look."""
     frames = _simulated_drive() if source is None else _opened(source, out)
     name = frames.name if source is None else str(source)
-    _finish(_run(frames, name, out, _configuration("paper", None, model), has_video=True), out)
+    _finish(_run(frames, name, out, _configuration(DEFAULT_PRESET, None, model), has_video=True), out)
 
 
 @app.command()
@@ -520,7 +524,7 @@ def _evaluated_configuration(
     given = {"model": model, "preset": preset, "config": config}
     for name in [name for name, value in given.items() if value is not None and predictions is not None]:
         raise ValueError(f"evaluate: expected --predictions or --{name}, got both")
-    configuration = _configuration(preset or "paper", config, model)
+    configuration = _configuration(preset or DEFAULT_PRESET, config, model)
     if configuration.classifier.model is None and predictions is None:
         raise ValueError("evaluate: expected --predictions FILE or --model FILE, got neither")
     if threshold is None:
