@@ -1,7 +1,7 @@
 # make demo [SOURCE=path], make test, make check, make bench, make data [DATA=folder], make model, make picture,
-# make simulator-pictures, make simulator-report.
+# make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
-# demo simulates a drive.
+# demo runs on the drive that ships.
 PYTHON ?= python3
 SOURCE ?=
 VENV := .venv
@@ -9,15 +9,15 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench data model picture simulator-pictures simulator-report clean
+.PHONY: demo test check bench data model picture simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
-# The demo needs the package and the simulator; developing adds the training stack, the tests and the checkers.
+# The demo needs the bare package; developing adds the simulator, the training stack, the tests and the checkers.
 $(VENV)/.run: $(BIN)/python pyproject.toml $(NATIVE)
-	$(BIN)/python -m pip install --quiet --editable '.[sim]'
+	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
@@ -73,6 +73,10 @@ simulator-report: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out bench_output/drives --scenes 32 --seed 7 --split val --fps 4
 	$(BIN)/foreglow experiment simulator bench_output/drives --out bench_output/simulator_report \
 	    $(if $(REAL_LABELS),--real-labels "$(REAL_LABELS)") $(if $(REAL_IMAGE),--real-image "$(REAL_IMAGE)")
+
+# The drive that ships, made again from its scene: two minutes on two idle cores.
+drive: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.shipped_drive
 
 clean:
 	rm -rf $(VENV) build demo_output bench_output preview_output

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from foreglow import simulation
 from foreglow.cli import app
-from foreglow.simulation import Scene, adapted, read_scene, scene_to_toml
+from foreglow.simulation import Scene, read_scene, scene_to_toml
 from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.simulation.light.rendering import need_renderer
 from tests.test_cli import complaint
@@ -138,12 +137,3 @@ def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file:
     monkeypatch.setattr("foreglow.simulation.light.render.prepare", missing)
     said = complaint("simulate", "--scene", scene_file, "--preview", "mine", "--out", tmp_path)
     assert "pip install 'foreglow[sim]'" in said
-
-
-def test_the_demo_simulates_where_nothing_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_renderer()
-    monkeypatch.setattr(simulation, "scenario", lambda name, seed: read_scene(scene_of(tmp_path)))  # noqa: ARG005
-    monkeypatch.setattr(simulation, "adapted", lambda scene, *_: adapted(scene, (160, 120), 18.0, "day"))
-    result = foreglow("demo", "--out", tmp_path / "out")
-    assert "4 frames" in result.stdout
-    assert (tmp_path / "out" / "overlay.mp4").is_file()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource, OnError, SplitName
     from foreglow.evaluation import Examination
+    from foreglow.evaluation.story import Story
     from foreglow.experiments.detector_plan import DetectorPlan
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary
     from foreglow.simulation import Scene
@@ -36,9 +37,6 @@ EXTRAS = {
 
 DEFAULT_PRESET = "foreglow"
 """What runs where nothing else is asked for."""
-
-DEMO_SCENARIO, DEMO_SEED = "curve", 0
-"""The drive of `foreglow demo` without a source."""
 
 
 class Commands(TyperGroup):
@@ -331,10 +329,15 @@ def demo(
     out: Annotated[Path, _folder(help="Folder for the results.")] = Path("demo_output"),
     model: ModelOption = None,
 ) -> None:
-    """Run on SOURCE, or on a simulated drive, with annotated pictures, and say where to look."""
-    frames = _simulated_drive() if source is None else _opened(source, out)
-    name = frames.name if source is None else str(source)
-    _finish(_run(frames, name, out, _configuration(DEFAULT_PRESET, None, model), has_video=True), out)
+    """Run on SOURCE, or on the drive that ships, with annotated pictures, and tell what happened if there are labels."""
+    from foreglow.datasets import shipped_drive
+
+    frames = _opened(shipped_drive() if source is None else source, out)
+    configuration = _configuration(DEFAULT_PRESET, None, model)
+    summary = _run(frames, frames.name if source is None else str(source), out, configuration, has_video=True)
+    stories = _stories(frames, out, configuration) if summary.is_complete else ()
+    _finish(summary, out)
+    _tell(stories, is_classified=summary.is_classified)
 
 
 @app.command()
@@ -593,11 +596,34 @@ def _opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
     return open_source(source, on_error=cast("OnError", on_error))
 
 
-def _simulated_drive() -> FrameSource:
-    """A drive that is worth seeing: a bend, from behind which a car comes."""
-    from foreglow.simulation import adapted, scenario, simulate
+def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> tuple[Story, ...]:
+    """What happened in a run of frames with labels; the best of it becomes a picture beside the results."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation import read_predictions
+    from foreglow.evaluation.story import best_story, has_labels, tell_stories
+    from foreglow.reports.moments import write_moments
 
-    return simulate(adapted(scenario(DEMO_SCENARIO, DEMO_SEED), (640, 480), 9.0, "day"))
+    if not isinstance(frames, PVDN) or not has_labels(frames):
+        return ()
+    predictions, threshold = read_predictions(out / "frames.jsonl"), configuration.classifier.score_threshold
+    stories = tell_stories(frames, predictions, threshold)
+    best = best_story(stories)
+    if best is not None:
+        images = [frames.read(moment.light.image_id) for moment in best.moments]
+        write_moments(out / "moments.png", best, images, predictions, threshold)
+    return stories
+
+
+def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
+    """Says what happened: one story in full, several as a table."""
+    import rich
+
+    from foreglow.reports.story import story_lines, story_table
+
+    if len(stories) == 1:
+        typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
+    elif stories:
+        rich.print(story_table(stories, is_classified=is_classified))
 
 
 def _run(

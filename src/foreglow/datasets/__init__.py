@@ -19,6 +19,7 @@ from foreglow.datasets.pvdn_schema import (
     Weather,
 )
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
+from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder
 from foreglow.datasets.video import Video
@@ -48,6 +49,7 @@ __all__ = [
     "download_pvdn",
     "open_source",
     "read_image",
+    "shipped_drive",
     "split_folder",
     "to_grey",
     "write_pvdn",

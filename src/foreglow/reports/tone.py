@@ -9,8 +9,15 @@ from numpy.typing import NDArray
 
 from foreglow.types import Image
 
-TARGET_MEDIAN = 0.12
-"""Brightness that the median pixel of the first frame is lifted to, of 1; tuned by eye on dark and lit roads."""
+BLACK_PERCENTILE = 10.0
+"""What is as dark as this share of the first frame becomes black: the lower half of the night sky's noise."""
+
+UPPER_PERCENTILE, UPPER_TARGET = 75.0, 0.3
+"""This percentile of the first frame, the lit road, is lifted to this brightness, of 1; tuned by eye on dark and lit
+roads, simulated and real."""
+
+STRETCHES = np.geomspace(0.01, 30.0, 400)
+"""Stretches to choose from; the first is a straight line, the last lifts the dark seven-fold."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,18 +34,21 @@ class Tone:
     def of(cls, image: Image) -> Tone:
         """The curve that suits `image` and frames like it.
 
-        Display = ((v - black) / (white - black)) ^ gamma, where black is the 1st percentile of `image`; white is
-        the full scale for 8 bits and, for 16 bits, the next power of two above the brightest pixel, since cameras
-        fill 10 or 12 of the 16 bits; and gamma, between 0.45 and 1, lifts the median to `TARGET_MEDIAN`.
+        Display = asinh(k v) / asinh(k), straight where it is dark and logarithmic above, so that faint light is seen
+        and lamps are not burnt out; v = (value - black) / (white - black). Black is a low percentile of `image`;
+        white is the full scale for 8 bits and, for 16 bits, the next power of two above the brightest pixel, since
+        cameras fill 10 or 12 of the 16 bits; k lifts a high percentile to `UPPER_TARGET` as far as `STRETCHES` go.
+
+        Source of the curve: Lupton et al., Preparing red-green-blue images from CCD data, PASP 116 (2004), eq. 2.
         """
         num_values = np.iinfo(image.dtype).max + 1
-        black, median, highest = np.percentile(image, (1, 50, 100)).tolist()
+        black, upper, highest = np.percentile(image, (BLACK_PERCENTILE, UPPER_PERCENTILE, 100.0)).tolist()
         white = num_values - 1 if image.dtype == np.uint8 else 2 ** int(highest).bit_length() - 1
         span = max(1.0, white - black)
-        relative = (median - black) / span
-        gamma = float(np.clip(np.log(TARGET_MEDIAN) / np.log(relative), 0.45, 1.0)) if 0.0 < relative < 1.0 else 0.45
+        lifted = np.arcsinh(STRETCHES * (upper - black) / span) / np.arcsinh(STRETCHES)
+        stretch = STRETCHES[min(int(np.searchsorted(lifted, UPPER_TARGET)), len(STRETCHES) - 1)]
         values = np.clip((np.arange(num_values) - black) / span, 0.0, 1.0)
-        return cls(np.rint(255.0 * values**gamma).astype(np.uint8))
+        return cls(np.rint(255.0 * np.arcsinh(stretch * values) / np.arcsinh(stretch)).astype(np.uint8))
 
     def apply(self, image: Image) -> NDArray[np.uint8]:
         """`image` as display values, same shape, uint8.

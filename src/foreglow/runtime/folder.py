@@ -7,8 +7,9 @@ from pathlib import Path
 
 from foreglow.files import naming
 
-RESULT_NAMES = ("frames.jsonl", "overlay.mp4", "overlay.png", "config.toml", "summary.json")
-"""Every name that a run may write; `summary.json` is published last, so where it exists the set is whole."""
+RESULT_NAMES = ("frames.jsonl", "overlay.mp4", "overlay.png", "moments.png", "config.toml", "summary.json")
+"""Every name that a run may write; `summary.json` is published last, so where it exists the set is whole. Only what is
+made of the results themselves, `moments.png` by `foreglow demo`, comes after it."""
 
 
 class OutputFolder:

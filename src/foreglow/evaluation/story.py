@@ -1,0 +1,154 @@
+"""A drive as a story: when an oncoming vehicle's light was first visible, when it was found, when it was in sight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.evaluation.breakdown import match_lights, read_split_labels
+from foreglow.evaluation.first_found import FirstFound, first_found
+from foreglow.evaluation.lights import Light
+from foreglow.evaluation.predictions import Predictions
+from foreglow.simulation import read_truth
+
+UNKNOWN_VEHICLE = "vehicle"
+"""What a vehicle is called where nothing more is known of it."""
+
+_Lit: TypeAlias = tuple[Light, float]
+"""A light, and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One light at one instant.
+
+    Attributes:
+        time_s: From the first image of the sequence.
+        light: The light that makes the moment, in its image.
+        score: Highest score of the boxes around it; NaN where there is none, or boxes have no scores.
+    """
+
+    time_s: float
+    light: Light
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What happens in one sequence with the vehicle whose light is visible first.
+
+    Attributes:
+        sequence: The sequence's folder.
+        vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
+        times: When its light is visible, when it is found, and when its first lamp is.
+        light: Its first light; the strongest one where there are several.
+        found: Its light in the first accepted box, that with the highest score; None if there is never one.
+        sight: Its first lamp; None if it never comes into sight.
+        production_s: When the production system first reports a vehicle; NaN if it never does.
+        duration_s: From the first image of the sequence to the last.
+    """
+
+    sequence: str
+    vehicle: str
+    times: FirstFound
+    light: Moment
+    found: Moment | None
+    sight: Moment | None
+    production_s: float
+    duration_s: float
+
+    @property
+    def is_hidden_first(self) -> bool:
+        """Whether its light is visible before its lamps are."""
+        return not self.times.light_s >= self.times.lamp_s
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """First light, detection and sight, as far as they happen."""
+        return tuple(one for one in (self.light, self.found, self.sight) if one is not None)
+
+
+def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> tuple[Story, ...]:
+    """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
+
+    Args:
+        dataset: Images with labels.
+        predictions: What a run made of them; without scores every box counts as accepted.
+        threshold: Boxes with a score above this are accepted.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If one is broken.
+    """
+    labels = read_split_labels(dataset)
+    matched = match_lights(labels, predictions)
+    lit = list(zip(matched.lights, matched.best_scores.tolist(), strict=True))
+    first: dict[int, FirstFound] = {}
+    for vehicle in first_found(labels, matched, threshold):
+        known = first.setdefault(vehicle.sequence_id, vehicle)
+        if vehicle.light_s < known.light_s:
+            first[vehicle.sequence_id] = vehicle
+    stories = []
+    for sequence in dataset.sequences:
+        times = first.get(sequence.id)
+        if times is None:
+            continue
+        its = [
+            (labels.time_s[light.image_id], (light, score))
+            for light, score in lit
+            if (light.sequence_id, light.vehicle_id) == (sequence.id, times.vehicle_id) and not light.is_rear
+        ]
+        visible = [one for time_s, one in its if time_s == times.light_s]
+        boxed = [one for time_s, one in its if time_s == times.found_s and one[1] > threshold]
+        lamps = [one for time_s, one in its if time_s == times.lamp_s and one[0].is_direct]
+        vehicle_kind, production_s = _known(dataset, sequence.id, times.vehicle_id)
+        stories.append(
+            Story(
+                sequence=sequence.directory,
+                vehicle=vehicle_kind,
+                times=times,
+                light=_moment(times.light_s, min(visible, key=lambda one: one[0].rank)),
+                found=_moment(times.found_s, max(boxed, key=lambda one: one[1])) if boxed else None,
+                sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
+                production_s=production_s,
+                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+            )
+        )
+    return tuple(stories)
+
+
+def best_story(stories: Iterable[Story]) -> Story | None:
+    """The story to show: of the vehicle that is found longest before it is in sight, else the first; None of none."""
+    return max(stories, key=lambda one: max(0.0, _or_zero(one.times.lead_s)), default=None)
+
+
+def has_labels(dataset: PVDN) -> bool:
+    """Whether `dataset` has key points, so that its stories can be told."""
+    return (dataset.root / "labels" / "keypoints").is_dir()
+
+
+def _moment(time_s: float, lit: _Lit) -> Moment:
+    light, score = lit
+    return Moment(time_s, light, score if math.isfinite(score) else math.nan)
+
+
+def _or_zero(value: float) -> float:
+    return 0.0 if math.isnan(value) else value
+
+
+def _known(dataset: PVDN, sequence_id: int, vehicle_id: int) -> tuple[str, float]:
+    """What the vehicle is, and when the production system reports one, seconds from the first image; NaN for never."""
+    place_of, rate_hz = dataset.labels.place_of, dataset.rate_hz
+    if (dataset.root / "simulation" / "info.json").exists():
+        frames = read_truth(dataset.root).sequence(sequence_id).frames
+        kinds = (one.kind for frame in frames for one in frame.vehicles if one.vehicle_id == vehicle_id)
+        reported = next((one.image_id for one in frames if one.is_production_detected), None)
+        kind = next(kinds, UNKNOWN_VEHICLE)
+    else:
+        sequence = next(one for one in dataset.sequences if one.id == sequence_id)
+        reported = dataset.first_with(sequence, CategoryConfig().low_beam_trigger)
+        kind = UNKNOWN_VEHICLE
+    return kind, math.nan if reported is None else place_of[reported] / rate_hz

@@ -1,0 +1,65 @@
+"""The drive that ships: whole, small, readable by everything, and worth seeing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import PVDN, open_source, shipped_drive
+from foreglow.datasets.pvdn_schema import Cycle
+from foreglow.evaluation.lights import read_lights
+from foreglow.simulation import read_scene, read_truth
+
+
+@pytest.fixture(scope="module")
+def drive() -> PVDN:
+    return PVDN(shipped_drive())
+
+
+def test_it_is_small_and_whole(drive: PVDN) -> None:
+    files = [path for path in shipped_drive().rglob("*") if path.is_file()]
+    assert sum(path.stat().st_size for path in files) <= 10_000_000
+    assert (drive.num_frames, drive.rate_hz) == (90, 18.0)
+    assert len([path for path in files if path.suffix == ".jpg"]) == 90
+    for image_id in drive.frame_ids[::15]:
+        assert (drive.read(image_id).width_px, drive.read(image_id).height_px) == (1280, 960)
+        assert drive.cycle_of(image_id) is Cycle.DAY
+    for image_id in drive.frame_ids:
+        assert drive.image_path(image_id).is_file()
+
+
+def test_a_command_takes_it_as_a_source() -> None:
+    source = open_source(shipped_drive())
+    assert (source.name, source.num_frames) == ("drives/curve", 90)
+
+
+def test_its_truth_is_that_of_its_scene(drive: PVDN) -> None:
+    (truth,) = read_truth(drive.root)
+    assert truth.scene == read_scene(drive.root / "scene.toml")
+    assert (truth.camera.width_px, truth.camera.height_px) == (1280, 960)
+    assert [frame.image_id for frame in truth.frames] == list(drive.frame_ids)
+    with pytest.raises(FileNotFoundError):
+        truth.depth_m(drive.frame_ids[0])
+
+
+def test_light_comes_a_second_before_the_car_after_a_calm_beginning(drive: PVDN) -> None:
+    lights = [one for its in read_lights(drive).values() for one in its]
+    first_light, first_lamp = (
+        min(drive.labels.place_of[one.image_id] for one in lights if one.is_direct is is_direct) / drive.rate_hz
+        for is_direct in (False, True)
+    )
+    assert 1.5 <= first_light <= 2.0
+    assert 1.0 <= first_lamp - first_light <= 1.5
+    assert max(drive.labels.place_of.values()) / drive.rate_hz - first_lamp > 1.5
+
+
+def test_an_unknown_drive_is_named() -> None:
+    with pytest.raises(FileNotFoundError, match="no such drive"):
+        shipped_drive("nowhere")
+
+
+def test_nothing_in_it_points_to_where_it_was_made() -> None:
+    for path in shipped_drive().rglob("*"):
+        if path.suffix in (".json", ".jsonl", ".toml", ".md"):
+            assert str(Path.home()) not in path.read_text(encoding="utf-8")
