@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from foreglow import _native
-from foreglow.runtime.summary import checkout_state, processor_name
+from foreglow.provenance import checkout_state, processor_name
 
 Row = dict[str, Any]
 """One line of a table, with all its figures, as it goes into the JSON."""

@@ -31,7 +31,7 @@ ALLOWED: dict[str, set[str]] = {
     "datasets": VALUES | {"files"},
     "simulation": VALUES | {"files", "datasets"},
     **{tool: VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
-    "learning": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation"},
+    "learning": VALUES | STAGES | BASE | {"_native"} | {"pipeline", "datasets", "simulation", "evaluation"},
     "experiments": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation", "learning"},
     "reports": VALUES | TOOLS | BASE | {"simulation"},
     "cli": VALUES | STAGES | TOOLS | BASE | {"pipeline", "datasets", "simulation", "reports", ""},

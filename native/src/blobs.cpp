@@ -2,21 +2,9 @@
 
 #include <algorithm>
 
+#include "bits.hpp"
+
 namespace foreglow {
-namespace {
-
-// Bit i goes to bit 2 i.
-std::uint64_t spread(std::uint64_t bits) {
-    bits &= 0xFFFFFFFFULL;
-    bits = (bits | bits << 16) & 0x0000FFFF0000FFFFULL;
-    bits = (bits | bits << 8) & 0x00FF00FF00FF00FFULL;
-    bits = (bits | bits << 4) & 0x0F0F0F0F0F0F0F0FULL;
-    bits = (bits | bits << 2) & 0x3333333333333333ULL;
-    return (bits | bits << 1) & 0x5555555555555555ULL;
-}
-
-}  // namespace
-
 void BlobFinder::start(std::int32_t gap_px) {
     gap_px_ = gap_px;
     y_ = 0;
@@ -78,8 +66,8 @@ void BlobFinder::add_row(const std::uint64_t* even, const std::uint64_t* odd, st
     for (std::int64_t word = 0; word < num_words; ++word) {
         if ((even[word] | odd[word]) == 0) continue;
         const auto column = static_cast<std::int32_t>(word * 128);
-        add_bits(spread(even[word]) | spread(odd[word]) << 1, column);
-        add_bits(spread(even[word] >> 32) | spread(odd[word] >> 32) << 1, column + 64);
+        add_bits(interleaved(even[word], odd[word]), column);
+        add_bits(interleaved(even[word] >> 32, odd[word] >> 32), column + 64);
     }
     for (Run& run : *current_) {
         run.blob = static_cast<std::int32_t>(parents_.size());

@@ -2,18 +2,25 @@
 
 #include <algorithm>
 
+#include "bits.hpp"
+
 namespace foreglow {
 
 void BlobSplitter::start(std::int64_t width, std::int64_t height) {
-    num_words_ = (width + 127) / 128;
-    bits_.resize(static_cast<std::size_t>(2 * num_words_ * height));
+    num_words_ = 2 * ((width + 127) / 128);
+    bits_.resize(static_cast<std::size_t>(num_words_ * height));
     y_ = 0;
 }
 
 void BlobSplitter::add_row(const BinaryRow& row) {
-    std::uint64_t* words = bits_.data() + 2 * y_ * num_words_;
-    std::copy(row.even, row.even + num_words_, words);
-    std::copy(row.odd, row.odd + num_words_, words + num_words_);
+    std::uint64_t* words = bits_.data() + y_ * num_words_;
+    for (std::int64_t word = 0; word < num_words_ / 2; ++word) {
+        const std::uint64_t even = row.even[word], odd = row.odd[word];
+        words[2 * word] = words[2 * word + 1] = 0;
+        if ((even | odd) == 0) continue;
+        words[2 * word] = interleaved(even, odd);
+        words[2 * word + 1] = interleaved(even >> 32, odd >> 32);
+    }
     ++y_;
 }
 
@@ -25,25 +32,38 @@ std::int32_t BlobSplitter::root(std::int32_t part) {
     return part;
 }
 
-// The set pixels, from the highest level down, row by row where levels are equal.
+// The set pixels with their levels, row by row, and how many there are of each level.
+template <typename Sum>
 void BlobSplitter::collect(const Box& box, const WorkingImage& image, std::int64_t black, std::int64_t range) {
     pixels_.clear();
-    starts_.assign(top_level + 2, 0);
-    const std::int64_t whole = 16 * range;
+    const std::int64_t whole = 16 * range, dark = 16 * black;
     for (std::int64_t y = box.y1; y < box.y2; ++y) {
-        const std::int64_t above = std::max<std::int64_t>(y - 1, 0), below = std::min(y + 1, image.height - 1);
-        for (std::int64_t x = box.x1; x < box.x2; ++x) {
-            if (!is_set(x, y)) continue;
-            const std::int64_t left = std::max<std::int64_t>(x - 1, 0), right = std::min(x + 1, image.width - 1);
-            const auto across = [&](std::int64_t row) {
-                return image.sum_at(row, left) + 2 * image.sum_at(row, x) + image.sum_at(row, right);
-            };
-            const std::int64_t light = across(above) + 2 * across(y) + across(below) - 16 * black;
-            const auto level = static_cast<std::int16_t>(light * top_level / whole);
-            pixels_.push_back({level, static_cast<std::int32_t>(x - box.x1), static_cast<std::int32_t>(y - box.y1)});
-            ++starts_[top_level - level + 1];
+        const Sum* row = image.row<Sum>(y);
+        const Sum* above = image.row<Sum>(mirrored(y - 1, image.height));
+        const Sum* below = image.row<Sum>(mirrored(y + 1, image.height));
+        const std::uint64_t* words = bits_.data() + y * num_words_;
+        for (std::int64_t word = box.x1 >> 6; word <= (box.x2 - 1) >> 6; ++word) {
+            const std::int64_t first = word * 64;
+            std::uint64_t bits = words[word];
+            if (first < box.x1) bits &= ~0ULL << (box.x1 - first);
+            if (first + 64 > box.x2) bits &= ~0ULL >> (first + 64 - box.x2);
+            for (; bits != 0; bits &= bits - 1) {
+                const std::int64_t x = first + __builtin_ctzll(bits);
+                const auto across = [x](const Sum* sums) {
+                    return std::int64_t{sums[x - 1]} + 2 * std::int64_t{sums[x]} + std::int64_t{sums[x + 1]};
+                };
+                const std::int64_t light = across(above) + 2 * across(row) + across(below) - dark;
+                const auto level = static_cast<std::int16_t>(light * top_level / whole);
+                pixels_.push_back({level, static_cast<std::int32_t>(x - box.x1), static_cast<std::int32_t>(y - box.y1)});
+            }
         }
     }
+}
+
+// From the highest level down, in their order where levels are equal.
+void BlobSplitter::sort() {
+    starts_.assign(top_level + 2, 0);
+    for (const Pixel& pixel : pixels_) ++starts_[top_level - pixel.level + 1];
     for (std::size_t i = 1; i < starts_.size(); ++i) starts_[i] += starts_[i - 1];
     sorted_.resize(pixels_.size());
     for (const Pixel& pixel : pixels_) sorted_[starts_[top_level - pixel.level]++] = pixel;
@@ -62,10 +82,11 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
     const std::int32_t around[8] = {-stride - 1, -stride, -stride + 1, -1, 1, stride - 1, stride, stride + 1};
     for (const Pixel& pixel : sorted_) {
         const std::int32_t place = (pixel.y + 1) * stride + pixel.x + 1;
-        std::int32_t met[8], num_met = 0, highest = -1;
+        std::int32_t met[8], num_met = 0, highest = -1, last = -1;
         for (const std::int32_t step : around) {
             const std::int32_t part = part_of_[place + step];
-            if (part < 0) continue;
+            if (part < 0 || part == last) continue;
+            last = part;
             const std::int32_t found = root(part);
             if (std::find(met, met + num_met, found) != met + num_met) continue;
             met[num_met++] = found;
@@ -101,7 +122,12 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
 
 void BlobSplitter::split(const Box& box, const WorkingImage& image, std::int64_t black, std::int64_t range,
                          const SplitRule& rule, std::vector<Box>& parts) {
-    collect(box, image, black, range);
+    if (image.is_narrow) {
+        collect<std::uint16_t>(box, image, black, range);
+    } else {
+        collect<std::uint32_t>(box, image, black, range);
+    }
+    sort();
     flood(box.x2 - box.x1, box.y2 - box.y1, rule);
     const std::size_t before = parts.size();
     for (std::size_t i = 0; i < parts_.size(); ++i) {

@@ -42,17 +42,15 @@ private:
         std::int32_t x, y;  // in the box
     };
 
-    bool is_set(std::int64_t x, std::int64_t y) const {
-        const std::uint64_t* words = bits_.data() + (2 * y + (x & 1)) * num_words_;
-        return (words[x >> 7] >> ((x >> 1) & 63)) & 1;
-    }
     static void widen(Part& part, const Box& box);
+    template <typename Sum>
     void collect(const Box& box, const WorkingImage& image, std::int64_t black, std::int64_t range);
+    void sort();
     void flood(std::int32_t width, std::int32_t height, const SplitRule& rule);
     std::int32_t root(std::int32_t part);
 
     std::int64_t num_words_ = 0, y_ = 0;
-    std::vector<std::uint64_t> bits_;  // the binary image: even words, odd words of each row
+    std::vector<std::uint64_t> bits_;  // the binary image, 64 columns a word
     std::vector<Pixel> pixels_, sorted_;
     std::vector<std::int32_t> starts_;
     std::vector<std::int32_t> part_of_;  // the box with a border of one pixel; -1 where none is yet

@@ -27,6 +27,14 @@ public:
 
     const std::uint16_t* narrow_row(std::int64_t y) const { return narrow_.data() + y * stride_ + margin; }
     const std::uint32_t* wide_row(std::int64_t y) const { return wide_.data() + y * stride_ + margin; }
+    template <typename Sum>
+    const Sum* row(std::int64_t y) const {
+        if constexpr (sizeof(Sum) == 2) {
+            return narrow_row(y);
+        } else {
+            return wide_row(y);
+        }
+    }
     std::int64_t sum_at(std::int64_t y, std::int64_t x) const {
         return is_narrow ? narrow_row(y)[x] : static_cast<std::int64_t>(wide_row(y)[x]);
     }

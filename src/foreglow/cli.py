@@ -18,12 +18,19 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
-    from foreglow.datasets import FrameSource, OnError
+    from foreglow.datasets import FrameSource, OnError, SplitName
     from foreglow.evaluation import Examination
+    from foreglow.experiments.detector_plan import DetectorPlan
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary
     from foreglow.simulation import Scene
 
-EXTRAS = {"onnx": "train", "torch": "train", "mitsuba": "sim", "drjit": "sim", "matplotlib": "plots", "optuna": "train"}
+EXTRAS = {
+    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
+    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    "matplotlib": "plots",
+    "ultralytics": "ultralytics",
+}
 """Optional modules, and the extra that installs each."""
 
 
@@ -67,14 +74,20 @@ app = typer.Typer(
 experiments = typer.Typer(no_args_is_help=True, help="Experiments: figures, tables and a report in a folder.")
 app.add_typer(experiments, name="experiment")
 
+yolo = typer.Typer(no_args_is_help=True, help="A YOLO on the same boxes, to compare with.")
+app.add_typer(yolo, name="yolo")
+
 # readable=False leaves unreadable files to the readers, whose errors take one line.
 _argument = functools.partial(typer.Argument, readable=False)
 _file = functools.partial(typer.Option, readable=False, metavar="FILE")
 _folder = functools.partial(typer.Option, readable=False, metavar="DIR")
 
+_BOXES_HELP = "Boxes of this preset [default: those that `annotate` wrote, else of paper]."
 _SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
 Source = Annotated[Path, _argument(metavar="SOURCE", help=_SOURCE_HELP)]
 ModelOption = Annotated[Path | None, _file(help="ONNX model that classifies the proposals; overrides the file's.")]
+
+TrainedOption = Annotated[Path | None, _file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
 
 
 def _show_version(is_wanted: bool) -> None:
@@ -350,6 +363,67 @@ def simulate(
         _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), jobs, quality)
 
 
+@app.command("export-yolo")
+def export_yolo(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set with train, val and test, such as PVDN/day.")],
+    out: Annotated[Path, _folder(help="Folder of the YOLO data set.")],
+    preset: Annotated[str | None, typer.Option(metavar="NAME", help=_BOXES_HELP)] = None,
+    size: Annotated[int, typer.Option(min=32, max=4096, help="Side of the square images, pixels.")] = 960,
+) -> None:
+    """Write the labelled boxes of DATA as a YOLO data set."""
+    from foreglow.learning.yolo import export_yolo
+    from foreglow.reports.progress import CountProgress
+
+    with contextlib.closing(CountProgress("images")) as progress:
+        export = export_yolo(data, out, preset_name=preset, size_px=size, progress=progress)
+    counts = ", ".join(f"{name} {count} ({export.num_boxes[name]} boxes)" for name, count in export.num_images.items())
+    typer.echo(f"wrote {export.data_file}: images of {counts}; boxes: {export.settings.boxes}")
+
+
+@yolo.command("train")
+def yolo_train(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set, or what export-yolo made of one.")],
+    out: Annotated[Path, _folder(help="Folder of the run; an interrupted one goes on.")],
+    size: Annotated[str, typer.Option(metavar="n|t|s|m|l|x", help="Size of the network; s and x in the paper.")] = "s",
+    image_size: Annotated[int, typer.Option(help="Side of the images, a multiple of 32; 960 in the paper.")] = 320,
+    epochs: Annotated[int, typer.Option(help="Passes over the training split.")] = 3,
+    batch: Annotated[int, typer.Option(help="Images a step.")] = 16,
+    seed: Annotated[int, typer.Option(help="Of weights, order and augmentation.")] = 0,
+    device: Annotated[str, typer.Option(metavar="auto|cpu|N", help="Where to train; N is a GPU.")] = "auto",
+    backend: Annotated[str, typer.Option(metavar="libreyolo|ultralytics", help="Which library.")] = "libreyolo",
+    preset: Annotated[str | None, typer.Option(metavar="NAME", help=_BOXES_HELP)] = None,
+) -> None:
+    """Train a YOLO from random weights on the labelled boxes of DATA."""
+    from foreglow.config import validated
+    from foreglow.learning.yolo import YoloConfig, train_yolo
+    from foreglow.reports.progress import CountProgress
+
+    fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
+    config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
+    with contextlib.closing(CountProgress("images exported")) as progress:
+        run = train_yolo(data, out, config, preset_name=preset, progress=progress)
+    millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
+    typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
+
+
+@yolo.command("predict")
+def yolo_predict(
+    trained: Annotated[Path, _argument(metavar="RUN", help="Folder of a finished `yolo train`.")],
+    split: Annotated[Path, _argument(metavar="SPLIT", help="A PVDN split, such as PVDN/day/val.")],
+    out: Annotated[Path, _file(help="The predictions to write, JSON for `evaluate --predictions`.")],
+) -> None:
+    """Write what a trained YOLO finds in a split."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation.predictions import write_predictions
+    from foreglow.learning.yolo import predict_yolo, read_yolo_run
+    from foreglow.reports.progress import CountProgress
+
+    with contextlib.closing(CountProgress("images")) as progress:
+        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=progress)
+    write_predictions(out, found.predictions)
+    typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")
+
+
 @experiments.command("simulator")
 def experiment_simulator(
     data: Annotated[Path, _argument(metavar="DATA", help="A simulated split, or a folder that holds one.")],
@@ -365,6 +439,50 @@ def experiment_simulator(
 
     report = write_report(examine(data, real_labels, real_image), out)
     typer.echo(f"look in {report}")
+
+
+@experiments.command("detector")
+def experiment_detector(
+    data: Annotated[Path, _argument(metavar="DATA", help="A data set with train, val and test.")],
+    out: Annotated[Path, _folder(help="Folder for the report; an interrupted experiment in it goes on.")],
+    baseline_model: TrainedOption = None,
+    paper_model: TrainedOption = None,
+    published: Annotated[Path | None, _file(help="The published weights, by import-weights.")] = None,
+    compact_model: TrainedOption = None,
+    our_model: TrainedOption = None,
+    yolo_small: Annotated[Path | None, _file(metavar="RUN", help="A finished `yolo train`.")] = None,
+    yolo_large: Annotated[Path | None, _file(metavar="RUN", help="Likewise, of size x.")] = None,
+    no_yolo: Annotated[bool, typer.Option("--no-yolo", help="Leave both YOLOs out.")] = False,
+    no_training: Annotated[bool, typer.Option("--no-training", help="Only rows whose model is given.")] = False,
+    rows: Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Only these rows [default: all].")] = None,
+    epochs_paper: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe paper.")] = None,
+    epochs_ours: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe foreglow.")] = None,
+    patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,
+    yolo_epochs: Annotated[int, typer.Option(min=1, metavar="N", help="Epochs of the YOLO.")] = 3,
+    yolo_image_size: Annotated[int, typer.Option(metavar="PX", help="Side of the YOLO's images.")] = 320,
+    seed: Annotated[int, typer.Option(min=0, help="Of all training and resampling.")] = 1,
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to train.")] = "auto",
+) -> None:
+    """Make the paper's table of detectors: baseline, paper, ours and YOLO, measured alike."""
+    from foreglow.experiments.detector_plan import ROWS, DetectorPlan
+
+    paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
+    epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
+    plan = DetectorPlan(
+        rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
+        given={name: path for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        split=cast("SplitName", split),
+        may_train=not no_training,
+        with_yolo=not no_yolo,
+        epochs={name: number for name, number in epochs.items() if number is not None},
+        patience=patience,
+        seed=seed,
+        yolo_epochs=yolo_epochs,
+        yolo_image_size_px=yolo_image_size,
+        device=device,
+    )
+    typer.echo(f"look in {_detector_report(data, out, plan)}")
 
 
 def main() -> None:
@@ -444,6 +562,19 @@ def _examined_model(split: Path, configuration: PipelineConfig, out: Path | None
     with contextlib.closing(ProgressSink(dataset.num_frames)) as progress:
         rows = robustness(dataset, labels, configuration, seed=seed, progress=progress.write)
     return dataclasses.replace(examination, robustness=rows)
+
+
+def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
+    """Runs the experiment and writes its report, whose path it returns."""
+    from foreglow.datasets import PVDN, split_folder
+    from foreglow.experiments.detector import run_experiment
+    from foreglow.experiments.detector_pictures import pictures
+    from foreglow.reports.detector_page import write_report
+    from foreglow.reports.progress import CountProgress, TrainingBar
+
+    with contextlib.closing(CountProgress()) as progress, contextlib.closing(TrainingBar()) as training:
+        results = run_experiment(data, out, plan, progress=progress.show, training=training)
+    return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)
 
 
 def _opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:

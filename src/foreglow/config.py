@@ -6,6 +6,7 @@ Sizes are given for the paper's camera and scale with the image's width; `Propos
 from __future__ import annotations
 
 import tomllib
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
@@ -125,6 +126,18 @@ PRESETS: dict[str, PipelineConfig] = {
     "paper": PipelineConfig(),
     # Published code's hand-chosen baseline, run at 640x480.
     "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
+    # Found by `foreglow tune data --objective light --images 1200 --trials 400 --seed 2` on the drives of `make data`.
+    "foreglow": PipelineConfig(
+        proposals=ProposalConfig(
+            kappa=0.55,
+            window_px=71,
+            min_deviation=0.015,
+            gap_px=6,
+            max_area_px=inf,
+            min_width_px=5.0,
+            split_saddle=0.6,
+        ),
+    ),
 }
 
 

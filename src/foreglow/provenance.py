@@ -1,7 +1,8 @@
-"""What made a result: the version of this package, and the commit of the checkout that it runs from."""
+"""What made a result: the version of this package, the commit of the checkout that it runs from, the processor."""
 
 from __future__ import annotations
 
+import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +25,17 @@ def checkout_state() -> tuple[str | None, bool | None]:
         return commit, bool(_git(root, "status", "--porcelain"))
     except (OSError, subprocess.SubprocessError):  # no git here, or a checkout that it refuses to read
         return None, None
+
+
+def processor_name() -> str:
+    """What the machine calls its processor, for example `Intel(R) Xeon(R) Gold 6338`."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
 
 
 def _git(root: Path, *arguments: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foreglow import provenance
 from foreglow.runtime import summary
 from foreglow.runtime.records import frame_record
 from tests.stand_ins import night_frames, result_of
@@ -36,7 +37,7 @@ def test_record_keeps_scores_exactly_and_lists_accepted_boxes() -> None:
 
 
 def test_commit_of_this_checkout() -> None:
-    commit, has_local_changes = summary.checkout_state()
+    commit, has_local_changes = provenance.checkout_state()
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         assert (commit, has_local_changes) == (None, None)
@@ -47,4 +48,4 @@ def test_commit_of_this_checkout() -> None:
 
 def test_no_commit_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
-    assert summary.checkout_state() == (None, None)
+    assert provenance.checkout_state() == (None, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, RootModel
 
 from foreglow.datasets.json_files import Record, parse_json
+from foreglow.files import write_atomic
 
 Number: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 _Box: TypeAlias = tuple[Number, Number, Number, Number]
@@ -144,3 +146,17 @@ def _as_scores(scores: tuple[float, ...] | None, num_boxes: int, origin: str) ->
     if len(scores) != num_boxes:
         raise ValueError(f"{origin}: scores: expected {num_boxes}, one a box, got {len(scores)}")
     return np.array(scores, np.float64)
+
+
+def write_predictions(path: Path, predictions: Predictions) -> None:
+    """Writes `predictions` in the published form, whole or not at all; `read_predictions` reads them back equal.
+
+    Raises:
+        ValueError: If a number is not finite.
+        OSError: If the file cannot be written.
+    """
+    entries: dict[str, Any] = {}
+    for image_id, boxes in predictions.boxes_xyxy_px.items():
+        its_boxes, its_scores = boxes.tolist(), predictions.scores[image_id].tolist()
+        entries[str(image_id)] = {"boxes": its_boxes, "scores": its_scores} if predictions.is_scored else its_boxes
+    write_atomic(path, (json.dumps(entries, allow_nan=False) + "\n").encode())

@@ -141,7 +141,7 @@ RECIPES: dict[str, Recipe] = {
         warmup_epochs=1.0,
         max_gradient=5.0,
         ema_decay=0.998,
-        positive_weight="equal",
+        max_negatives_per_positive=4.0,
         augmentation=Augmentation(
             flip=0.5, rotation_deg=5.0, min_area=0.8, max_ratio=1.2, gamma=0.2, normalise=True, history_dropout=0.15
         ),

@@ -17,6 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Extent: TypeAlias = tuple[int, int, int, int]
 """Half-open y1, x1, y2, x2 in working pixels."""
@@ -60,16 +61,15 @@ def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.
     """Light in whole levels, 0 at `black` to 1023 at `white`, smoothed by (1 2 1) / 4 along both axes.
 
     Args:
-        sums: Shape (height, width), sums over blocks of the frame; the border repeats.
+        sums: Shape (height, width), sums over blocks of the frame; borders are mirrored about the border pixel.
         black: The sum that counts as no light.
         white: The sum that counts as full light.
 
-    >>> light_levels(np.array([[0, 0, 0], [0, 16, 0], [0, 0, 0]]), 0, 16).tolist()
-    [[63, 127, 63], [127, 255, 127], [63, 127, 63]]
+    >>> light_levels(np.array([[0, 0, 0, 0], [0, 0, 16, 0], [0, 0, 0, 0]]), 0, 16).tolist()
+    [[0, 127, 255, 255], [0, 127, 255, 255], [0, 127, 255, 255]]
     """
-    padded = np.pad(sums, 1, mode="edge")
-    across = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    smoothed = across[:-2] + 2 * across[1:-1] + across[2:]
+    taps = np.array([1, 2, 1])  # whole numbers below 2^53 pass through double precision as they are
+    smoothed = ndimage.correlate1d(ndimage.correlate1d(sums, taps, axis=1, mode="mirror"), taps, axis=0, mode="mirror")
     return np.asarray((smoothed - 16 * black) * TOP_LEVEL // (16 * (white - black)))
 
 

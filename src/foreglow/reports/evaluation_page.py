@@ -16,8 +16,8 @@ from foreglow.evaluation.examination import Examination, Ranking
 from foreglow.evaluation.first_found import share_found_ahead
 from foreglow.evaluation.robustness import RobustnessRow
 from foreglow.files import write_atomic
+from foreglow.provenance import checkout_state, processor_name
 from foreglow.reports.evaluation_plots import evaluation_plots
-from foreglow.runtime.summary import checkout_state, processor_name
 
 ASPECTS = {
     "kind": "by kind",

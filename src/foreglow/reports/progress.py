@@ -1,4 +1,4 @@
-"""Progress bars: one as a result sink, one for scenes that are driven, and one for a training."""
+"""Progress bars: one as a result sink, one for scenes that are driven, one for a training, one for what is counted."""
 
 from __future__ import annotations
 
@@ -127,3 +127,30 @@ class TrainingBar:
     def _show(self, description: str, num_done: int, total: int) -> None:
         self._progress.start()
         self._progress.update(self._task, description=description, completed=num_done, total=total)
+
+
+class CountProgress:
+    """Shows on stderr how many things of how many are done; nothing where stderr is no terminal."""
+
+    def __init__(self, things: str = "") -> None:
+        """A bar for `things`; their number is said with each call."""
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._things = things
+        self._task = self._progress.add_task(things)
+
+    def __call__(self, num_done: int, num_things: int) -> None:
+        """Takes note that `num_done` of `num_things` are done."""
+        self.show(self._things, num_done, num_things)
+
+    def show(self, things: str, num_done: int, num_things: int) -> None:
+        """The same for other things; takes the bar away at the last one."""
+        self._progress.start()
+        self._progress.update(self._task, description=things, completed=num_done, total=num_things)
+        if num_done == num_things:
+            self._progress.stop()
+
+    def close(self) -> None:
+        """Takes the bar away."""
+        self._progress.stop()

@@ -17,9 +17,8 @@ import tomli_w
 
 from foreglow.files import write_atomic
 from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
+from foreglow.provenance import checkout_state
 from foreglow.reports.figures import AMBER, GREY, INK, png, subplots
-from foreglow.runtime.summary import checkout_state
-
 
 HEADINGS = {
     "q": "q",

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import platform
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from foreglow.provenance import checkout_state
+from foreglow.provenance import checkout_state, processor_name
 from foreglow.types import Frame, FrameResult
 
 RunTime: TypeAlias = dict[str, float | None]
@@ -121,14 +119,3 @@ def run_time(values_ms: Sequence[float]) -> RunTime:
         return dict.fromkeys(("median", "p95", "p99"))
     median, p95, p99 = np.percentile(values_ms, (50, 95, 99)).round(4).tolist()
     return {"median": median, "p95": p95, "p99": p99}
-
-
-def processor_name() -> str:
-    """What the machine calls its processor, for example `Intel(R) Xeon(R) Gold 6338`."""
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or platform.machine()

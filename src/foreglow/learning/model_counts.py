@@ -1,0 +1,86 @@
+"""How large an ONNX model is and how much it computes, counted on its graph as it runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+# Place of the weights among a node's inputs.
+_CONVOLUTIONS = {"Conv": 1, "ConvInteger": 1, "QLinearConv": 3}
+_PRODUCTS = {"Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "QLinearMatMul": 3}
+# Nodes that pass weights on, with as many values as they take.
+_PASSED_ON = ("DequantizeLinear", "QuantizeLinear", "Transpose", "Identity", "Cast", "Reshape")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCounts:
+    """The size of a model.
+
+    Attributes:
+        num_parameters: Numbers among its constants that are multiplied or added; shapes and the like are not.
+        num_multiply_adds: Multiplications with a weight for one input (one crop); those with padding's zeros count.
+    """
+
+    num_parameters: int
+    num_multiply_adds: int
+
+
+def count_model(path: Path) -> ModelCounts:
+    """The size of the ONNX model at `path`: its convolutions and matrix products.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no ONNX model, or one of its shapes cannot be told.
+        ModuleNotFoundError: If the `train` extra is not installed.
+    """
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected an ONNX model")
+    try:
+        graph = onnx.shape_inference.infer_shapes(onnx.load(path), data_prop=True).graph
+    except (DecodeError, onnx.shape_inference.InferenceError) as error:
+        raise ValueError(f"{path}: expected an ONNX model: {str(error).splitlines()[0]}") from error
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    constants |= {node.output[0]: _value(node) for node in graph.node if node.op_type == "Constant"}
+    shapes = {value.name: _shape(value) for value in (*graph.value_info, *graph.output)}
+    makers = {node.output[0]: node for node in graph.node}
+    multiply_adds = 0
+    for node in graph.node:
+        place = (_CONVOLUTIONS | _PRODUCTS).get(node.op_type)
+        weights = None if place is None else _weights(node.input[place], constants, makers)
+        if weights is None:
+            continue
+        shape = shapes.get(node.output[0], ())
+        sides = shape[2:] if node.op_type in _CONVOLUTIONS else shape[1:-1]
+        known = [side for side in sides if side is not None]
+        if not shape or len(known) < len(sides):
+            raise ValueError(f"{path}: {node.name or node.op_type}: expected an output of known shape, got {shape}")
+        multiply_adds += math.prod(weights.dims) * math.prod(known)
+    floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16, onnx.TensorProto.INT8)
+    parameters = sum(math.prod(one.dims) for one in constants.values() if one is not None and one.data_type in floats)
+    return ModelCounts(parameters, multiply_adds)
+
+
+def _weights(name: str, constants: dict[str, Any], makers: dict[str, Any]) -> Any:
+    """The constant behind the value `name`, or None where it is computed from the input."""
+    while name not in constants:
+        maker = makers.get(name)
+        if maker is None or maker.op_type not in _PASSED_ON:
+            return None
+        name = maker.input[0]
+    return constants[name]
+
+
+def _value(node: Any) -> Any:
+    """The tensor of a `Constant` node; None for a plain number."""
+    return next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
+
+
+def _shape(value: Any) -> tuple[int | None, ...]:
+    """The shape of a value, None for a side that is not a fixed number."""
+    sides = value.type.tensor_type.shape.dim
+    return tuple(side.dim_value if side.HasField("dim_value") else None for side in sides)
