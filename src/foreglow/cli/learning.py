@@ -118,6 +118,9 @@ def train(
     try:
         with contextlib.closing(TrainingBar()) as progress:
             trained = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
+    except KeyboardInterrupt:
+        typer.echo(f"{out}: the same command goes on from the last whole epoch", err=True)
+        raise
     finally:  # also of a training that was interrupted
         draw_training(out)
     typer.echo("\n".join(training_lines(trained)))

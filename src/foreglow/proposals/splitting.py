@@ -82,7 +82,8 @@ def split_blob(
     joins the highest peak among its eight neighbours (the first one of equals), or is a peak itself. Every other
     peak that it touches joins the highest as well, unless that peak has `min_area_px` pixels by then, and the pixel's
     level is at most `saddle` times that peak's: the boxes of both are closed then, and what joins them later no longer
-    widens them. With a closed box no such peak is joined at any level, since the box could not show it. The blob is split where at least two parts are large enough.
+    widens them. With a closed box no such peak is joined at any level, since the box could not show it. The blob is
+    split where at least two parts are large enough.
 
     Args:
         blob: Box of the blob.
