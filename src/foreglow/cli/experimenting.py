@@ -87,5 +87,10 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
     from foreglow.reports.progress import CountProgress, TrainingBar
 
     with contextlib.closing(CountProgress()) as progress, contextlib.closing(TrainingBar()) as training:
-        results = run_experiment(data, out, plan, progress=progress.show, training=training)
+
+        def show(things: str, num_done: int, num_things: int) -> None:
+            training.close()  # one bar at a time; it comes back with the next training
+            progress.show(things, num_done, num_things)
+
+        results = run_experiment(data, out, plan, progress=show, training=training)
     return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)
