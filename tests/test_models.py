@@ -9,8 +9,10 @@ import pytest
 
 import foreglow
 from foreglow.classifier import FEATURES, OnnxClassifier
+from foreglow.datasets import read_image
 from foreglow.models import BUNDLED, model_path
 from foreglow.types import Frame
+from tests.shared_data import shared_file
 from tests.stand_ins import night_image
 
 
@@ -51,3 +53,20 @@ def test_a_drive_scores_alike_whenever_it_comes() -> None:
 
 def test_an_own_model_stays_where_it_is() -> None:
     assert model_path(Path("runs/foreglow/model.onnx")) == Path("runs/foreglow/model.onnx")
+
+
+def test_the_real_frame() -> None:
+    """Both headlamps are found, the two trees are not; the model has never seen a real image."""
+    path = shared_file("data/pvdn_frame_047433.png")
+    detections = foreglow.Pipeline().step(Frame(read_image(path), 0)).detections
+    assert detections is not None
+
+    def best_score(x: int, y: int) -> float:
+        x1, y1, x2, y2 = detections.boxes_xyxy_px.T
+        is_around = (x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)
+        return float(detections.scores[is_around].max(initial=0.0))
+
+    for headlamp in ((713, 490), (728, 489)):
+        assert best_score(*headlamp) > 0.9
+    for tree in ((1105, 640), (1207, 655)):
+        assert best_score(*tree) < detections.score_threshold
