@@ -68,7 +68,7 @@ def num_lines(path: Path) -> int:
 
 def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
     out = tmp_path / "out"
-    result = foreglow_command("run", folder, "--out", out, "--config", config)
+    result = foreglow_command("run", folder, "--out", out, "--preset", "paper", "--config", config)
     assert result.exit_code == 0, result.output
     assert names(out) == RESULTS
     assert num_lines(out) == 3
@@ -78,6 +78,15 @@ def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     assert summary["source"] == str(folder)
     assert summary["is_complete"] is True
+
+
+def test_our_model_runs_where_nothing_else_is_asked_for(tmp_path: Path, folder: Path) -> None:
+    result = foreglow_command("run", folder, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "not classified" not in result.stdout
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["is_classified"] is True
+    used = foreglow.read_config(tmp_path / "out" / "config.toml")
+    assert used == foreglow.preset("foreglow")
 
 
 def test_run_on_one_image_with_picture(tmp_path: Path, folder: Path, config: Path) -> None:
@@ -194,7 +203,7 @@ def test_broken_split_is_one_line(tmp_path: Path, config: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--preset", "best"], "preset: expected one of paper, baseline, got 'best'"),
+        (["--preset", "best"], "preset: expected one of paper, baseline, foreglow, got 'best'"),
         (["--config", "absent.toml"], "absent.toml: no such configuration file"),
         (["--on-error", "ignore"], "on_error: expected stop or skip, got 'ignore'"),
         (["--model", "absent.onnx"], "absent.onnx"),
@@ -352,7 +361,10 @@ def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None
     frame = shared_file("data/pvdn_frame_047433.png")
     config = tmp_path / "reference.toml"
     config.write_text('[proposals]\nbackend = "reference"\n')
-    assert foreglow_command("run", frame, "--out", tmp_path / "out", "--config", config).exit_code == 0
+    assert (
+        foreglow_command("run", frame, "--out", tmp_path / "out", "--preset", "paper", "--config", config).exit_code
+        == 0
+    )
     record = json.loads((tmp_path / "out" / "frames.jsonl").read_text())
     assert len(record["proposals_xyxy_px"]) == 7
     assert [706, 482, 738, 508] in record["proposals_xyxy_px"]

@@ -108,7 +108,9 @@ def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model:
 
 
 def test_exactly_one_detector_is_needed(split: Path, predictions: Path, tmp_path: Path) -> None:
-    assert "expected --predictions FILE or --model FILE, got neither" in complaint("evaluate", split)
+    assert "expected --predictions FILE or --model FILE, got neither" in complaint(
+        "evaluate", split, "--preset", "paper"
+    )
     both = complaint("evaluate", split, "--predictions", predictions, "--model", tmp_path / "model.onnx")
     assert "expected --predictions or --model, got both" in both
     line = complaint("evaluate", split, "--predictions", predictions, "--preset", "paper")

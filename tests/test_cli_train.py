@@ -32,6 +32,8 @@ batch_size = 8
 learning_rate = 0.02
 [augmentation]
 history_dropout = 0.0
+[jitter]
+num_copies = 1
 """
 
 

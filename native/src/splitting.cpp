@@ -108,8 +108,10 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
         for (std::int32_t i = 0; i < num_met; ++i) {
             Part& part = parts_[met[i]];
             if (met[i] == highest) continue;
-            const bool is_shallow = static_cast<double>(pixel.level) > rule.saddle * static_cast<double>(part.peak);
-            if (!is_shallow && static_cast<double>(part.num_pixels) >= rule.min_area_px) {
+            // A closed box could not show what it takes in.
+            const bool is_deep = whole.is_closed ||
+                                 static_cast<double>(pixel.level) <= rule.saddle * static_cast<double>(part.peak);
+            if (is_deep && static_cast<double>(part.num_pixels) >= rule.min_area_px) {
                 part.is_closed = whole.is_closed = true;
                 continue;
             }

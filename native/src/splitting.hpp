@@ -17,7 +17,8 @@ struct SplitRule {
 };
 
 // Floods the set pixels of a box from the brightest down. A peak's pixels become a part of their own where they meet
-// those of a higher peak at a level of at most `saddle` times their own peak; from then on neither part grows wider.
+// those of a higher peak at a level of at most `saddle` times their own peak; from then on neither part grows wider, and
+// other peaks that they meet become parts of their own, too.
 class BlobSplitter {
 public:
     // Levels that the range of the frame is divided into, less one.

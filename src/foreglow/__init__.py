@@ -59,7 +59,7 @@ _HOMES = {
 }
 
 
-def propose(image: NDArray[Any], preset: str = "paper") -> NDArray[np.int32]:
+def propose(image: NDArray[Any], preset: str = "foreglow") -> NDArray[np.int32]:
     """Boxes in `image` that may hold a light artifact, sorted by y1, x1, y2, x2; (0, 4) where nothing stands out.
 
     Args:

@@ -126,17 +126,20 @@ PRESETS: dict[str, PipelineConfig] = {
     "paper": PipelineConfig(),
     # Published code's hand-chosen baseline, run at 640x480.
     "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
-    # Found by `foreglow tune data --objective light --images 1200 --trials 400 --seed 2` on the drives of `make data`.
+    # Found by `foreglow tune data --objective light --images 1000 --trials 300 --jobs 2 --seed 3` on the drives of
+    # `make data`.
     "foreglow": PipelineConfig(
         proposals=ProposalConfig(
-            kappa=0.55,
-            window_px=71,
-            min_deviation=0.015,
-            gap_px=6,
+            kappa=0.525,
+            window_px=61,
+            min_deviation=0.02,
+            gap_px=1,
             max_area_px=inf,
             min_width_px=5.0,
             split_saddle=0.6,
         ),
+        # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.34),
     ),
 }
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.classifier import OnnxClassifier
-from foreglow.config import PipelineConfig
+from foreglow.config import PipelineConfig, preset
 from foreglow.proposals import NativeProposer, make_proposer
 from foreglow.types import Detections, Frame, FrameResult
 
@@ -24,13 +24,13 @@ class Pipeline:
     """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
-        """Builds the stages.
+        """Builds the stages; without a configuration, those of the preset `foreglow`.
 
         Raises:
             FileNotFoundError: If the configured model does not exist.
             ValueError: If the model cannot be used; the message names path, field and expectation.
         """
-        self.config = config or PipelineConfig()
+        self.config = config or preset("foreglow")
         self._proposer = make_proposer(self.config.proposals)
         model = self.config.classifier.model
         self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None

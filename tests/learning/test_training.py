@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from foreglow.learning import training
+from foreglow.learning.batches import epoch_indices, sample_weights
 from foreglow.learning.recipes import Recipe, changed
 from foreglow.learning.samples import Samples
-from foreglow.learning.training import Epoch, TrainingResult, epoch_indices, sample_weights, train
+from foreglow.learning.training import Epoch, TrainingResult, train
 from tests.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
 
 TRAIN, VAL = make_samples(300, seed=1), make_samples(150, seed=2)

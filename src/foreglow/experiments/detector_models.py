@@ -72,11 +72,11 @@ def missing_reason(name: str, plan: DetectorPlan) -> str | None:
     if not plan.may_train:
         return f"not given ({spec.option}), and nothing is trained (--no-training)"
     if spec.kind == "yolo":
-        if not has_library():
-            return "needs pip install 'foreglow[yolo]'"
         if spec.size == "x" and not _has_gpu(plan):
             command = "foreglow yolo train DATA --size x --image-size 960 --epochs 300 --out RUN"
             return f"needs a GPU: run there {command}, and give it with {spec.option} RUN"
+        if not has_library():
+            return "needs pip install 'foreglow[yolo]'"
     return None
 
 

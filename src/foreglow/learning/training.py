@@ -10,11 +10,10 @@ import contextlib
 import copy
 import csv
 import dataclasses
-import hashlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -27,9 +26,10 @@ from torch import Tensor, nn
 from foreglow.files import write_atomic
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.learning.augmentation import augment
+from foreglow.learning.batches import batches, content_digest, epoch_indices, sample_weights
 from foreglow.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.learning.recipes import Recipe
-from foreglow.learning.samples import ARRAYS, Samples
+from foreglow.learning.samples import Samples
 from foreglow.learning.schedules import learning_rate
 from foreglow.learning.scores import box_scores, log_loss
 
@@ -219,29 +219,6 @@ def score_samples(
     return np.concatenate(logits)
 
 
-def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
-    """The samples of an epoch in the order in which they are learnt from: shape (M,), without ignored ones.
-
-    All positives are among them, and as many negatives as the recipe allows, chosen anew in every epoch.
-    """
-    random = np.random.default_rng([recipe.seed, epoch])
-    positives, negatives = np.flatnonzero(labels == POSITIVE), np.flatnonzero(labels == NEGATIVE)
-    if recipe.max_negatives_per_positive is not None:
-        num_kept = min(len(negatives), math.ceil(recipe.max_negatives_per_positive * len(positives)))
-        negatives = random.choice(negatives, num_kept, replace=False)
-    return random.permutation(np.concatenate([positives, negatives]))
-
-
-def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32]:
-    """Weight of each sample, shape (N,): 1 for negatives, and on average over the positives."""
-    is_positive = samples.labels == POSITIVE
-    _, group, counts = np.unique(samples.groups[is_positive], return_inverse=True, return_counts=True)
-    weights = np.ones(len(samples))
-    found = counts[group] ** -float(group_balance)
-    weights[is_positive] = found / found.mean()
-    return weights.astype(np.float32)
-
-
 def best_number(recipe: Recipe, epochs: list[dict[str, float]]) -> int:
     """Number of the best epoch, from 1, the first of equals; a NaN is never better."""
     figures = [-row["val_loss"] if recipe.best_by == "loss" else row["f1"] for row in epochs]
@@ -256,14 +233,6 @@ def curves_csv(epochs: list[dict[str, float]]) -> str:
     writer.writeheader()
     writer.writerows({name: f"{row[name]:.7g}" for name in names} for row in epochs)
     return text.getvalue()
-
-
-def content_digest(samples: Samples) -> str:
-    """SHA-256 of the samples themselves."""
-    digest = hashlib.sha256()
-    for name in ARRAYS:
-        digest.update(np.ascontiguousarray(getattr(samples, name)).data)
-    return digest.hexdigest()
 
 
 class _Trainer:
@@ -302,17 +271,17 @@ class _Trainer:
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
         torch.manual_seed(_epoch_seed(self._recipe, number))  # of dropout
         random = torch.Generator().manual_seed(_epoch_seed(self._recipe, number) + 1)
-        batches = list(_batches(epoch_indices(self._samples.labels, self._recipe, number), self._recipe.batch_size))
+        chosen = list(batches(epoch_indices(self._samples.labels, self._recipe, number), self._recipe.batch_size))
         total, num_samples, rate = 0.0, 0, 0.0
         self.network.train()
-        for index, batch in enumerate(batches):
-            rate = learning_rate(self._recipe, number - 1 + (index + 1) / len(batches), val_losses)
+        for index, batch in enumerate(chosen):
+            rate = learning_rate(self._recipe, number - 1 + (index + 1) / len(chosen), val_losses)
             total += self._step(batch, rate, random) * len(batch)
             num_samples += len(batch)
             checkpoint.num_steps += 1
             self._average(checkpoint.num_steps)
             if progress is not None:
-                progress.step(number, index + 1, len(batches))
+                progress.step(number, index + 1, len(chosen))
         if not math.isfinite(total):
             raise ValueError(f"epoch {number}: expected a finite training loss, got {total}; try a lower learning_rate")
         logits = self._validate(val)
@@ -385,13 +354,6 @@ def _is_over(recipe: Recipe, checkpoint: Checkpoint) -> bool:
     num_done = len(checkpoint.epochs)
     has_waited = recipe.patience is not None and num_done - checkpoint.best_epoch >= recipe.patience
     return num_done >= recipe.epochs or (num_done > 0 and has_waited)
-
-
-def _batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.intp]]:
-    """All indices, batch by batch; the last is left out where it is a single one, which has no batch statistics."""
-    for start in range(0, len(indices), batch_size):
-        if len(indices) - start > 1 or len(indices) == 1:
-            yield indices[start : start + batch_size]
 
 
 def _tensors(samples: Samples, indices: NDArray[np.intp], device: torch.device) -> tuple[Tensor, Tensor]:

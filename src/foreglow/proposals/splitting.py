@@ -80,9 +80,10 @@ def split_blob(
 
     All set pixels in the blob's box take part, from the highest level down, row by row where levels are equal. A pixel
     joins the highest peak among its eight neighbours (the first one of equals), or is a peak itself. Every other
-    peak that it touches joins the highest as well, unless the pixel's level is at most `saddle` times that peak's and
-    that peak has `min_area_px` pixels by then: the boxes of both are closed then, and what joins them later no longer
-    widens them. The blob is split where at least two parts are large enough.
+    peak that it touches joins the highest as well, unless that peak has `min_area_px` pixels by then, and the pixel's
+    level is at most `saddle` times that peak's: the boxes of both are closed then, and what joins them later no longer
+    widens them. With a closed box no such peak is joined at any level, since the box could not show it. The blob is
+    split where at least two parts are large enough.
 
     Args:
         blob: Box of the blob.
@@ -114,7 +115,8 @@ def split_blob(
         for part in met:
             if part is highest:
                 continue
-            if level <= rule.saddle * part.peak and len(part.pixels) >= rule.min_area_px:
+            is_deep = highest.is_closed or level <= rule.saddle * part.peak
+            if is_deep and len(part.pixels) >= rule.min_area_px:
                 part.is_closed = highest.is_closed = True
                 continue
             highest.take(part.pixels, part.extent)

@@ -106,10 +106,9 @@ def _table(head: Cells, rows: Sequence[RowResult], cells: Callable[[RowResult], 
 
 def _main_cells(row: RowResult) -> Cells:
     quality, ceiling, times = row.examination["quality"], row.ceiling, row.run_time_ms
-    rates = [f"{_rate(quality[name])} ({_rate(ceiling[name])})" for name in ("precision", "recall", "f1", "q")]
-    spread = [
-        f"{_rate(quality[name])} ± {_rate(quality[f'{name}_std'])} ({_rate(ceiling[name])})" for name in ("q_k", "q_b")
-    ]
+    rates = [_rate(quality[name]) for name in ("precision", "recall", "f1", "q")]
+    rates += [_with_spread(quality[name], quality[f"{name}_std"]) for name in ("q_k", "q_b")]
+    names = ("precision", "recall", "f1", "q", "q_k", "q_b")
     return [
         count(row.num_parameters),
         count(row.num_multiply_adds),
@@ -117,8 +116,7 @@ def _main_cells(row: RowResult) -> Cells:
         f"{_ms(times['mean'])} ± {_ms(times['std'])}",
         _ms(times["median"]),
         _ms(times["p99"]),
-        *rates,
-        *spread,
+        *(f"{rate} ({_rate(ceiling[name])})" for rate, name in zip(rates, names, strict=True)),
         f"{row.num_boxes:.2f}",
     ]
 
@@ -136,6 +134,10 @@ def _points(row: RowResult) -> list[dict[str, Any]]:
 
 def _rate(value: float | None) -> str:
     return DASH if value is None else f"{value:.3f}".removeprefix("0") if 0 <= value < 1 else f"{value:.2f}"
+
+
+def _with_spread(value: float | None, std: float | None) -> str:
+    return DASH if value is None else f"{_rate(value)} ± {_rate(std)}"
 
 
 def _ms(value: float) -> str:

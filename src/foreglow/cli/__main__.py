@@ -1,0 +1,5 @@
+"""`python -m foreglow.cli`."""
+
+from foreglow.cli import main
+
+main()

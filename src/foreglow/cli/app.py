@@ -1,0 +1,171 @@
+"""The command line's frame: the program, its errors, and what several commands share."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import FrameSource, OnError
+    from foreglow.runtime import OutputFolder, ResultSink, RunSummary
+
+EXTRAS = {
+    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
+    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    "matplotlib": "plots",
+    "ultralytics": "ultralytics",
+}
+"""Optional modules, and the extra that installs each."""
+
+
+DEFAULT_PRESET = "foreglow"
+"""What runs where nothing else is asked for."""
+
+
+class Commands(TyperGroup):
+    """The sub-commands, with their errors turned into one line on stderr."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the sub-command.
+
+        Raises:
+            typer.Exit: With code 2 for bad input and 130 for Ctrl-C; with `--debug` the error itself is raised.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            line, code = "interrupted", 130
+        except BrokenPipeError:  # whoever reads the output, such as `head`, has seen enough
+            raise
+        except (ValueError, OSError, ModuleNotFoundError) as error:
+            is_ours = not isinstance(error, ModuleNotFoundError) or error.name in EXTRAS
+            if ctx.params["debug"] or not is_ours:
+                raise
+            line, code = _one_line(error), 2
+        typer.echo(f"foreglow: {line}", err=True)
+        raise typer.Exit(code)
+
+
+app = typer.Typer(
+    cls=Commands,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Foreglow: provident vehicle detection at night.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+experiments = typer.Typer(no_args_is_help=True, help="Experiments: figures, tables and a report in a folder.")
+app.add_typer(experiments, name="experiment")
+
+yolo = typer.Typer(no_args_is_help=True, help="A YOLO on the same boxes, to compare with.")
+app.add_typer(yolo, name="yolo")
+
+# readable=False leaves unreadable files to the readers, whose errors take one line.
+argument = functools.partial(typer.Argument, readable=False)
+file = functools.partial(typer.Option, readable=False, metavar="FILE")
+folder = functools.partial(typer.Option, readable=False, metavar="DIR")
+
+_SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
+Source = Annotated[Path, argument(metavar="SOURCE", help=_SOURCE_HELP)]
+PresetOption = Annotated[str, typer.Option(metavar="foreglow|paper|baseline", help="Parameters to start from.")]
+ModelOption = Annotated[Path | None, file(help="ONNX model that classifies the proposals; overrides the file's.")]
+
+
+def _show_version(is_wanted: bool) -> None:
+    if is_wanted:
+        import foreglow
+
+        typer.echo(f"foreglow {foreglow.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None: ...
+
+
+def _one_line(error: Exception) -> str:
+    """What is wrong, in one line."""
+    if isinstance(error, ModuleNotFoundError):
+        extra = EXTRAS[str(error.name)]
+        return f"{error.name} is not installed; this command needs: pip install 'foreglow[{extra}]'"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+def configuration_of(preset: str, file: Path | None, model: Path | None) -> PipelineConfig:
+    """The preset's configuration, overridden by the file's fields, and by the model given."""
+    from foreglow import config
+
+    configuration = config.preset(preset)
+    if file is not None:
+        configuration = config.read_config(file, configuration)
+    if model is not None:
+        classifier = configuration.classifier.model_copy(update={"model": model})
+        configuration = configuration.model_copy(update={"classifier": classifier})
+    return configuration
+
+
+def opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
+    """The frames of `source`, which must not be what the results in `out` overwrite."""
+    from foreglow.datasets import open_source
+    from foreglow.runtime import RESULT_NAMES
+
+    if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
+        raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
+    if source.resolve() == out.resolve() and source.is_dir():  # a picture in it would be a source of the next run
+        raise ValueError(f"{out}: expected another folder for the results than the source")
+    return open_source(source, on_error=cast("OnError", on_error))
+
+
+def run_frames(
+    frames: FrameSource,
+    name: str,
+    out: Path,
+    configuration: PipelineConfig,
+    *,
+    has_video: bool,
+    limit: int | None = None,
+) -> RunSummary:
+    """Runs the pipeline over `frames`, with a progress bar where there is a terminal."""
+    from foreglow.pipeline import Pipeline
+    from foreglow.reports.progress import ProgressSink
+    from foreglow.runtime import OutputFolder, run
+
+    pipeline = Pipeline(configuration)
+    folder = OutputFolder(out)
+    num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
+    sinks = [ProgressSink(num_frames), *_picture_sinks(frames, folder, has_video)]
+    return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
+
+
+def _picture_sinks(frames: FrameSource, folder: OutputFolder, has_video: bool) -> list[ResultSink]:
+    """The sink for the annotated pictures, if they are wanted: a picture of a single image, else a video."""
+    if not has_video:
+        return []
+    from foreglow.reports.video import PictureSink, VideoSink
+
+    if frames.num_frames == 1:
+        return [PictureSink(folder.partial("overlay.png"))]
+    return [VideoSink(folder.partial("overlay.mp4"), frames.rate_hz)]
+
+
+def finish(summary: RunSummary, out: Path) -> None:
+    """Says on stdout what came of a run; exits with 130 where it was interrupted."""
+    from foreglow.reports.tables import run_lines
+
+    typer.echo("\n".join(run_lines(summary, out)))
+    if not summary.is_complete:
+        raise typer.Exit(130)

@@ -1,0 +1,96 @@
+"""`experiment NAME`: figures, tables and a report in a folder."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from foreglow.cli.app import argument, experiments, file, folder
+
+if TYPE_CHECKING:
+    from foreglow.datasets import SplitName
+    from foreglow.experiments.detector_plan import DetectorPlan
+
+TrainedOption = Annotated[Path | None, file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
+
+
+@experiments.command("simulator")
+def experiment_simulator(
+    data: Annotated[Path, argument(metavar="DATA", help="A simulated split, or a folder that holds one.")],
+    out: Annotated[Path, folder(help="Folder for the report.")],
+    real_labels: Annotated[
+        Path | None, file(help="PVDN/night/val, or a JSON digest of its labels, to compare with.")
+    ] = None,
+    real_image: Annotated[Path | None, file(help="A real image of the same exposure, to compare with.")] = None,
+) -> None:
+    """Hold a simulated data set beside real drives: labels, pixels, and the time that indirect light leads."""
+    from foreglow.experiments.simulator import examine
+    from foreglow.reports.simulator_page import write_report
+
+    report = write_report(examine(data, real_labels, real_image), out)
+    typer.echo(f"look in {report}")
+
+
+@experiments.command("detector")
+def experiment_detector(
+    data: Annotated[Path, argument(metavar="DATA", help="A data set with train, val and test.")],
+    out: Annotated[Path, folder(help="Folder for the report; an interrupted experiment in it goes on.")],
+    baseline_model: TrainedOption = None,
+    paper_model: TrainedOption = None,
+    published: Annotated[Path | None, file(help="The published weights, by import-weights.")] = None,
+    compact_model: TrainedOption = None,
+    our_model: TrainedOption = None,
+    yolo_small: Annotated[Path | None, file(metavar="RUN", help="A finished `yolo train`.")] = None,
+    yolo_large: Annotated[Path | None, file(metavar="RUN", help="Likewise, of size x.")] = None,
+    no_yolo: Annotated[bool, typer.Option("--no-yolo", help="Leave both YOLOs out.")] = False,
+    no_training: Annotated[bool, typer.Option("--no-training", help="Only rows whose model is given.")] = False,
+    rows: Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Only these rows [default: all].")] = None,
+    epochs_paper: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe paper.")] = None,
+    epochs_ours: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe foreglow.")] = None,
+    patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,
+    yolo_epochs: Annotated[int, typer.Option(min=1, metavar="N", help="Epochs of the YOLO.")] = 3,
+    yolo_image_size: Annotated[int, typer.Option(metavar="PX", help="Side of the YOLO's images.")] = 320,
+    seed: Annotated[int, typer.Option(min=0, help="Of all training and resampling.")] = 1,
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to train.")] = "auto",
+) -> None:
+    """Make the paper's table of detectors: baseline, paper, ours and YOLO, measured alike."""
+    from foreglow.experiments.detector_plan import ROWS, DetectorPlan
+
+    paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
+    epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
+    plan = DetectorPlan(
+        rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
+        given={name: path for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        split=cast("SplitName", split),
+        may_train=not no_training,
+        with_yolo=not no_yolo,
+        epochs={name: number for name, number in epochs.items() if number is not None},
+        patience=patience,
+        seed=seed,
+        yolo_epochs=yolo_epochs,
+        yolo_image_size_px=yolo_image_size,
+        device=device,
+    )
+    typer.echo(f"look in {_detector_report(data, out, plan)}")
+
+
+def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
+    """Runs the experiment and writes its report, whose path it returns."""
+    from foreglow.datasets import PVDN, split_folder
+    from foreglow.experiments.detector import run_experiment
+    from foreglow.experiments.detector_pictures import pictures
+    from foreglow.reports.detector_page import write_report
+    from foreglow.reports.progress import CountProgress, TrainingBar
+
+    with contextlib.closing(CountProgress()) as progress, contextlib.closing(TrainingBar()) as training:
+
+        def show(things: str, num_done: int, num_things: int) -> None:
+            training.close()  # one bar at a time; it comes back with the next training
+            progress.show(things, num_done, num_things)
+
+        results = run_experiment(data, out, plan, progress=show, training=training)
+    return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)

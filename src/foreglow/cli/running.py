@@ -1,0 +1,107 @@
+"""`run`, `demo`, `download`: frames in, results out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foreglow.cli.app import (
+    DEFAULT_PRESET,
+    ModelOption,
+    PresetOption,
+    Source,
+    app,
+    argument,
+    configuration_of,
+    file,
+    finish,
+    folder,
+    opened,
+    run_frames,
+)
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import FrameSource
+    from foreglow.evaluation.story import Story
+
+
+@app.command()
+def run(
+    source: Source,
+    out: Annotated[Path, folder(help="Folder for the results; made if need be.")],
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+    video: Annotated[
+        bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
+    ] = False,
+    limit: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")] = None,
+    on_error: Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")] = "stop",
+) -> None:
+    """Find the light artifacts in SOURCE and write them to a folder."""
+    configuration = configuration_of(preset, config, model)
+    frames = opened(source, out, on_error)
+    finish(run_frames(frames, str(source), out, configuration, has_video=video, limit=limit), out)
+
+
+@app.command()
+def demo(
+    source: Annotated[Path | None, argument(metavar="SOURCE", help="What to run on, as in `run`.")] = None,
+    out: Annotated[Path, folder(help="Folder for the results.")] = Path("demo_output"),
+    model: ModelOption = None,
+) -> None:
+    """Run on SOURCE, or on the drive that ships, with annotated pictures; tell what happened where there are labels."""
+    from foreglow.datasets import shipped_drive
+
+    frames = opened(shipped_drive() if source is None else source, out)
+    configuration = configuration_of(DEFAULT_PRESET, None, model)
+    summary = run_frames(frames, frames.name if source is None else str(source), out, configuration, has_video=True)
+    stories = _stories(frames, out, configuration) if summary.is_complete else ()
+    finish(summary, out)
+    _tell(stories, is_classified=summary.is_classified)
+
+
+@app.command()
+def download(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="The data set: pvdn.")],
+    out: Annotated[Path, folder(help="Where to put it.")] = Path("PVDN"),
+) -> None:
+    """Fetch a data set."""
+    if dataset != "pvdn":
+        raise ValueError(f"download: expected pvdn, got {dataset!r}")
+    from foreglow.datasets import download_pvdn
+
+    typer.echo(f"PVDN is in {download_pvdn(out)}")
+
+
+def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> tuple[Story, ...]:
+    """What happened in a run of frames with labels; the best of it becomes a picture beside the results."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation import read_predictions
+    from foreglow.evaluation.story import best_story, has_labels, tell_stories
+    from foreglow.reports.moments import write_moments
+
+    if not isinstance(frames, PVDN) or not has_labels(frames):
+        return ()
+    predictions, threshold = read_predictions(out / "frames.jsonl"), configuration.classifier.score_threshold
+    stories = tell_stories(frames, predictions, threshold)
+    best = best_story(stories)
+    if best is not None:
+        images = [frames.read(moment.light.image_id) for moment in best.moments]
+        write_moments(out / "moments.png", best, images, predictions, threshold)
+    return stories
+
+
+def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
+    """Says what happened: one story in full, several as a table."""
+    import rich
+
+    from foreglow.reports.story import story_lines, story_table
+
+    if len(stories) == 1:
+        typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
+    elif stories:
+        rich.print(story_table(stories, is_classified=is_classified))

@@ -1,0 +1,72 @@
+"""The model that ships."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import foreglow
+from foreglow.classifier import FEATURES, OnnxClassifier
+from foreglow.datasets import read_image
+from foreglow.models import BUNDLED, model_path
+from foreglow.types import Frame
+from tests.shared_data import shared_file
+from tests.stand_ins import night_image
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_every_model_has_a_card_and_is_small(name: str) -> None:
+    path = model_path(Path(name))
+    assert path.stat().st_size <= 1_000_000
+    assert path.with_suffix(".md").read_text(encoding="utf-8").startswith("# ")
+
+
+def test_the_default_pipeline_classifies() -> None:
+    pipeline = foreglow.Pipeline()
+    assert pipeline.config == foreglow.preset("foreglow")
+    for number in range(3):
+        result = pipeline.step(Frame(night_image(number, 960, 1280), number * 55_555_556))
+        assert result.detections is not None
+        assert len(result.detections) == len(result.proposals)
+
+
+def test_it_reads_a_moment_of_the_past() -> None:
+    spec = OnnxClassifier(foreglow.preset("foreglow").classifier).spec
+    assert spec.lag_s == pytest.approx(0.25)
+    assert spec.num_features == len(FEATURES)
+
+
+def test_a_drive_scores_alike_whenever_it_comes() -> None:
+    """Results depend on the frames of the sequence alone, not on what ran before."""
+    frames = [Frame(night_image(number, 960, 1280), number * 55_555_556) for number in range(8)]
+    pipeline = foreglow.Pipeline()
+    first = [pipeline.step(frame).detections for frame in frames]
+    pipeline.reset()
+    for one, frame in zip(first, frames, strict=True):
+        again = pipeline.step(frame).detections
+        assert one is not None
+        assert again is not None
+        np.testing.assert_array_equal(one.scores, again.scores)
+
+
+def test_an_own_model_stays_where_it_is() -> None:
+    assert model_path(Path("runs/foreglow/model.onnx")) == Path("runs/foreglow/model.onnx")
+
+
+def test_the_real_frame() -> None:
+    """Both headlamps are found, the two trees are not; the model has never seen a real image."""
+    path = shared_file("data/pvdn_frame_047433.png")
+    detections = foreglow.Pipeline().step(Frame(read_image(path), 0)).detections
+    assert detections is not None
+
+    def best_score(x: int, y: int) -> float:
+        x1, y1, x2, y2 = detections.boxes_xyxy_px.T
+        is_around = (x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)
+        return float(detections.scores[is_around].max(initial=0.0))
+
+    for headlamp in ((713, 490), (728, 489)):
+        assert best_score(*headlamp) > 0.9
+    for tree in ((1105, 640), (1207, 655)):
+        assert best_score(*tree) < detections.score_threshold
