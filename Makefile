@@ -56,11 +56,13 @@ model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(DATA) --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
-# The picture of the README, from a generated frame.
+# The pictures of the README, from a generated frame and from the demo.
 picture: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.synthetic_frames bench_output/synthetic
 	$(BIN)/foreglow run bench_output/synthetic/000000.png --out bench_output/picture --video
 	cp bench_output/picture/overlay.png docs/images/synthetic_road.png
+	$(BIN)/foreglow demo --out bench_output/demo
+	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/moments.jpg', cv2.imread('bench_output/demo/moments.png'))"
 
 # The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev

@@ -57,6 +57,7 @@ def test_a_story_worked_by_hand(dataset: PVDN) -> None:
     assert [moment.light.image_id for moment in story.moments] == [11, 12, 13]
     assert (story.production_s, story.duration_s) == (2 / 18, 2 / 18)  # image 13 is of the category for low beam
     assert math.isclose(story.times.lead_s, 1 / 18)
+    assert (story.num_images_before, story.num_boxes_before) == (0, 0)
 
 
 def test_what_never_happens_is_none(dataset: PVDN) -> None:
@@ -70,6 +71,15 @@ def test_what_never_happens_is_none(dataset: PVDN) -> None:
     assert unseen.is_hidden_first
     assert unseen.found is not None
     assert unseen.found.time_s == 0.0
+
+
+def test_false_boxes_before_the_first_light(dataset: PVDN) -> None:
+    folder = dataset.root / "labels/keypoints"
+    write(folder / "000011.json", {"image_id": 11, "annotations": [], "doubtful": [{"pos": [70, 60], "iid": 0}]})
+    boxes = [(0, 0, 9, 9, 0.9), (10, 0, 19, 9, 0.2), (65, 55, 75, 65, 0.9)]  # false, rejected, doubtful light
+    found = predictions_of({5: boxes, 11: boxes, 12: boxes})  # another sequence, before, from then on
+    (story,) = tell_stories(PVDN(dataset.root), found, 0.5)
+    assert (story.light.light.image_id, story.num_images_before, story.num_boxes_before) == (12, 1, 1)
 
 
 def test_boxes_without_scores_are_all_found(dataset: PVDN) -> None:

@@ -29,6 +29,8 @@ def story_of(light_s: float, found_s: float, lamp_s: float, production_s: float 
         sight=None if math.isnan(lamp_s) else Moment(lamp_s, lamp, NEVER),
         production_s=production_s,
         duration_s=5.0,
+        num_images_before=round(18 * light_s) if light_s > 2 else 0,
+        num_boxes_before=19,
     )
 
 
@@ -39,14 +41,18 @@ def test_a_story_line_by_line() -> None:
         "car in sight                             3.50 s",
         "reported by the production system        4.25 s",
         "=> detected 1.20 s before it was there",
+        "   false boxes before its first light: 19 in 38 images (0.5 an image)",
     ]
 
 
 def test_without_a_model_it_is_only_proposed() -> None:
-    lines = story_lines(story_of(2.1, 2.3, 3.5, score=NEVER), is_classified=False)
+    lines = story_lines(story_of(2.0, 2.3, 3.5, score=NEVER), is_classified=False)
     assert lines[1].split() == ["proposed", "2.30", "s", "(rail)"]
     assert lines[-1] == "=> proposed 1.20 s before it was there"
     assert len(lines) == 4
+    assert "   boxes of other things before its first light: 19 in 38 images (0.5 an image)" in story_lines(
+        story_of(2.1, 2.3, 3.5, score=NEVER), is_classified=False
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from foreglow.datasets import PVDN, CategoryConfig
 from foreglow.evaluation.breakdown import match_lights, read_split_labels
 from foreglow.evaluation.first_found import FirstFound, first_found
@@ -49,6 +51,8 @@ class Story:
         sight: Its first lamp; None if it never comes into sight.
         production_s: When the production system first reports a vehicle; NaN if it never does.
         duration_s: From the first image of the sequence to the last.
+        num_images_before: Images of the sequence before the first light.
+        num_boxes_before: Accepted boxes in them that hold no light at all, not even doubtful light.
     """
 
     sequence: str
@@ -59,6 +63,8 @@ class Story:
     sight: Moment | None
     production_s: float
     duration_s: float
+    num_images_before: int
+    num_boxes_before: int
 
     @property
     def is_hidden_first(self) -> bool:
@@ -85,6 +91,8 @@ def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> t
     """
     labels = read_split_labels(dataset)
     matched = match_lights(labels, predictions)
+    image_ids = matched.matches.image_ids
+    is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
     lit = list(zip(matched.lights, matched.best_scores.tolist(), strict=True))
     first: dict[int, FirstFound] = {}
     for vehicle in first_found(labels, matched, threshold):
@@ -104,6 +112,7 @@ def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> t
         visible = [one for time_s, one in its if time_s == times.light_s]
         boxed = [one for time_s, one in its if time_s == times.found_s and one[1] > threshold]
         lamps = [one for time_s, one in its if time_s == times.lamp_s and one[0].is_direct]
+        before = [labels.sequence_of[one] == sequence.id and labels.time_s[one] < times.light_s for one in image_ids]
         vehicle_kind, production_s = _known(dataset, sequence.id, times.vehicle_id)
         stories.append(
             Story(
@@ -115,6 +124,8 @@ def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> t
                 sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
                 production_s=production_s,
                 duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+                num_images_before=sum(before),
+                num_boxes_before=int((is_false & np.array(before)[matched.matches.image_of_box]).sum()),
             )
         )
     return tuple(stories)

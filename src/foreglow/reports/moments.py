@@ -30,6 +30,9 @@ LENS_PX = (448, 280)
 LENS_FACTOR = 4
 """The enlargement of the light, and how many times it is enlarged."""
 
+LENS_PEAK, LENS_MAX_GAIN = 235.0, 2.0
+"""The brightest of the enlargement is lifted to this grey, but by no more than this factor."""
+
 HORIZON_SHARE = 0.62
 """How far down in its tile the light is, so that there is dark sky above it for the enlargement."""
 
@@ -136,12 +139,14 @@ def _tile(scene: _Scene, tone: Tone, centre_y: float, predictions: Predictions, 
 
 
 def _lens(picture: Picture, at_px: tuple[float, float]) -> Picture:
-    """What is around a place, enlarged."""
+    """What is around a place, enlarged, and brightened where it is faint."""
     width, height = LENS_PX[0] // LENS_FACTOR, LENS_PX[1] // LENS_FACTOR
     left = min(max(round(at_px[0]) - width // 2, 0), picture.shape[1] - width)
     top = min(max(round(at_px[1]) - height // 2, 0), picture.shape[0] - height)
     part = picture[top : top + height, left : left + width]
-    return np.asarray(cv2.resize(part, LENS_PX, interpolation=cv2.INTER_CUBIC), np.uint8)
+    enlarged = np.asarray(cv2.resize(part, LENS_PX, interpolation=cv2.INTER_CUBIC), np.float64)
+    gain = min(max(LENS_PEAK / max(float(enlarged.max()), 1.0), 1.0), LENS_MAX_GAIN)
+    return np.clip(gain * enlarged, 0, 255).astype(np.uint8)
 
 
 def _draw_lens(tile: Picture, lens: Picture, at_px: tuple[int, int], colour_bgr: Colour) -> None:
@@ -186,7 +191,7 @@ def _draw_timeline(sheet: Picture, story: Story, scenes: Sequence[_Scene], top_p
     scale = (right - left) / max(story.duration_s, 1e-9)
 
     def x_of(time_s: float) -> int:
-        return int(round(left + scale * time_s))
+        return left + int(scale * time_s + 0.5)
 
     cv2.line(sheet, (left, y), (right, y), FAINT_BGR, 4, cv2.LINE_AA)
     for second in range(math.floor(story.duration_s) + 1):

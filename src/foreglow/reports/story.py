@@ -30,7 +30,7 @@ MAX_ROWS = 40
 
 
 def story_lines(story: Story, *, is_classified: bool) -> list[str]:
-    """What happens, one moment a line with its time from the beginning, and last what it comes to.
+    """What happens, one moment a line with its time from the beginning, and then what it comes to.
 
     Args:
         story: What happens.
@@ -45,7 +45,13 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
         rows.append(("reported by the production system", story.production_s, ""))
     width = max(len(words) for words, _, _ in rows)
     lines = [f"{words:<{width}}  {time_s:6.2f} s{f'   ({note})' if note else ''}" for words, time_s, note in rows]
-    return [*lines, f"=> {conclusion(story, is_classified=is_classified)}"]
+    lines.append(f"=> {conclusion(story, is_classified=is_classified)}")
+    if story.num_images_before:
+        boxes = "false boxes" if is_classified else "boxes of other things"
+        lines.append(
+            f"   {boxes} before its first light: {_per_image(story.num_boxes_before, story.num_images_before)}"
+        )
+    return lines
 
 
 def first_words(story: Story) -> str:
@@ -106,6 +112,15 @@ def _table_notes(stories: Sequence[Story], is_classified: bool) -> list[str]:
         line += " they were in sight"
         notes.append(f"{line}, by {statistics.median(ahead_s):.2f} s in the median" if ahead_s else line)
     return notes
+
+
+def _per_image(num_boxes: int, num_images: int) -> str:
+    """How many, and how many that is an image.
+
+    >>> _per_image(3, 30)
+    '3 in 30 images (0.1 an image)'
+    """
+    return f"{num_boxes} in {num_images} image{'' if num_images == 1 else 's'} ({num_boxes / num_images:.1f} an image)"
 
 
 def _on_what_and_how_sure(moment: Moment) -> str:
