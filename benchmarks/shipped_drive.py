@@ -1,8 +1,8 @@
 """Makes the drive that ships with the package: `python -m benchmarks.shipped_drive [FOLDER]`, or `make drive`.
 
 FOLDER holds `scene.toml`, the drive's specification, and gets everything else: the images as JPEG, PVDN's labels, and
-the simulator's truth without depth images. The lossless drive is rendered into `bench_output` first and kept there, which
-takes minutes; a second call only compresses it again.
+the simulator's truth without depth images. The lossless drive is rendered into `bench_output` first and kept there,
+which takes minutes; a second call only compresses it again.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from foreglow.evaluation import Predictions
 from foreglow.evaluation.story import Moment, Story
 from foreglow.files import write_atomic
-from foreglow.reports.overlay import ACCEPTED_BGR, PROPOSAL_BGR, REJECTED_BGR, Colour, Picture
-from foreglow.reports.story import conclusion, first_words, found_word, on_what
+from foreglow.reports.overlay import ACCEPTED_BGR, PROPOSAL_BGR, Colour, Picture
+from foreglow.reports.story import PLACES, conclusion, first_words, found_word
 from foreglow.reports.tone import Tone
 from foreglow.types import Frame
 
@@ -38,6 +38,8 @@ TEXT_BGR = (232, 230, 228)
 FAINT_BGR = (150, 146, 142)
 LIGHT_BGR = (70, 190, 250)
 SIGHT_BGR = (250, 225, 190)
+FADED_BGR = (112, 100, 90)
+"""Colour of rejected boxes."""
 
 _FONT = cv2.FONT_HERSHEY_DUPLEX
 
@@ -87,8 +89,8 @@ def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predicti
     width_px = 2 * MARGIN_PX + num * TILE_PX[0] + (num - 1) * GAP_PX
     height_px = TITLE_PX + TILE_PX[1] + CAPTION_PX + TIMELINE_PX
     sheet: Picture = np.full((height_px, width_px, 3), GROUND_BGR, np.uint8)
-    title = conclusion(story, is_classified=predictions.is_scored)
-    _write(sheet, title[0].upper() + title[1:], (MARGIN_PX, TITLE_PX - 44), 2.0, TEXT_BGR)
+    title = f"The {story.vehicle} was {conclusion(story, is_classified=predictions.is_scored)}"
+    _write(sheet, title, (MARGIN_PX, TITLE_PX - 44), 2.0, TEXT_BGR)
     tone = Tone.of(scenes[0].frame.image)
     centre_y = float(np.mean([one.moment.light.position_px[1] / one.frame.width_px for one in scenes]))
     for place, scene in enumerate(scenes):
@@ -104,10 +106,11 @@ def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predicti
 def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> list[_Scene]:
     scenes = []
     for moment, frame in zip(story.moments, frames, strict=True):
+        place = PLACES[moment.light.kind]
         if moment is story.light:
-            scenes.append(_Scene(moment, first_words(story), f"on {on_what(moment)}", LIGHT_BGR, frame))
+            scenes.append(_Scene(moment, first_words(story), place, LIGHT_BGR, frame))
         elif moment is story.found:
-            note = on_what(moment) if math.isnan(moment.score) else f"{on_what(moment)}, score {moment.score:.2f}"
+            note = place if math.isnan(moment.score) else f"{place}, score {moment.score:.2f}"
             scenes.append(_Scene(moment, found_word(is_classified), note, ACCEPTED_BGR, frame))
         else:
             scenes.append(_Scene(moment, f"{story.vehicle} in sight", "", SIGHT_BGR, frame))
@@ -157,12 +160,12 @@ def _draw_lens(tile: Picture, lens: Picture, at_px: tuple[int, int], colour_bgr:
 
 
 def _draw_boxes(picture: Picture, image_id: int, predictions: Predictions, threshold: float, factor: float) -> None:
-    """Accepted boxes bold and green, rejected ones thin and grey, unscored ones amber."""
+    """Accepted boxes bold and green, rejected ones thin and dark, unscored ones amber."""
     boxes = predictions.boxes_xyxy_px.get(image_id, np.empty((0, 4)))
     scores: NDArray[np.float64] = predictions.scores.get(image_id, np.empty(0))
     for place in np.argsort(scores > threshold, kind="stable").tolist():  # accepted ones last, on top
         x1, y1, x2, y2 = (round(factor * value) for value in boxes[place].tolist())
-        colour_bgr, line_px = (ACCEPTED_BGR, 4) if scores[place] > threshold else (REJECTED_BGR, 2)
+        colour_bgr, line_px = (ACCEPTED_BGR, 4) if scores[place] > threshold else (FADED_BGR, 2)
         if not predictions.is_scored:
             colour_bgr, line_px = PROPOSAL_BGR, 2
         cv2.rectangle(picture, (x1 - 6, y1 - 6), (x2 + 5, y2 + 5), colour_bgr, line_px, cv2.LINE_AA)
@@ -183,7 +186,7 @@ def _draw_timeline(sheet: Picture, story: Story, scenes: Sequence[_Scene], top_p
     scale = (right - left) / max(story.duration_s, 1e-9)
 
     def x_of(time_s: float) -> int:
-        return round(left + scale * time_s)
+        return int(round(left + scale * time_s))
 
     cv2.line(sheet, (left, y), (right, y), FAINT_BGR, 4, cv2.LINE_AA)
     for second in range(math.floor(story.duration_s) + 1):

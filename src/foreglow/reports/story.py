@@ -11,6 +11,20 @@ from rich.table import Table
 from foreglow.evaluation.first_found import share_found_ahead
 from foreglow.evaluation.story import UNKNOWN_VEHICLE, Moment, Story
 
+PLACES = {
+    "lamp": "its lamp",
+    "rail": "on the rail",
+    "road": "on the road",
+    "verge": "on the verge",
+    "foliage": "in the leaves",
+    "wall": "on the wall",
+    "sign": "on a sign",
+    "vehicle": "on another vehicle",
+    "haze": "in the haze",
+    "indirect": "reflected light",
+}
+"""Where light is seen, by its kind."""
+
 MAX_ROWS = 40
 """Rows of a table of stories; more are counted only."""
 
