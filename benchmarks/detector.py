@@ -26,7 +26,6 @@ from foreglow.pipeline import Pipeline
 from foreglow.proposals import NativeProposer, Proposer, ReferenceProposer
 from foreglow.types import Frame, FrameResult, Image
 
-
 FRAME_NS = 55_555_556
 """Time between frames at 18 Hz."""
 

@@ -186,7 +186,8 @@ def _draw_timeline(sheet: Picture, story: Story, scenes: Sequence[_Scene], top_p
     scale = (right - left) / max(story.duration_s, 1e-9)
 
     def x_of(time_s: float) -> int:
-        return int(round(left + scale * time_s))
+        position: int = round(left + scale * time_s)
+        return position
 
     cv2.line(sheet, (left, y), (right, y), FAINT_BGR, 4, cv2.LINE_AA)
     for second in range(math.floor(story.duration_s) + 1):
