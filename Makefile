@@ -1,4 +1,4 @@
-# make demo [SOURCE=path], make test, make check, make bench, make data [DATA=folder], make model, make picture,
+# make demo [SOURCE=path], make test, make check, make bench, make data [DATA=folder], make model,
 # make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench data model picture simulator-pictures simulator-report drive clean
+.PHONY: demo test check bench data model simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -55,14 +55,6 @@ data: $(VENV)/.dev
 model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(DATA) --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
-
-# The pictures of the README, from a generated frame and from the demo.
-picture: $(VENV)/.dev
-	$(BIN)/python -m benchmarks.synthetic_frames bench_output/synthetic
-	$(BIN)/foreglow run bench_output/synthetic/000000.png --out bench_output/picture --video
-	cp bench_output/picture/overlay.png docs/images/synthetic_road.png
-	$(BIN)/foreglow demo --out bench_output/demo
-	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/moments.jpg', cv2.imread('bench_output/demo/moments.png'))"
 
 # The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev
