@@ -89,7 +89,10 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
             last = part;
             const std::int32_t found = root(part);
             if (std::find(met, met + num_met, found) != met + num_met) continue;
-            met[num_met++] = found;
+            // In the order of their peaks: what closes a part must not depend on where it was met.
+            std::int32_t at = num_met++;
+            for (; at > 0 && met[at - 1] > found; --at) met[at] = met[at - 1];
+            met[at] = found;
             // The earlier of two equal peaks counts as the higher one.
             if (highest < 0 || parts_[found].peak > parts_[highest].peak ||
                 (parts_[found].peak == parts_[highest].peak && found < highest)) {
@@ -104,7 +107,6 @@ void BlobSplitter::flood(std::int32_t width, std::int32_t height, const SplitRul
         Part& whole = parts_[highest];
         ++whole.num_pixels;
         widen(whole, {pixel.x, pixel.y, pixel.x + 1, pixel.y + 1});
-        if (num_met > 2) std::sort(met, met + num_met);  // what closes a part must not depend on where it was met
         for (std::int32_t i = 0; i < num_met; ++i) {
             Part& part = parts_[met[i]];
             if (met[i] == highest) continue;

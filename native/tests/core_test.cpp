@@ -1,5 +1,6 @@
 // Tests of the core without Python; meant to run under the address and undefined-behaviour sanitizers.
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <random>
@@ -122,7 +123,18 @@ void test_all_dispatch_levels_agree() {
         for (const bool is_fine : {false, true}) {
             const Scene<Pixel> scene(size[0], size[1], size[0] % 7, static_cast<unsigned>(size[0]));
             foreglow::ProposalParameters parameters;
-            if (is_fine) parameters = {0.3, 31, 1e-3, 0.0, 2, 0.0, 1e9, 0.0, 1, size[0] < 64 ? 64 : size[0]};
+            if (is_fine) {
+                parameters.kappa = 0.3;
+                parameters.window_px = 31;
+                parameters.min_deviation = 0.0;
+                parameters.gap_px = 2;
+                parameters.min_area_px = 0.0;
+                parameters.max_area_px = 1e9;
+                parameters.min_width_px = 0.0;
+                parameters.split_saddle = size[0] % 2 == 0 ? 0.6 : 1.0;
+                parameters.reduction = 1;
+                parameters.reference_width_px = size[0] < 64 ? 64 : size[0];
+            }
             parameters.window = is_fine ? foreglow::Window::centred : foreglow::Window::published;
             std::vector<Box> first;
             for (const auto dispatch : foreglow::available_dispatch()) {
@@ -140,6 +152,35 @@ void test_all_dispatch_levels_agree() {
             if (size[0] >= 640) expect(!first.empty(), "a scene with lamps has proposals");
         }
     }
+}
+
+// Two lamps in one glow: one blob, split at the saddle between them where that is asked for.
+void test_a_blob_is_split_at_a_deep_saddle() {
+    std::vector<std::uint8_t> pixels(200 * 120, 10);
+    for (int y = 0; y < 120; ++y) {
+        for (int x = 0; x < 200; ++x) {
+            const auto lamp = [&](int centre) {
+                return 230.0 * std::exp(-((x - centre) * (x - centre) + (y - 60) * (y - 60)) / 500.0);
+            };
+            pixels[static_cast<std::size_t>(y * 200 + x)] = static_cast<std::uint8_t>(10.0 + lamp(70) + lamp(128));
+        }
+    }
+    foreglow::ImageView view;
+    view.data = pixels.data();
+    view.pixel_type = foreglow::PixelType::u8;
+    view.width_px = 200;
+    view.height_px = 120;
+    view.row_stride_bytes = 200;
+    foreglow::ProposalParameters parameters;
+    parameters.window_px = 101;
+    parameters.kappa = 0.2;
+    parameters.max_area_px = 1e9;
+    parameters.reference_width_px = 200;
+    const std::size_t whole = foreglow::ProposalGenerator(parameters).propose(view).size();
+    parameters.split_saddle = 0.6;
+    const std::vector<Box> parts = foreglow::ProposalGenerator(parameters).propose(view);
+    expect(whole == 1 && parts.size() == 2, "two lamps in one glow are one blob, and two parts");
+    expect(parts.size() == 2 && (parts[0].x2 <= parts[1].x1 || parts[1].x2 <= parts[0].x1), "the parts lie apart");
 }
 
 void test_sizes_may_change_between_frames() {
@@ -203,6 +244,7 @@ int main() {
     test_blobs_equal_pairwise_joining();
     test_all_dispatch_levels_agree<std::uint8_t>();
     test_all_dispatch_levels_agree<std::uint16_t>();
+    test_a_blob_is_split_at_a_deep_saddle();
     test_sizes_may_change_between_frames();
     test_crops_at_every_border<std::uint8_t>();
     test_crops_at_every_border<std::uint16_t>();
