@@ -23,12 +23,12 @@ def evaluate(
     predictions: Annotated[Path | None, file(help="frames.jsonl of a run, or PVDN's JSON.")] = None,
     model: Annotated[Path | None, file(help="ONNX model that is run on the split, in place of --predictions.")] = None,
     preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Parameters that --model runs with [default: foreglow].")
+        str | None, typer.Option(metavar="NAME", help="Parameters that --model runs with (default: foreglow).")
     ] = None,
     config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(help="A box counts when its score is above this [default: the configuration's]."),
+        typer.Option(help="A box counts when its score is above this (default: the configuration's)."),
     ] = None,
     out: Annotated[Path | None, folder(help="Folder for a report with all figures and plots.")] = None,
     json_file: Annotated[Path | None, file("--json", help="Also write the paper's metrics as JSON.")] = None,

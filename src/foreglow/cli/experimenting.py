@@ -47,7 +47,7 @@ def experiment_detector(
     yolo_large: Annotated[Path | None, file(metavar="RUN", help="Likewise, of size x.")] = None,
     no_yolo: Annotated[bool, typer.Option("--no-yolo", help="Leave both YOLOs out.")] = False,
     no_training: Annotated[bool, typer.Option("--no-training", help="Only rows whose model is given.")] = False,
-    rows: Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Only these rows [default: all].")] = None,
+    rows: Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Only these rows (default: all).")] = None,
     epochs_paper: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe paper.")] = None,
     epochs_ours: Annotated[int | None, typer.Option(min=1, metavar="N", help="Epochs of recipe foreglow.")] = None,
     patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,

@@ -10,7 +10,7 @@ import typer
 
 from foreglow.cli.app import app, argument, configuration_of, file, folder, yolo
 
-BOXES_HELP = "Boxes of this preset [default: those that `annotate` wrote, else of paper]."
+BOXES_HELP = "Boxes of this preset (default: those that `annotate` wrote, else of paper)."
 
 
 @app.command()
@@ -51,13 +51,13 @@ def tune(
     images: Annotated[int, typer.Option(min=1, metavar="N", help="Images of train, spread over its scenes.")] = 600,
     objective: Annotated[str, typer.Option(metavar="q|q-only|light", help="What is minimised.")] = "q",
     space: Annotated[
-        str | None, typer.Option(metavar="paper|wide", help="What is varied [default: the objective's own].")
+        str | None, typer.Option(metavar="paper|wide", help="What is varied (default: the objective's own).")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="With one job: the same seed, the same trials.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     storage: Annotated[
         str | None,
-        typer.Option(metavar="FILE|URL", help="Optuna's journal or database, for many machines [default: in DIR]."),
+        typer.Option(metavar="FILE|URL", help="Optuna's journal or database, for many machines (default: in DIR)."),
     ] = None,
     out: Annotated[Path, folder(help="Folder for the results; the same one goes on.")] = Path("tune_output"),
 ) -> None:
@@ -97,11 +97,11 @@ def train(
         str | None, typer.Option(metavar="fp32|bf16", help="bf16 is faster where there is it.")
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Preset of the proposals [the recipe's name].")
+        str | None, typer.Option(metavar="NAME", help="Preset of the proposals (default: the recipe's name).")
     ] = None,
     config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
-    cache: Annotated[Path | None, folder(help="Where samples are kept [default: in the folder].")] = None,
+    cache: Annotated[Path | None, folder(help="Where samples are kept (default: in the folder).")] = None,
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
     from foreglow.learning import recipes

@@ -27,7 +27,7 @@ def simulate(
     print_scene: Annotated[
         str | None, typer.Option("--print", metavar="NAME", help="Only write a drawn scenario as TOML to stdout.")
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images [default: 1280x960].")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images (default: 1280x960).")] = None,
     cycle: Annotated[str, typer.Option(metavar="day|night", help="Short or long exposure of the night.")] = "day",
     fps: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Frames a second.")] = 18.0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; one uses all cores and is quickest up to four.")] = 1,
