@@ -128,10 +128,19 @@ private:
         return std::tie(a.x1, a.y1, a.x2, a.y2) == std::tie(b.x1, b.y1, b.x2, b.y2);
     }
 
+    static double area_of(const Box& box) {
+        return static_cast<double>(box.x2 - box.x1) * static_cast<double>(box.y2 - box.y1);
+    }
+
+    static bool is_too_small(const Box& box, const WorkingSizes& sizes) {
+        return area_of(box) < sizes.min_area_px || static_cast<double>(box.x2 - box.x1) < sizes.min_width_px;
+    }
+
     const std::vector<Box>& parts_of(const std::vector<Box>& blobs, const WorkingSizes& sizes) {
         const SplitRule rule{parameters_.split_saddle, sizes.min_area_px, sizes.min_width_px};
         parts_.clear();
         for (const Box& blob : blobs) {
+            if (is_too_small(blob, sizes)) continue;  // and so would be its parts
             splitter_.split(blob, image_, threshold_.black(), threshold_.range(), rule, parts_);
         }
         return parts_;
@@ -140,9 +149,7 @@ private:
     void keep_boxes(const std::vector<Box>& candidates, const WorkingSizes& sizes, const Box& region) {
         const ExactBlur exact = threshold_.exact();
         for (const Box& box : candidates) {
-            const auto width = static_cast<double>(box.x2 - box.x1);
-            const double area = width * static_cast<double>(box.y2 - box.y1);
-            if (area < sizes.min_area_px || area > sizes.max_area_px || width < sizes.min_width_px) continue;
+            if (is_too_small(box, sizes) || area_of(box) > sizes.max_area_px) continue;
             if (!(exact.deviation(box, scratch_) > parameters_.min_deviation + rounding)) continue;
             const std::int32_t f = sizes.reduction;
             boxes_.push_back({box.x1 * f + region.x1, box.y1 * f + region.y1, box.x2 * f + region.x1,

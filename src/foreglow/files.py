@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 
 @contextlib.contextmanager
@@ -37,6 +38,16 @@ def write_atomic(path: Path, data: bytes) -> None:
     """
     with open_atomic(path) as file:
         file.write(data)
+
+
+def write_json_results(path: Path, results: Any, indent: int = 1) -> None:
+    """Writes numbers and texts to `path` as JSON, whole or not at all.
+
+    Raises:
+        OSError: If it cannot be written.
+        ValueError: If a number is NaN or infinite: JSON knows null for what is not defined.
+    """
+    write_atomic(path, (json.dumps(results, indent=indent, allow_nan=False) + "\n").encode())
 
 
 @contextlib.contextmanager

@@ -40,11 +40,10 @@ def evaluate(
     """Compare a model's boxes, or predicted ones, with a split's key points."""
     if robustness and predictions is not None:
         raise ValueError("evaluate: expected --model with --robustness, which runs on disturbed images")
-    import json
 
     import rich
 
-    from foreglow.files import write_atomic
+    from foreglow.files import write_json_results
     from foreglow.reports.evaluation_page import examination_lines, write_report
     from foreglow.reports.tables import box_quality_table
 
@@ -59,7 +58,7 @@ def evaluate(
         examination = _examined_model(split, configuration, out, seed if robustness else None)
     if json_file is not None:
         quality = examination.quality.to_json()
-        write_atomic(json_file, (json.dumps(quality, indent=2, allow_nan=False) + "\n").encode())
+        write_json_results(json_file, quality, indent=2)
     rich.print(box_quality_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if out is not None:

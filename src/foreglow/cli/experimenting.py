@@ -84,13 +84,13 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
     from foreglow.experiments.detector import run_experiment
     from foreglow.experiments.detector_pictures import pictures
     from foreglow.reports.detector_page import write_report
-    from foreglow.reports.progress import CountProgress, TrainingBar
+    from foreglow.reports.progress import StepProgress, TrainingBar
 
-    with contextlib.closing(CountProgress()) as progress, contextlib.closing(TrainingBar()) as training:
+    with contextlib.closing(StepProgress()) as progress, contextlib.closing(TrainingBar()) as training:
 
-        def show(things: str, num_done: int, num_things: int) -> None:
+        def show(step: str, num_done: int, num_all: int) -> None:
             training.close()  # one bar at a time; it comes back with the next training
-            progress.show(things, num_done, num_things)
+            progress(step, num_done, num_all)
 
         results = run_experiment(data, out, plan, progress=show, training=training)
     return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,11 +26,9 @@ def annotate(
     json_file: Annotated[Path | None, file("--json", help="Also write the numbers as JSON.")] = None,
 ) -> None:
     """Turn key points into labelled boxes, labels/bounding_boxes/*.json, and rate them."""
-    import json
-
     import rich
 
-    from foreglow.files import write_atomic
+    from foreglow.files import write_json_results
     from foreglow.learning.annotate import annotate_split, splits_to_annotate
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.tables import annotation_table
@@ -40,7 +39,7 @@ def annotate(
         made = [annotate_split(one, configuration, preset, jobs=jobs, progress=progress) for one in roots]
     if json_file is not None:
         numbers = {one.root.name: one.to_json() for one in made}
-        write_atomic(json_file, (json.dumps(numbers, indent=2, allow_nan=False) + "\n").encode())
+        write_json_results(json_file, numbers, indent=2)
     rich.print(annotation_table(made, preset if config is None else f"{preset} with {config}"))
 
 
@@ -156,10 +155,11 @@ def export_yolo(
 ) -> None:
     """Write the labelled boxes of DATA as a YOLO data set."""
     from foreglow.learning.yolo import export_yolo
-    from foreglow.reports.progress import CountProgress
+    from foreglow.reports.progress import StepProgress
 
-    with contextlib.closing(CountProgress("images")) as progress:
-        export = export_yolo(data, out, preset_name=preset, size_px=size, progress=progress)
+    with contextlib.closing(StepProgress()) as progress:
+        told = functools.partial(progress, "images")
+        export = export_yolo(data, out, preset_name=preset, size_px=size, progress=told)
     counts = ", ".join(f"{name} {count} ({export.num_boxes[name]} boxes)" for name, count in export.num_images.items())
     typer.echo(f"wrote {export.data_file}: images of {counts}; boxes: {export.settings.boxes}")
 
@@ -180,12 +180,13 @@ def yolo_train(
     """Train a YOLO from random weights on the labelled boxes of DATA."""
     from foreglow.config import validated
     from foreglow.learning.yolo import YoloConfig, train_yolo
-    from foreglow.reports.progress import CountProgress
+    from foreglow.reports.progress import StepProgress
 
     fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
     config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
-    with contextlib.closing(CountProgress("images exported")) as progress:
-        run = train_yolo(data, out, config, preset_name=preset, progress=progress)
+    with contextlib.closing(StepProgress()) as progress:
+        told = functools.partial(progress, "images exported")
+        run = train_yolo(data, out, config, preset_name=preset, progress=told)
     millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
     typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
 
@@ -200,9 +201,10 @@ def yolo_predict(
     from foreglow.datasets import PVDN
     from foreglow.evaluation.predictions import write_predictions
     from foreglow.learning.yolo import predict_yolo, read_yolo_run
-    from foreglow.reports.progress import CountProgress
+    from foreglow.reports.progress import StepProgress
 
-    with contextlib.closing(CountProgress("images")) as progress:
-        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=progress)
+    with contextlib.closing(StepProgress()) as progress:
+        told = functools.partial(progress, "images")
+        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=told)
     write_predictions(out, found.predictions)
     typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")

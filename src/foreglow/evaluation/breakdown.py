@@ -15,18 +15,12 @@ from numpy.typing import NDArray
 from foreglow.datasets import PVDN, Instance
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.evaluation.curves import RecallCurve, recall_curve, threshold_at_false_boxes
-from foreglow.evaluation.lights import Light, empty_images, read_lights
+from foreglow.evaluation.lights import LIGHT_KINDS, NUM_STRONGEST, Light, empty_images, read_lights
 from foreglow.evaluation.matching import NEVER, Matches, match_boxes
 from foreglow.evaluation.predictions import Predictions
 
-KINDS = ("lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze", "indirect")
-"""Kinds of light in the order of tables; `indirect` where nothing more is known."""
-
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
 """Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
-
-NUM_STRONGEST = 3
-"""Indirect lights of an image that count as its strongest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,11 +318,11 @@ def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]
     range_m = np.array([light.range_m for light in lights], np.float64)
     rank = np.array([light.rank for light in lights], np.int64)
     return {
-        "kind": {name: kind == name for name in KINDS},
+        "kind": {name: kind == name for name in LIGHT_KINDS},
         "source": {"direct": is_direct, "indirect": ~is_direct},
         "sight": {"hidden": is_hidden, "in sight": ~is_hidden},
         "strength": {"strongest three reflections": (rank >= 0) & (rank < NUM_STRONGEST)},
-        "hidden kind": {name: is_hidden & (kind == name) for name in KINDS},
+        "hidden kind": {name: is_hidden & (kind == name) for name in LIGHT_KINDS},
         "distance": {
             f"{low:g}-{high:g} m": (low <= range_m) & (range_m < high) for low, high in pairwise(RANGE_EDGES_M)
         },

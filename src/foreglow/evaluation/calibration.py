@@ -91,9 +91,9 @@ def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Cal
         share=float(truth.mean()),
         ece=_ece(bins),
         brier=float(np.mean((given - truth) ** 2)),
-        nll=_nll(logits, truth),
+        nll=log_loss(logits, truth),
         temperature=temperature,
-        nll_at_temperature=_nll(logits / temperature, truth),
+        nll_at_temperature=log_loss(logits / temperature, truth),
         ece_at_temperature=_ece(reliability(expit(logits / temperature), truth, num_bins)),
         bins=bins,
         tenths=_tenths(given, truth),
@@ -138,7 +138,7 @@ def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
     given, truth = _checked(logits, labels)
     low, high = (math.log(1.0 / limit) for limit in reversed(TEMPERATURE_LIMITS))
     best = minimize_scalar(
-        lambda log_slope: _nll(given * math.exp(log_slope), truth),
+        lambda log_slope: log_loss(given * math.exp(log_slope), truth),
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-6},
@@ -169,9 +169,20 @@ def _checked(values: ArrayLike, labels: ArrayLike) -> tuple[Floats, Floats]:
     return given, truth
 
 
-def _nll(logits: Floats, labels: Floats) -> float:
-    """Mean of log(1 + exp(-z)) where the label is 1, and of log(1 + exp(z)) where it is 0."""
-    return float(np.mean(np.logaddexp(0.0, np.where(labels > 0.5, -logits, logits))))
+def log_loss(logits: NDArray[Any], labels: NDArray[Any], positive_weight: float = 1.0) -> float:
+    """Mean binary cross-entropy in nats, positives weighted, divided by the number of samples as torch does.
+
+    Args:
+        logits: Shape (N,).
+        labels: Shape (N,), 1 and 0.
+        positive_weight: Of a sample with label 1.
+
+    Returns:
+        Mean of log(1 + exp(-z)) where the label is 1, and of log(1 + exp(z)) where it is 0; NaN of nothing.
+    """
+    signed = np.where(labels == 1, logits, -logits).astype(np.float64)
+    weights = np.where(labels == 1, positive_weight, 1.0)
+    return float(np.mean(weights * np.logaddexp(0, -signed))) if len(labels) else math.nan
 
 
 def _ece(bins: tuple[Bin, ...]) -> float:

@@ -13,6 +13,12 @@ from foreglow.simulation import Artifact, read_truth
 LAMP, INDIRECT = "lamp", "indirect"
 """Kinds that the labels alone can tell; simulated sets say what indirect light is seen on."""
 
+LIGHT_KINDS = (LAMP, "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze", INDIRECT)
+"""All kinds, in the order of tables."""
+
+NUM_STRONGEST = 3
+"""Indirect lights of an image that count as its strongest."""
+
 DIRECT_RANK = -1
 
 

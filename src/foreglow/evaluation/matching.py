@@ -83,12 +83,27 @@ class Matches:
         return best
 
 
+def lies_in(points_px: NDArray[Any], boxes_xyxy_px: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether points lie in boxes: x1 <= x <= x2 and y1 <= y <= y2, all four edges included, as in the published code.
+
+    Args:
+        points_px: Shape (..., 2), columns x and y.
+        boxes_xyxy_px: Shape (..., 4); leading axes are broadcast against those of the points.
+
+    >>> boxes = np.array([[0, 0, 10, 10], [20, 0, 30, 10]])
+    >>> lies_in(np.array([[10, 10], [25, 5]])[:, None], boxes).tolist()
+    [[True, False], [False, True]]
+    """
+    x, y = points_px[..., 0], points_px[..., 1]
+    x1, y1, x2, y2 = (boxes_xyxy_px[..., column] for column in range(4))
+    return np.asarray((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2))
+
+
 def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions) -> Matches:
     """Which of `points_px` lie in which boxes of `predictions`.
 
-    A point lies in a box if x1 <= x <= x2 and y1 <= y <= y2: all four edges belong to the box, although boxes are
-    half-open elsewhere. Images of the predictions without an entry in `points_px` are left out; images that the
-    predictions do not mention have no boxes.
+    All four edges belong to a box, see `lies_in`, although boxes are half-open elsewhere. Images of the predictions
+    without an entry in `points_px` are left out; images that the predictions do not mention have no boxes.
 
     Args:
         points_px: By image id, shape (K, 2), columns x and y, full-frame pixels; K = 0 where there is nothing.
@@ -139,7 +154,5 @@ def _pairs(
     first_point = (np.cumsum(num_points) - num_points)[image_of_box]
     first_pair = np.cumsum(num_partners) - num_partners
     pair_point = np.arange(len(pair_box)) - np.repeat(first_pair - first_point, num_partners)
-    x, y = points[pair_point].T
-    x1, y1, x2, y2 = boxes[pair_box].T
-    is_inside = (x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)
+    is_inside = lies_in(points[pair_point], boxes[pair_box])
     return pair_point[is_inside], pair_box[is_inside]

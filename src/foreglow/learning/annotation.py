@@ -7,6 +7,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.evaluation.matching import lies_in
+
 Labels: TypeAlias = NDArray[np.int8]
 
 POSITIVE, NEGATIVE, IGNORED = 1, 0, -1
@@ -17,7 +19,7 @@ def label_boxes(
 ) -> Labels:
     """What each box is to a classifier: 1 with a keypoint in it, else -1 with a doubtful one in it, else 0.
 
-    A point lies in a box if x1 <= x <= x2 and y1 <= y <= y2, all four edges included, as in the published code.
+    All four edges belong to a box, see `lies_in`.
 
     Args:
         boxes_xyxy_px: Shape (N, 4).
@@ -33,13 +35,6 @@ def label_boxes(
     """
     labels = np.full(len(boxes_xyxy_px), NEGATIVE, np.int8)
     if doubtful_px is not None:
-        labels[_has_point(boxes_xyxy_px, doubtful_px)] = IGNORED
-    labels[_has_point(boxes_xyxy_px, keypoints_px)] = POSITIVE
+        labels[lies_in(doubtful_px, boxes_xyxy_px[:, None]).any(axis=1)] = IGNORED
+    labels[lies_in(keypoints_px, boxes_xyxy_px[:, None]).any(axis=1)] = POSITIVE
     return labels
-
-
-def _has_point(boxes_xyxy_px: NDArray[Any], points_px: NDArray[Any]) -> NDArray[np.bool_]:
-    """Shape (N,): whether any point lies in the box."""
-    x1, y1, x2, y2 = boxes_xyxy_px.T[:, :, None]
-    x, y = points_px.T[:, None, :]
-    return np.asarray(((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).any(axis=1))

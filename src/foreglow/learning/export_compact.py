@@ -75,15 +75,6 @@ def build_compact(network: CompactNetwork, spec: InputSpec, metadata: Mapping[st
     return model
 
 
-def num_multiply_adds(network: CompactNetwork, spec: InputSpec) -> int:
-    """Multiplications with a weight for one crop."""
-    side, total = spec.size_px, 0
-    for convolution, _ in _pairs(network.body):
-        side = -(-side // convolution.stride[0])  # padded to keep the size
-        total += convolution.weight.numel() * side * side
-    return int(total + network.hidden.weight.numel() + network.last.weight.numel())
-
-
 def _pairs(body: nn.Sequential) -> list[tuple[nn.Conv2d, nn.BatchNorm2d]]:
     """The convolutions with their batch normalisations; a ReLU follows each."""
     layers = list(body)

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from torch import nn
 
 from foreglow.classifier.inputs import InputSpec
+from foreglow.learning.calibrator import Calibrator
 from foreglow.learning.samples import Samples
-from foreglow.learning.temperature import Calibration
 
 MAX_DIFFERENCE = 1e-3
 """Exported logits differ from torch's by at most this, times 1 + their size."""
 
 
-def calibrated(network: nn.Module, calibration: Calibration) -> nn.Module:
+def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
     """A copy of `network` whose logits are calibrated: its last layer, a linear one of one output, takes it in.
 
     Raises:
@@ -31,8 +31,8 @@ def calibrated(network: nn.Module, calibration: Calibration) -> nn.Module:
     if not last or last[-1].bias is None:
         raise ValueError("network: expected a linear layer of one output, with a bias, at its end")
     with torch.no_grad():
-        last[-1].weight.div_(calibration.temperature)
-        last[-1].bias.div_(calibration.temperature).add_(calibration.shift)
+        last[-1].weight.div_(calibrator.temperature)
+        last[-1].bias.div_(calibrator.temperature).add_(calibrator.shift)
     return network
 
 

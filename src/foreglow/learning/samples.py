@@ -14,13 +14,10 @@ from pydantic import BeforeValidator, Field
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import PVDN
-from foreglow.evaluation.lights import INDIRECT, LAMP, Light, read_lights
+from foreglow.evaluation.lights import LIGHT_KINDS, Light, read_lights
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes
 from foreglow.proposals import make_proposer
 from foreglow.types import Boxes, Frame, Proposals
-
-KINDS = (LAMP, INDIRECT, "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze")
-"""What a light is seen on, as in `evaluation.lights`; a group is a kind whose vehicle is hidden or in sight."""
 
 NO_GROUP = -1
 
@@ -88,8 +85,8 @@ class Samples:
         crops: Shape (N, C, S, S), uint8: 255 times the crop, rounded; a second channel is clipped to [0, 1] first.
         features: Shape (N, F), float32.
         labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not to be learnt from.
-        groups: Shape (N,), int8: of the strongest light in the box, 2 times the index of its kind in `KINDS`, plus 1
-            where its vehicle is hidden; -1 without light.
+        groups: Shape (N,), int8: of the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
+            plus 1 where its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
         image_ids: Shape (N,), int64.
         sequence_ids: Shape (N,), int32.
@@ -202,7 +199,7 @@ def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8
     groups = np.full(len(boxes_xyxy_px), NO_GROUP, np.int8)
     for light in sorted(lights, key=lambda one: -one.rank):  # the strongest last, over all others
         is_inside = label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE
-        groups[is_inside] = 2 * KINDS.index(light.kind) + light.is_hidden
+        groups[is_inside] = 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden
     return groups
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,21 +41,3 @@ def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
         num_hits / num_positive if num_positive else math.nan,
         2 * num_hits / (num_accepted + num_positive) if num_accepted + num_positive else math.nan,
     )
-
-
-def log_loss(logits: NDArray[Any], labels: NDArray[np.int8], positive_weight: float = 1.0) -> float:
-    """Mean binary cross-entropy in nats, positives weighted, divided by the number of samples as torch does."""
-    signed = np.where(labels == 1, logits, -logits).astype(np.float64)
-    weights = np.where(labels == 1, positive_weight, 1.0)
-    return float(np.mean(weights * np.logaddexp(0, -signed))) if len(labels) else math.nan
-
-
-def calibration_error(logits: NDArray[Any], labels: NDArray[np.int8], num_bins: int = 15) -> float:
-    """Expected calibration error: mean distance between score and share of positives, over bins of equal width.
-
-    Source: Guo et al., On Calibration of Modern Neural Networks, arXiv 1706.04599, equation 3, for two classes.
-    """
-    scores = expit(np.asarray(logits, np.float64))
-    bins = np.minimum((scores * num_bins).astype(int), num_bins - 1)
-    gaps = np.bincount(bins, scores - (labels == 1), num_bins)
-    return float(np.abs(gaps).sum() / len(scores)) if len(scores) else math.nan

@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foreglow.evaluation.calibration import log_loss
 from foreglow.files import write_atomic
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.learning.augmentation import augment
@@ -31,7 +32,7 @@ from foreglow.learning.checkpoints import Checkpoint, State, read_checkpoint, wr
 from foreglow.learning.recipes import Recipe
 from foreglow.learning.samples import Samples
 from foreglow.learning.schedules import learning_rate
-from foreglow.learning.scores import box_scores, log_loss
+from foreglow.learning.scores import box_scores
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`, which gives logits of shape (N,)."""

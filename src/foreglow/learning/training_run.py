@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
-import json
 import math
 import platform
 import time
@@ -14,16 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import PVDN, SplitName, split_folder
-from foreglow.files import write_atomic
+from foreglow.evaluation.calibration import expected_calibration_error, log_loss
+from foreglow.files import write_atomic, write_json_results
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
+from foreglow.learning.calibrator import Calibrator, fit_calibrator
 from foreglow.learning.recipes import Recipe, recipe_to_toml
 from foreglow.learning.sample_cache import cached_samples
 from foreglow.learning.samples import Jitter, SampleConfig, Samples
-from foreglow.learning.scores import box_scores, calibration_error, log_loss
-from foreglow.learning.temperature import Calibration, calibrate
+from foreglow.learning.scores import box_scores
 from foreglow.provenance import provenance
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def train_model(
     model = folder / MODEL
     used = config.classifier.model_copy(update={"model": model, "support": recipe.inputs.support})
     write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
-    write_atomic(folder / SUMMARY, (json.dumps(_without_nan(summary), indent=2, allow_nan=False) + "\n").encode())
+    write_json_results(folder / SUMMARY, _without_nan(summary), indent=2)
     return TrainedModel(folder, model, summary, result)
 
 
@@ -149,8 +150,8 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
 
     is_labelled = val.labels != IGNORED
     logits, labels = result.val_logits[is_labelled], val.labels[is_labelled]
-    calibration = calibrate(logits, labels, recipe.calibration)
-    network = calibrated(result.network, calibration)
+    calibrator = fit_calibrator(logits, labels, recipe.calibration)
+    network = calibrated(result.network, calibrator)
     about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **_as_text(provenance())}
     write_model(network, recipe.inputs, folder / MODEL, about)
     chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
@@ -165,7 +166,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
         "seed": recipe.seed,
         "num_epochs": len(result.epochs),
         "best_epoch": dataclasses.asdict(result.best),
-        "validation": _figures(logits, labels, calibration),
+        "validation": _figures(logits, labels, calibrator),
         "largest_difference_of_export": difference,
         "model_bytes": len(model_bytes),
         "model_sha256": hashlib.sha256(model_bytes).hexdigest(),
@@ -190,15 +191,16 @@ def _samples(
     return cached_samples(dataset, sample_config, cache, told)
 
 
-def _figures(logits: Any, labels: Any, calibration: Calibration) -> dict[str, Any]:
+def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
     """What the validation boxes say, before and after calibration; precision, recall and F after it."""
-    after = calibration.applied(logits)
+    after = calibrator.applied(logits)
+    errors = [expected_calibration_error(expit(one), labels) for one in (logits, after)]
     return {
         **dataclasses.asdict(box_scores(after, labels)),
-        "temperature": calibration.temperature,
-        "shift": calibration.shift,
+        "temperature": calibrator.temperature,
+        "shift": calibrator.shift,
         "log_loss": {"before": log_loss(logits, labels), "after": log_loss(after, labels)},
-        "calibration_error": {"before": calibration_error(logits, labels), "after": calibration_error(after, labels)},
+        "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
     }
 
 

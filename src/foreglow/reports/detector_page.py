@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from foreglow.experiments.detector import DetectorResults
 from foreglow.experiments.detector_pictures import Shown
 from foreglow.experiments.detector_plan import ROWS
-from foreglow.files import write_atomic
+from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import provenance
 from foreglow.reports.detector_table import Table, hidden_table, kind_table, main_table, markdown
 from foreglow.reports.overlay import Measures, Picture, annotate
@@ -49,7 +48,7 @@ def write_report(results: DetectorResults, pictures: Iterable[Shown], folder: Pa
     """
     folder.mkdir(parents=True, exist_ok=True)
     record = {"made_with": provenance()} | results.to_json()
-    write_atomic(folder / "results.json", (json.dumps(record, indent=1, allow_nan=False) + "\n").encode())
+    write_json_results(folder / "results.json", record)
     write_atomic(folder / "table.md", ("\n".join(_markdown_lines(results)) + "\n").encode())
     report = folder / "report.html"
     write_atomic(report, "\n".join(_html_lines(results, pictures)).encode())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
@@ -15,7 +14,7 @@ from foreglow.evaluation.breakdown import FalseBoxes, ImageGroup, LightGroup
 from foreglow.evaluation.examination import Examination, Ranking
 from foreglow.evaluation.first_found import share_found_ahead
 from foreglow.evaluation.robustness import RobustnessRow
-from foreglow.files import write_atomic
+from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.reports.evaluation_plots import evaluation_plots
 
@@ -56,7 +55,7 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
         write_atomic(folder / name, plot)
     report = folder / "report.md"
     write_atomic(report, ("\n".join(_lines(examination, set(plots))) + "\n").encode())
-    write_atomic(folder / "results.json", (json.dumps(results, indent=1, allow_nan=False) + "\n").encode())
+    write_json_results(folder / "results.json", results)
     return report
 
 

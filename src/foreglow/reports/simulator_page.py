@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import numpy as np
 from foreglow.evaluation.image_statistics import LAMP_RADII_PX, PERCENTILES
 from foreglow.evaluation.perceivability import RuleEffect
 from foreglow.experiments.simulator import SimulatorResults
-from foreglow.files import write_atomic
+from foreglow.files import write_atomic, write_json_results
 from foreglow.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
 
 BIN_S = 0.25
@@ -26,7 +25,7 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
         OSError: If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(folder / "results.json", (json.dumps(results.to_json(), indent=1, allow_nan=False) + "\n").encode())
+    write_json_results(folder / "results.json", results.to_json())
     write_atomic(folder / "leads.png", _leads_figure(results))
     write_atomic(folder / "pixels.png", _pixels_figure(results))
     report = folder / "report.md"

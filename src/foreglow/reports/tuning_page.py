@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-import json
 import math
 import re
 from importlib.metadata import version
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from foreglow.files import write_atomic
+from foreglow.files import write_atomic, write_json_results
 from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.provenance import checkout_state
 from foreglow.reports.figures import AMBER, GREY, INK, png, subplots
@@ -44,7 +43,7 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_atomic(folder / "best.toml", _best_toml(tuning).encode())
     write_atomic(folder / "trials.csv", _trials_csv(tuning).encode())
-    write_atomic(folder / "summary.json", (json.dumps(_summary(tuning), indent=1, allow_nan=False) + "\n").encode())
+    write_json_results(folder / "summary.json", _summary(tuning))
     write_atomic(folder / "parallel.png", png(_parallel_figure(tuning)))
     importance = folder / "importance.png"
     if tuning.importances:

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from foreglow.config import ProposalConfig
 from foreglow.datasets import PVDN
 from foreglow.evaluation import BoxQuality, Predictions, evaluate_boxes
-from foreglow.evaluation.lights import Light, read_lights
+from foreglow.evaluation.lights import NUM_STRONGEST, Light, read_lights
+from foreglow.evaluation.matching import lies_in
 from foreglow.learning.annotate import Progress
 from foreglow.learning.tuning.frames import FrameStack, stack_frames
 from foreglow.proposals import make_proposer
 from foreglow.types import Image
-
-NUM_STRONGEST = 3
-"""How many of an image's reflections count as its strongest."""
 
 NUM_CHUNKS = 8
 """A trial's frames come in this many parts, each from all over the data set, and may end after any."""
@@ -112,7 +110,7 @@ class Tally:
         boxes = boxes_xyxy_px.astype(np.float64)
         self.boxes[image_id] = boxes
         self.keypoints_px[image_id] = lights.points_px
-        is_found = _is_in_a_box(lights.points_px, boxes)
+        is_found = lies_in(lights.points_px[:, None], boxes).any(axis=1)
         for name, is_one in lights.is_of_kind.items():
             self.num_lights[name] = self.num_lights.get(name, 0) + int(np.count_nonzero(is_one))
             self.num_found[name] = self.num_found.get(name, 0) + int(np.count_nonzero(is_one & is_found))
@@ -244,10 +242,3 @@ def interleaved(image_ids: Sequence[int], num_parts: int) -> tuple[int, ...]:
     (1, 3, 5, 2, 4)
     """
     return tuple(image_id for part in range(num_parts) for image_id in image_ids[part::num_parts])
-
-
-def _is_in_a_box(points_px: NDArray[np.float64], boxes_xyxy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Shape (K,): whether each point lies in a box, edges included, as in `evaluate_boxes`."""
-    x, y = points_px.T[:, :, None]
-    x1, y1, x2, y2 = boxes_xyxy_px.T[:, None, :]
-    return np.asarray(((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).any(axis=1))
