@@ -14,9 +14,9 @@ from foreglow.datasets import PVDN
 from foreglow.evaluation import annotation_quality
 from foreglow.learning.annotate import RECORD_NAME, annotate_split, splits_to_annotate
 from foreglow.proposals import make_proposer
+from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import edit
 from tests.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
-from tests.test_cli import complaint, foreglow_command
 
 PAPER = preset("paper")
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES

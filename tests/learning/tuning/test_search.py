@@ -16,8 +16,8 @@ from foreglow.learning.tuning.measurement import Bench, read_material
 from foreglow.learning.tuning.search import _splits
 from foreglow.learning.tuning.spaces import PAPER
 from foreglow.learning.tuning.study import StudyPlan, num_finished, open_study
+from tests.cli.commands import complaint, foreglow_command
 from tests.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
-from tests.test_cli import complaint, foreglow_command
 
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 SEED = 3

@@ -23,8 +23,8 @@ from foreglow.evaluation.predictions import Predictions
 from foreglow.learning.recipes import RECIPES, read_recipe
 from foreglow.learning.training_run import train_model
 from foreglow.pipeline import Pipeline
+from tests.cli.commands import complaint, foreglow_command
 from tests.learning.tiny_drives import CONFIG_TOML, make_drives
-from tests.test_cli import complaint, foreglow_command
 
 QUICK = """
 patience = 40

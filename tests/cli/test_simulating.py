@@ -13,8 +13,8 @@ from typer.testing import CliRunner, Result
 from foreglow.cli import app
 from foreglow.simulation import Scene, read_scene, scene_to_toml
 from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
+from tests.cli.commands import complaint
 from tests.simulation.light.rendering import need_renderer
-from tests.test_cli import complaint
 
 
 def foreglow(*arguments: object) -> Result:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.commands import complaint, foreglow_command
 from tests.experiments.detector_data import make_data, make_model
 from tests.learning.yolo.fakes import Calls, fake_libreyolo
-from tests.test_cli import complaint, foreglow_command
 
 
 @pytest.fixture

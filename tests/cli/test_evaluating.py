@@ -8,8 +8,39 @@ from pathlib import Path
 import cv2
 import pytest
 
+from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.stand_ins import night_image
-from tests.test_cli import RESULTS, complaint, foreglow_command, names, write_split
+
+
+def write_split(root: Path) -> Path:
+    """The labels of a split of two images with one key point each, as PVDN has them."""
+    labels = root / "labels"
+    (labels / "keypoints").mkdir(parents=True)
+    sequence = {
+        "id": 1, "dir": "S00001", "start_time": 0, "end_time": 200, "num_images": 2, "image_ids": [2, 4],
+        "proband_id": 1, "sector": 1, "direction": 0, "street_style": 0, "dome": False, "proband_behaviour": 0,
+        "road_type": 0, "view": 0, "weather": 0, "environment_lighting": 2,
+    }  # fmt: skip
+    images = [
+        {
+            "id": k, "file_name": f"{k:06d}.png", "height": 96, "width": 128, "date_captured": "", "timestamp": 0.0,
+            "licence": 0, "camera_configuration": 0,
+        }
+        for k in (2, 4)
+    ]  # fmt: skip
+    annotations = {
+        "info": {}, "licences": [], "camera_configurations": [{"camera": "Cam01", "cycle": "day"}], "categories": [],
+        "images": images, "annotations": [],
+    }  # fmt: skip
+    (labels / "sequences.json").write_text(json.dumps({"sequences": [sequence]}))
+    (labels / "image_annotations.json").write_text(json.dumps(annotations))
+    instance = {"pos": [10, 10], "iid": 1, "direct": True, "rear": False}
+    vehicle = {"pos": [10, 10], "oid": 1, "direct": True, "instances": [instance]}
+    for k in (2, 4):
+        entry = {"image_id": k, "annotations": [vehicle]}
+        (labels / "keypoints" / f"{k:06d}.json").write_text(json.dumps(entry))
+    return root
+
 
 PLOTS = {"curve.png", "hidden.png", "kinds.png", "reliability.png"}
 
@@ -140,3 +171,40 @@ def test_missing_matplotlib_is_named(
     monkeypatch.setattr("foreglow.reports.figures.require_matplotlib", require_matplotlib)
     line = complaint("evaluate", split, "--predictions", predictions, "--out", tmp_path / "out")
     assert "pip install 'foreglow[plots]'" in line
+
+
+def test_evaluate(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    predictions = tmp_path / "predictions.json"
+    predictions.write_text(json.dumps({"2": {"boxes": [[5, 5, 15, 15], [30, 30, 40, 40]], "scores": [0.9, 0.8]}}))
+    result = foreglow_command("evaluate", split, "--predictions", predictions, "--json", tmp_path / "quality.json")
+    assert result.exit_code == 0, result.output
+    assert "precision" in result.stdout
+    assert "± 0.0000" in result.stdout
+    quality = json.loads((tmp_path / "quality.json").read_text())
+    assert (quality["tp"], quality["fp"], quality["fn"]) == (1, 1, 1)
+    assert (quality["precision"], quality["recall"], quality["q"]) == (0.5, 0.5, 1.0)
+
+
+def test_undefined_metrics_are_a_dash_and_null(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (tmp_path / "none.json").write_text("{}")
+    options = ["--predictions", tmp_path / "none.json", "--json", tmp_path / "quality.json"]
+    result = foreglow_command("evaluate", split, *options)
+    assert result.exit_code == 0, result.output
+    assert "± -" in result.stdout
+    assert json.loads((tmp_path / "quality.json").read_text())["q"] is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"x": 3}'])
+def test_broken_predictions_are_one_line(tmp_path: Path, text: str) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (tmp_path / "predictions.json").write_text(text)
+    assert "predictions.json" in complaint("evaluate", split, "--predictions", tmp_path / "predictions.json")
+
+
+def test_missing_key_point_file_is_one_line(tmp_path: Path) -> None:
+    split = write_split(tmp_path / "PVDN" / "day" / "val")
+    (split / "labels" / "keypoints" / "000004.json").unlink()
+    (tmp_path / "none.json").write_text("{}")
+    assert "000004.json" in complaint("evaluate", split, "--predictions", tmp_path / "none.json")

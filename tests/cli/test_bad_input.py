@@ -1,0 +1,156 @@
+"""Bad input to `run` is one line with exit code 2, and leaves nothing half-written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.commands import PNG, complaint, foreglow_command, names
+from tests.stand_ins import night_image
+
+
+def truncated(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.png", truncated(PNG)),
+        ("a.png", b""),
+        ("a.png", b"this is no picture"),
+        ("a.png", cv2.imencode(".png", night_image(0, 9, 9))[1].tobytes()),
+        ("a.mp4", b""),
+        ("a.mp4", b"this is no video"),
+        ("a.txt", b"this is nothing of the kind"),
+    ],
+)
+def test_bad_source_is_one_line(tmp_path: Path, config: Path, name: str, data: bytes) -> None:
+    (tmp_path / name).write_bytes(data)
+    assert name in complaint("run", tmp_path / name, "--out", tmp_path / "out", "--config", config, "--video")
+    assert names(tmp_path) == {name, config.name}
+
+
+def test_truncated_video_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+    assert foreglow_command("run", folder, "--out", tmp_path / "a", "--config", config, "--video").exit_code == 0
+    path = tmp_path / "cut.mp4"
+    path.write_bytes(truncated((tmp_path / "a" / "overlay.mp4").read_bytes()))
+    assert "cut.mp4" in complaint("run", path, "--out", tmp_path / "out", "--config", config)
+    assert not (tmp_path / "out").exists()
+
+
+def test_nan_in_a_float_image_is_one_line(tmp_path: Path, config: Path) -> None:
+    image = np.full((96, 128), 0.5)
+    image[3, 4] = np.nan
+    np.save(tmp_path / "a.npy", image)
+    assert "NaN" in complaint("run", tmp_path / "a.npy", "--out", tmp_path / "out", "--config", config)
+
+
+def test_missing_and_empty_sources(tmp_path: Path, config: Path) -> None:
+    assert "absent" in complaint("run", tmp_path / "absent", "--out", tmp_path / "out", "--config", config)
+    (tmp_path / "empty").mkdir()
+    assert "empty" in complaint("run", tmp_path / "empty", "--out", tmp_path / "out", "--config", config)
+    assert not (tmp_path / "out").exists()
+
+
+def test_broken_split_is_one_line(tmp_path: Path, config: Path) -> None:
+    split = tmp_path / "day" / "val"
+    (split / "labels").mkdir(parents=True)
+    (split / "images" / "S00001").mkdir(parents=True)
+    (split / "labels" / "sequences.json").write_text("{")
+    assert "sequences.json" in complaint("run", split, "--out", tmp_path / "out", "--config", config)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--preset", "best"], "preset: expected one of paper, baseline, foreglow, got 'best'"),
+        (["--config", "absent.toml"], "absent.toml: no such configuration file"),
+        (["--on-error", "ignore"], "on_error: expected stop or skip, got 'ignore'"),
+        (["--model", "absent.onnx"], "absent.onnx"),
+    ],
+)
+def test_bad_option_is_one_line(
+    tmp_path: Path, folder: Path, config: Path, options: Sequence[str], expected: str
+) -> None:
+    arguments = ["run", folder, "--out", tmp_path / "out", "--config", config, *options]
+    assert expected in complaint(*arguments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_model_that_is_none_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+    (tmp_path / "model.onnx").write_bytes(b"no model")
+    arguments = ["run", folder, "--out", tmp_path / "out", "--config", config, "--model", tmp_path / "model.onnx"]
+    assert "model.onnx" in complaint(*arguments)
+
+
+def test_broken_config_names_file_and_field(tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "bad.toml").write_text("[proposals]\nkappa = 99\n")
+    line = complaint("run", folder, "--out", tmp_path / "out", "--config", tmp_path / "bad.toml")
+    assert "bad.toml: proposals.kappa: " in line
+
+
+def test_output_that_is_a_file(tmp_path: Path, folder: Path, config: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert "out" in complaint("run", folder, "--out", tmp_path / "out", "--config", config)
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_full_disk_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "frames.jsonl").write_text("older")
+    (out / "frames.jsonl.partial").symlink_to("/dev/full")
+    assert "frames.jsonl: No space left on device" in complaint(
+        "run", folder, "--out", out, "--config", config
+    ).replace(".partial", "")
+    assert names(out) == {"frames.jsonl"}
+    assert (out / "frames.jsonl").read_text() == "older"
+
+
+def test_source_that_would_be_overwritten(tmp_path: Path, config: Path) -> None:
+    (tmp_path / "overlay.png").write_bytes(PNG)
+    assert "overwrite" in complaint("run", tmp_path / "overlay.png", "--out", tmp_path, "--config", config)
+    assert (tmp_path / "overlay.png").read_bytes() == PNG
+
+
+def test_results_do_not_join_the_images(folder: Path, config: Path) -> None:
+    before = names(folder)
+    assert "expected another folder" in complaint("run", folder, "--out", folder, "--config", config, "--video")
+    assert names(folder) == before
+
+
+def test_region_outside_the_frame(tmp_path: Path, folder: Path, config: Path) -> None:
+    with config.open("a") as file:
+        file.write("region_xyxy_px = [128, 0, 200, 50]\n")
+    line = complaint("run", folder, "--out", tmp_path / "out", "--config", config)
+    assert (
+        "proposals.region_xyxy_px: expected a part of the frame, [128, 0, 200, 50] lies outside its 128x96 px" in line
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user whom file modes stop")
+def test_unreadable_image_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+    (folder / "000000.png").chmod(0)
+    line = complaint("run", folder / "000000.png", "--out", tmp_path / "out", "--config", config)
+    assert "000000.png: cannot be read: Permission denied" in line
+
+
+def test_pvdn_as_a_whole_names_a_split(tmp_path: Path) -> None:
+    for split in ("train", "val"):
+        (tmp_path / "PVDN" / "day" / split / "labels").mkdir(parents=True)
+        (tmp_path / "PVDN" / "day" / split / "labels" / "sequences.json").write_text("{}")
+    for path in (tmp_path / "PVDN", tmp_path / "PVDN" / "day"):
+        assert "one split of PVDN, such as " in complaint("run", path, "--out", tmp_path / "out")
+
+
+def test_unknown_data_set() -> None:
+    assert "expected pvdn, got 'kitti'" in complaint("download", "kitti")

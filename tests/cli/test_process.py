@@ -1,0 +1,68 @@
+"""The command as a process: exit codes, signals, pipes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import PNG, RESULTS, names, num_lines
+
+
+def subprocess_command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "foreglow.cli", *map(str, arguments)]
+
+
+def test_as_a_process(tmp_path: Path, folder: Path, config: Path) -> None:
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert names(tmp_path / "out") == RESULTS
+
+
+def test_error_of_a_process_has_no_traceback(tmp_path: Path) -> None:
+    command = subprocess_command("run", tmp_path / "absent", "--out", tmp_path / "out")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" in subprocess.run([*command[:3], "--debug", *command[3:]], capture_output=True, text=True).stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path, config: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    try:
+        done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert names(tmp_path / "out") == RESULTS
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
+    images = tmp_path / "many"
+    images.mkdir()
+    for k in range(3000):
+        (images / f"{k:06d}.png").write_bytes(PNG)
+    out = tmp_path / "out"
+    process = subprocess.Popen(subprocess_command("run", images, "--out", out, "--config", config))
+    deadline = time.monotonic() + 20
+    partial = out / "frames.jsonl.partial"
+    while not (partial.exists() and partial.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(interrupt)
+    assert process.wait(20) == 130
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["is_complete"] is False
+    assert 0 < summary["num_frames"] == num_lines(out) < 3000
+    assert names(out) == RESULTS

@@ -1,0 +1,104 @@
+"""`run`: what it prints and where it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import av
+
+import foreglow
+from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
+from tests.shared_data import shared_file
+
+
+def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    result = foreglow_command("run", folder, "--out", out, "--preset", "paper", "--config", config)
+    assert result.exit_code == 0, result.output
+    assert names(out) == RESULTS
+    assert num_lines(out) == 3
+    assert "3 frames, 3 proposals; " in result.stdout
+    assert "the proposals are not classified: no model was given" in result.stdout
+    assert f"look in {out}: config.toml, frames.jsonl, summary.json" in result.stdout
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["source"] == str(folder)
+    assert summary["is_complete"] is True
+
+
+def test_our_model_runs_where_nothing_else_is_asked_for(tmp_path: Path, folder: Path) -> None:
+    result = foreglow_command("run", folder, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "not classified" not in result.stdout
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["is_classified"] is True
+    used = foreglow.read_config(tmp_path / "out" / "config.toml")
+    assert used == foreglow.preset("foreglow")
+
+
+def test_run_on_one_image_with_picture(tmp_path: Path, folder: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    result = foreglow_command("run", folder / "000000.png", "--out", out, "--config", config, "--video")
+    assert result.exit_code == 0, result.output
+    assert names(out) == {*RESULTS, "overlay.png"}
+
+
+def test_run_on_a_folder_with_video_and_on_that_video(tmp_path: Path, folder: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    assert foreglow_command("run", folder, "--out", out, "--config", config, "--video").exit_code == 0
+    assert names(out) == {*RESULTS, "overlay.mp4"}
+    with av.open(str(out / "overlay.mp4")) as container:
+        assert len(list(container.decode(video=0))) == 3
+    again = foreglow_command("run", out / "overlay.mp4", "--out", tmp_path / "again", "--config", config, "--limit", 2)
+    assert again.exit_code == 0, again.output
+    assert num_lines(tmp_path / "again") == 2
+
+
+def test_run_again_without_video_removes_the_old_one(tmp_path: Path, folder: Path, config: Path) -> None:
+    for options in (["--video"], []):
+        assert foreglow_command("run", folder, "--out", tmp_path / "out", "--config", config, *options).exit_code == 0
+    assert names(tmp_path / "out") == RESULTS
+
+
+def test_preset_is_overridden_by_the_file(tmp_path: Path, folder: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    with config.open("a") as file:
+        file.write("gap_px = 7\n")
+    assert foreglow_command("run", folder, "--out", out, "--preset", "baseline", "--config", config).exit_code == 0
+    used = foreglow.read_config(out / "config.toml").proposals
+    assert (used.gap_px, used.kappa, used.backend) == (7, 0.5, "reference")
+
+
+def test_bad_image_among_many(tmp_path: Path, folder: Path, config: Path) -> None:
+    (folder / "000001.png").write_text("no image")
+    out = tmp_path / "out"
+    line = complaint("run", folder, "--out", out, "--config", config)
+    assert "000001.png" in line
+    assert not out.exists()
+    result = foreglow_command("run", folder, "--out", out, "--config", config, "--on-error", "skip", "--video")
+    assert result.exit_code == 0, result.output
+    assert "1 unreadable frame skipped" in result.stdout
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["num_frames"], summary["num_skipped"]) == (2, 1)
+    assert "000001.png" in summary["skipped"][0]
+
+
+def test_nothing_but_bad_images(tmp_path: Path, folder: Path, config: Path) -> None:
+    for path in folder.iterdir():
+        path.write_text("no image")
+    line = complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--on-error", "skip")
+    assert "expected a readable frame" in line
+    assert "000000.png" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None:
+    frame = shared_file("data/pvdn_frame_047433.png")
+    config = tmp_path / "reference.toml"
+    config.write_text('[proposals]\nbackend = "reference"\n')
+    assert (
+        foreglow_command("run", frame, "--out", tmp_path / "out", "--preset", "paper", "--config", config).exit_code
+        == 0
+    )
+    record = json.loads((tmp_path / "out" / "frames.jsonl").read_text())
+    assert len(record["proposals_xyxy_px"]) == 7
+    assert [706, 482, 738, 508] in record["proposals_xyxy_px"]
