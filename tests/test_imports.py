@@ -12,7 +12,7 @@ import pytest
 import foreglow
 
 SOURCE = Path(foreglow.__file__).parent
-VALUES = {"types", "geometry", "photometry", "config", "calibration"}
+VALUES = {"types", "geometry", "photometry", "config", "calibration", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 BASE = {"files", "provenance"}
 TOOLS = {"evaluation", "learning", "experiments", "runtime"}
@@ -21,10 +21,11 @@ ALLOWED: dict[str, set[str]] = {
     "files": set(),
     "models": set(),
     "provenance": set(),
-    "types": set(),
-    "geometry": {"types"},
+    "geometry": set(),
+    "types": {"geometry"},
     "photometry": {"types", "geometry"},
     "config": {"types", "geometry", "photometry"},
+    "street": {"types", "geometry", "config"},
     "calibration": {"types", "geometry", "config"},
     **{stage: VALUES | {"_native", "models"} for stage in STAGES},
     "pipeline": VALUES | STAGES,

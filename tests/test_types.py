@@ -6,8 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from foreglow.types import Detections, Frame, FrameResult, Image, Proposals
+from foreglow.geometry import Camera, Pose
+from foreglow.types import (
+    Detections,
+    EgoMotion,
+    Frame,
+    FrameResult,
+    Image,
+    Proposals,
+    Ranges,
+    RoadAhead,
+    Tracks,
+    TrackState,
+)
 
 BOXES = np.array([[0, 0, 4, 4], [2, 3, 9, 8]], np.int32)
 
@@ -82,3 +95,101 @@ def test_result_cannot_be_changed() -> None:
         result.stage_ms["proposals"] = 3.0  # type: ignore[index]
     with pytest.raises(ValueError, match="read-only"):
         result.proposals.boxes_xyxy_px[0, 0] = 1
+
+
+ROAD = np.array([[0.0, 1.6, 0.0], [1.0, 1.6, 0.0], [2.0, 1.6, 0.1]])
+GIVEN: dict[str, Any] = {"points_m": ROAD, "half_width_m": 3.2}
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"points_m": ROAD[:1]}, r"points_m: expected shape \(N, 3\) with N >= 2, got \(1, 3\)"),
+        ({"points_m": np.full((2, 3), np.nan)}, "points_m: expected finite numbers"),
+        ({"points_m": ROAD[[0, 1, 1]]}, "points 1 and the next are the same"),
+        ({"half_width_m": 0.0}, "half_width_m: expected a positive number, got 0"),
+        ({"cross_slopes": np.zeros(2)}, r"cross_slopes: expected 3 finite numbers"),
+        ({"error_bound_m": np.nan}, "error_bound_m: expected a number of at least 0, got nan"),
+    ],
+)
+def test_a_road_refuses_unfit_fields(fields: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        RoadAhead(**{**GIVEN, **fields})
+
+
+def test_a_road_without_cross_slopes_is_level() -> None:
+    assert RoadAhead(ROAD, 3.2).cross_slopes.tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("fields", [{"speed_mps": np.nan}, {"yaw_rate_radps": np.inf}, {"pitch_rad": -np.inf}])
+def test_motion_refuses_numbers_that_are_none(fields: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"EgoMotion.{next(iter(fields))}: expected a finite number"):
+        EgoMotion(**({"speed_mps": 20.0, "yaw_rate_radps": 0.0} | fields))
+
+
+def test_a_frame_refuses_the_calibration_of_another_size() -> None:
+    camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera
+    with pytest.raises(ValueError, match=r"a.png: Frame.camera: expected .* 16x8 px, got one for 8x4 px"):
+        Frame(np.zeros((8, 16), np.uint8), 0, path="a.png", camera=camera)
+
+
+DETECTED = Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.34)
+
+
+@pytest.mark.parametrize(
+    ("ranges_m", "sigmas_m", "complaint"),
+    [
+        ([1.0], [1.0, 1.0], r"ranges_m: expected float64 of shape \(2,\)"),
+        ([1.0, 0.0], [1.0, 1.0], "ranges_m: expected positive numbers or NaN"),
+        ([1.0, np.inf], [1.0, 1.0], "ranges_m: expected positive numbers or NaN"),
+        ([1.0, np.nan], [1.0, 1.0], "sigmas_m: expected positive numbers, and infinity beside"),
+        ([1.0, 2.0], [1.0, 0.0], "sigmas_m: expected positive numbers"),
+        ([1.0, 2.0], [1.0, np.nan], "sigmas_m: expected positive numbers"),
+    ],
+)
+def test_ranges_refuse_what_is_no_estimate(ranges_m: list[float], sigmas_m: list[float], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Ranges(DETECTED, np.array(ranges_m), np.array(sigmas_m))
+
+
+def test_a_range_may_be_unknown() -> None:
+    ranges = Ranges(DETECTED, np.array([np.nan, 30.0]), np.array([np.inf, np.inf]))
+    assert len(ranges) == 2
+    with pytest.raises(ValueError, match="read-only"):
+        ranges.ranges_m[0] = 1.0
+
+
+def tracks(**changed: NDArray[Any]) -> Tracks:
+    fields: dict[str, NDArray[Any]] = {
+        "ids": np.array([3, 7]),
+        "states": np.array([TrackState.TENTATIVE, TrackState.COASTING], np.int64),
+        "boxes_xyxy_px": BOXES.astype(np.float64),
+        "confidences": np.array([0.2, 0.8]),
+        "num_hits": np.array([1, 9]),
+        "num_misses": np.array([0, 2]),
+        "ages_s": np.array([0.0, 1.5]),
+        "ranges_m": np.array([np.nan, 60.0]),
+        "sigmas_m": np.array([np.inf, 9.0]),
+        "detections": np.array([0, -1]),
+    }
+    return Tracks(**(fields | changed))
+
+
+def test_tracks_say_which_are_plausible() -> None:
+    assert tracks().is_plausible.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("changed", "complaint"),
+    [
+        ({"ids": np.array([7, 3])}, r"Tracks.ids: expected ascending numbers, got \[7, 3\]"),
+        ({"ages_s": np.zeros(3)}, r"Tracks.ages_s: expected float64 of shape \(2,\)"),
+        ({"num_hits": np.ones(2)}, "Tracks.num_hits: expected int64"),
+        ({"boxes_xyxy_px": np.zeros((2, 4))}, "Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2"),
+        ({"boxes_xyxy_px": np.full((2, 4), np.nan)}, "Tracks.boxes_xyxy_px: expected finite boxes"),
+    ],
+)
+def test_tracks_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        tracks(**changed)

@@ -16,9 +16,9 @@ from pydantic import AfterValidator, Field
 from foreglow.config import FrozenModel
 from foreglow.datasets.pvdn_schema import Id, ImageCategory
 from foreglow.geometry import Floats, Pose
-from foreglow.simulation.recording.street_data import StreetMessage
 from foreglow.simulation.truth import Artifact, DriveFrame, LampTruth, VehicleTruth
 from foreglow.simulation.world.materials import KINDS, Kind
+from foreglow.street import StreetMessage
 
 
 @dataclass(frozen=True, slots=True, eq=False)

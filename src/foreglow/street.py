@@ -1,0 +1,181 @@
+"""Predictive street data (PSD): what a car is told about the road ahead, and the road that it tells.
+
+A street message is made like those on real cars: the map is cut into segments with a length in steps of 2 m, a
+curvature at the start and at the end (8 bits and a sign) and one slope in steps of 0.5 %; the position on it comes
+with a class of longitudinal error. The scale of the curvature's code is not published, and decoders disagree; here it
+is geometric: codes 0..254 are the radii from 10 m to 10 km in equal ratios of 2.8 %, and 255 is straight.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from foreglow.config import FrozenModel
+from foreglow.geometry import Floats, rotation
+from foreglow.types import RoadAhead
+
+LENGTH_STEP_M = 2.0
+MAX_LENGTH_CODE = 127
+SLOPE_STEP = 0.005
+MAX_SLOPE_CODE = 127
+STRAIGHT_CODE = 255
+MIN_RADIUS_M = 10.0
+MAX_RADIUS_M = 10_000.0
+NUM_SEGMENT_IDS = 62
+"""Six bits, without 0 (no segment) and 63 (not known); ids come round again along the road."""
+
+ERROR_BOUNDS_M = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+"""Largest longitudinal error of each class. The last class, above 50 m, has no bound on real cars; here it has one."""
+
+_RADIUS_RATIO = (MAX_RADIUS_M / MIN_RADIUS_M) ** (1 / (STRAIGHT_CODE - 1))
+
+LANE_WIDTH_M = 3.25
+"""Taken where nobody says: between the 2.75 m and the 3.75 m of rural roads."""
+
+ErrorClass: TypeAlias = Annotated[int, Field(ge=0, lt=len(ERROR_BOUNDS_M))]
+"""Longitudinal error: 0 below 2 m, 1 below 5, 2 below 10, 3 below 20, 4 below 50, 5 above 50 m."""
+
+_SegmentId: TypeAlias = Annotated[int, Field(ge=0, le=63)]
+_CurvatureCode: TypeAlias = Annotated[int, Field(ge=0, le=STRAIGHT_CODE)]
+
+
+class StreetSegment(FrozenModel):
+    """A piece of the road, as codes.
+
+    Attributes:
+        segment_id: Its number, 1..62.
+        parent_id: Number of the segment before it; 0 for the map's first.
+        length_code: Length in steps of 2 m.
+        start_curvature_code: Curvature where it begins; see `curvature_code`.
+        is_start_left: Whether it bends to the left there.
+        end_curvature_code: Curvature where it ends; linear in between.
+        is_end_left: Whether it bends to the left there.
+        slope_code: Slope in steps of 0.5 %, positive upwards.
+    """
+
+    segment_id: _SegmentId
+    parent_id: _SegmentId
+    length_code: Annotated[int, Field(ge=1, le=MAX_LENGTH_CODE)]
+    start_curvature_code: _CurvatureCode
+    is_start_left: bool
+    end_curvature_code: _CurvatureCode
+    is_end_left: bool
+    slope_code: Annotated[int, Field(ge=-MAX_SLOPE_CODE, le=MAX_SLOPE_CODE)]
+
+    @property
+    def length_m(self) -> float:
+        """Its length."""
+        return self.length_code * LENGTH_STEP_M
+
+    @property
+    def curvatures_per_m(self) -> tuple[float, float]:
+        """Signed curvature where it begins and where it ends, positive to the left."""
+        return (
+            curvature_from_code(self.start_curvature_code, self.is_start_left),
+            curvature_from_code(self.end_curvature_code, self.is_end_left),
+        )
+
+    @property
+    def slope(self) -> float:
+        """Rise per metre, no unit."""
+        return self.slope_code * SLOPE_STEP
+
+
+class StreetMessage(FrozenModel):
+    """What the car is told about the road ahead.
+
+    Attributes:
+        segments: The most probable path; the car is believed to be in the first.
+        remaining_length_m: Whole metres from the believed position to the end of the first segment.
+        error_class: Class of the longitudinal error.
+    """
+
+    segments: Annotated[tuple[StreetSegment, ...], Field(min_length=1, max_length=NUM_SEGMENT_IDS)]
+    remaining_length_m: Annotated[int, Field(ge=0, le=int(MAX_LENGTH_CODE * LENGTH_STEP_M))]
+    error_class: ErrorClass
+
+    def to_json(self) -> str:
+        """The message as JSON text."""
+        return self.model_dump_json()
+
+    @classmethod
+    def from_json(cls, text: str) -> StreetMessage:
+        """The message in `text`.
+
+        Raises:
+            ValueError: If a field is missing, unknown or out of range.
+        """
+        return cls.model_validate_json(text)
+
+    @property
+    def error_bound_m(self) -> float:
+        """Largest longitudinal error of its class."""
+        return ERROR_BOUNDS_M[self.error_class]
+
+
+def road_from_message(message: StreetMessage, lane_width_m: float = LANE_WIDTH_M) -> RoadAhead | None:
+    """The carriageway that the message tells, in the frame of a vehicle in the middle of the right lane, along it.
+
+    The message knows no cross slope: it is taken as level. None where it tells less than a metre of road.
+
+    Args:
+        message: The street message.
+        lane_width_m: Width of either lane.
+    """
+    points = points_from_message(message, lane_width_m / 2)
+    if len(points) < 2:
+        return None
+    return RoadAhead(points, half_width_m=lane_width_m, error_bound_m=message.error_bound_m)
+
+
+def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:
+    """The road as the message tells it: a point each metre from the believed position on, shape (N, 3).
+
+    In the frame of a vehicle that stands on the road and along it, so the first point is (0, left_m, 0).
+
+    Args:
+        message: The street message.
+        left_m: Where the line runs beside us; the road's centre line is half a lane to our left.
+    """
+    ends_m = np.cumsum([segment.length_m for segment in message.segments])
+    begin_m = max(message.segments[0].length_m - message.remaining_length_m, 0.0)
+    places_m = np.arange(begin_m, ends_m[-1] + 1e-9)
+    middles_m = (places_m[1:] + places_m[:-1]) / 2
+    knots_m = np.stack([ends_m - [segment.length_m for segment in message.segments], ends_m], -1).ravel()
+    curvatures = np.array([segment.curvatures_per_m for segment in message.segments]).ravel()
+    slopes = np.array([segment.slope for segment in message.segments])
+    # One step is one metre. A curvature may jump between segments, so that it is taken in the middle of each step.
+    turns_rad = np.interp(middles_m, knots_m, curvatures)
+    headings_rad = np.cumsum(turns_rad) - turns_rad / 2
+    rises_m = slopes[np.minimum(np.searchsorted(ends_m, middles_m), len(slopes) - 1)]
+    steps_m = np.stack([np.cos(headings_rad), np.sin(headings_rad), rises_m], -1)
+    level = np.concatenate([np.zeros((1, 3)), np.cumsum(steps_m, axis=0)])
+    nose_up = rotation(pitch_rad=float(np.arctan(slopes[0])))
+    return np.asarray(level @ nose_up + [0.0, left_m, 0.0])
+
+
+def curvature_code(curvature_per_m: float) -> int:
+    """Code of the nearest radius in ratio, 0..254, or 255 for straight: a radius beyond 10 km.
+
+    >>> curvature_code(0.0), curvature_code(-1 / 10), curvature_code(1 / 10_000)
+    (255, 0, 254)
+    """
+    radius_m = 1.0 / max(abs(curvature_per_m), 1e-12)
+    code = round(float(np.log(radius_m / MIN_RADIUS_M) / np.log(_RADIUS_RATIO)))
+    return min(max(code, 0), STRAIGHT_CODE)
+
+
+def curvature_from_code(code: int, is_left: bool) -> float:
+    """Signed curvature in 1/m, positive to the left, that `code` stands for; within 1.4 % of what was coded."""
+    if code == STRAIGHT_CODE:
+        return 0.0
+    magnitude = float(_RADIUS_RATIO**-code / MIN_RADIUS_M)
+    return magnitude if is_left else -magnitude
+
+
+def slope_code(slope: float) -> int:
+    """Nearest slope in steps of 0.5 %, at most 63.5 %."""
+    return min(max(round(slope / SLOPE_STEP), -MAX_SLOPE_CODE), MAX_SLOPE_CODE)
