@@ -130,12 +130,87 @@ class DistanceConfig(FrozenModel):
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
 
 
+class TrackerConfig(FrozenModel):
+    """Parameters of the tracking stage; the defaults are the paper's, `docs/tracking.md` has the equations.
+
+    Attributes:
+        method: `alpha_beta` (paper, and ours by other parameters), `published` (as the published code behaves; takes
+            the parameters marked with p alone), or `none` for no tracks.
+        clock: `frames` takes every frame as 1 / `rate_hz` after the one before (paper); `time` reads the timestamps.
+        rate_hz: Frames a second that all counts of frames refer to.
+        min_score: A detection is considered when its score is above this (p).
+        alpha_centre: Gain of the box's centre, in each frame (p).
+        alpha_size: Gain of the box's width and height (p).
+        alpha_range: Gain of the range (p).
+        alpha_confidence: Weight of the newest score in the moving mean (p).
+        range_filter: `alpha_beta` (paper), or `mean` or `median` of the last five ranges.
+        association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
+        enlargement: Boxes are this many times as wide and high when they are compared (p).
+        min_iou: A detection may take a track when the IoU of their enlarged boxes is above this (p).
+        range_gate: And when their ranges are at most this many standard deviations apart; infinity for no gate.
+        merge_iou: A track that was not detected ends when its IoU with another one is above this; 1 for never.
+        compensate_yaw: Whether predicted boxes are moved by our rate of turn, where camera and motion are known.
+        max_misses: Frames in a row without a detection that a track outlives (p); the time of so many with `time`.
+        max_gap_s: After a longer gap between two frames all tracks are forgotten.
+        confirmation: `frames` (paper), `m_of_n` or `evidence`.
+        min_hits: Detections that make a track plausible, in all (p; `frames`) or in the last looks (`m_of_n`).
+        min_confidence: And its confidence must be above this (p; `frames`, `m_of_n`).
+        num_looks: Frames that `m_of_n` looks back on.
+        prior: Share of light among what is detected, to which the scores are calibrated (`evidence`).
+        detection_probability: That light is detected in a frame while its track lives (`evidence`).
+        correlation_s: Time after which another look is as good as new, e-fold; 0 takes each as new (`evidence`).
+        confirm_evidence: Log-likelihood ratio above which a track becomes plausible (`evidence`).
+        reject_evidence: Log-likelihood ratio below which it is not plausible any more (`evidence`).
+
+    Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
+    """
+
+    method: Literal["alpha_beta", "published", "none"] = "alpha_beta"
+    clock: Literal["frames", "time"] = "frames"
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    min_score: Annotated[float, Field(ge=0, le=1)] = 0.1
+    alpha_centre: Annotated[float, Field(gt=0, le=1)] = 0.5
+    alpha_size: Annotated[float, Field(gt=0, le=1)] = 0.3
+    alpha_range: Annotated[float, Field(gt=0, le=1)] = 0.8
+    alpha_confidence: Annotated[float, Field(gt=0, le=1)] = 0.33
+    range_filter: Literal["alpha_beta", "mean", "median"] = "alpha_beta"
+    association: Literal["greatest_iou", "optimal"] = "greatest_iou"
+    enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5
+    min_iou: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    range_gate: Annotated[float, Field(gt=0, allow_inf_nan=True)] = inf
+    merge_iou: Annotated[float, Field(gt=0, le=1)] = 1.0
+    compensate_yaw: bool = False
+    max_misses: Annotated[int, Field(ge=0, le=1000)] = 3
+    max_gap_s: Annotated[float, Field(gt=0)] = 1.0
+    confirmation: Literal["frames", "m_of_n", "evidence"] = "frames"
+    min_hits: Annotated[int, Field(ge=1, le=1000)] = 5
+    min_confidence: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    num_looks: Annotated[int, Field(ge=1, le=64)] = 7
+    prior: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.7
+    correlation_s: Annotated[float, Field(ge=0)] = 0.1
+    confirm_evidence: Annotated[float, Field(ge=-20, le=20)] = 4.0
+    reject_evidence: Annotated[float, Field(ge=-20, le=20)] = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> TrackerConfig:
+        if self.confirmation == "m_of_n" and self.min_hits > self.num_looks:
+            raise ValueError(f"min_hits: expected at most num_looks, {self.num_looks}, got {self.min_hits}")
+        if self.reject_evidence > self.confirm_evidence:
+            raise ValueError(
+                f"reject_evidence: expected at most confirm_evidence, {self.confirm_evidence:g}, "
+                f"got {self.reject_evidence:g}"
+            )
+        return self
+
+
 class PipelineConfig(FrozenModel):
     """The configuration of the whole pipeline, one section a stage."""
 
     proposals: ProposalConfig = ProposalConfig()
     classifier: ClassifierConfig = ClassifierConfig()
     distance: DistanceConfig = DistanceConfig()
+    tracker: TrackerConfig = TrackerConfig()
 
 
 PRESETS: dict[str, PipelineConfig] = {

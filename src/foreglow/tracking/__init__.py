@@ -2,18 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Protocol
 
+from foreglow.config import TrackerConfig
+from foreglow.tracking.published import PublishedTracker
+from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
 
 
 class Tracker(Protocol):
     """Follows the boxes from frame to frame."""
 
+    def __init__(self, config: TrackerConfig) -> None: ...
+
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
-        """The tracks after `frame`; of the frame only its time, size and motion are used, never the pixels."""
+        """The tracks after `frame`; of the frame only its time, size, camera and motion are used, never the pixels."""
         ...
 
     def reset(self) -> None:
         """Forgets all tracks, as at the start of a sequence; ids begin again."""
         ...
+
+
+TRACKERS: Mapping[str, type[Tracker]] = MappingProxyType(
+    {"alpha_beta": AlphaBetaTracker, "published": PublishedTracker}
+)
+"""All trackers by name."""
+
+
+def make_tracker(config: TrackerConfig) -> Tracker:
+    """The tracker that `config` names.
+
+    Raises:
+        ValueError: If it names none.
+    """
+    if config.method not in TRACKERS:
+        raise ValueError(f"tracker.method: expected one of {', '.join(TRACKERS)}, got {config.method!r}")
+    return TRACKERS[config.method](config)

@@ -1,0 +1,70 @@
+"""Alpha-beta filters over many tracks and channels at once, with real steps of time: pure maths.
+
+An alpha-beta filter is a Kalman filter of constant velocity in its steady state: with the prediction
+x' = x + v dt and the residual r = z - x', it takes x = x' + alpha r and v = v + beta / dt r.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foreglow.geometry import Floats
+
+
+def steady_betas(alphas: ArrayLike) -> Floats:
+    """The beta that belongs to each alpha: the best compromise of following a manoeuvre and passing less noise.
+
+    Source: Benedict and Bordner, Synthesis of an optimal set of radar track-while-scan smoothing equations, 1962:
+    beta = alpha^2 / (2 - alpha).
+
+    >>> steady_betas([0.5, 1.0]).round(3).tolist()
+    [0.167, 1.0]
+    """
+    gains = np.asarray(alphas, np.float64)
+    return np.asarray(gains**2 / (2.0 - gains))
+
+
+def predict(values: Floats, rates: Floats, dt_s: float) -> Floats:
+    """Where `values`, shape (M, K), are after `dt_s` if they change by `rates`, shape (M, K), a second."""
+    return values + rates * dt_s
+
+
+def correct(
+    predicted: Floats, rates: Floats, measured: Floats, dt_s: Floats, gains: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Values and rates after a measurement.
+
+    A channel without a measurement (NaN) keeps its prediction; one without a value so far (NaN) begins with its first
+    measurement, at rest.
+
+    Args:
+        predicted: Shape (M, K), the values at the time of the measurement; NaN where never measured.
+        rates: Shape (M, K), per second.
+        measured: Shape (M, K); NaN where not measured.
+        dt_s: Shape (M, K), positive, since the measurement before: a wrong rate had that long to show.
+        gains: Alphas and betas, each of shape (K,).
+
+    >>> gains = (np.array([0.5]), np.array([0.1]))
+    >>> values, rates = correct(np.array([[10.0]]), np.array([[0.0]]), np.array([[12.0]]), np.array([[0.5]]), gains)
+    >>> values.tolist(), rates.tolist()
+    ([[11.0]], [[0.4]])
+    """
+    alphas, betas = gains
+    residuals = measured - predicted
+    is_new = np.isnan(predicted)
+    residuals[np.isnan(residuals)] = 0.0
+    values = np.where(is_new, measured, predicted + alphas * residuals)
+    return values, rates + betas * residuals / dt_s
+
+
+def moving_mean(means: Floats, values: Floats, weight: float) -> Floats:
+    """Exponential moving means, shape (M,), after `values`, which weigh `weight`.
+
+    NaN in `values` leaves a mean as it is; a mean that is NaN begins with its value.
+
+    >>> moving_mean(np.array([0.5, 0.5, np.nan]), np.array([1.0, np.nan, 0.7]), 0.25).tolist()
+    [0.625, 0.5, 0.7]
+    """
+    mixed = (1.0 - weight) * means + weight * values
+    return np.where(np.isnan(values), means, np.where(np.isnan(means), values, mixed))

@@ -1,0 +1,284 @@
+"""The published code's tracker, as it behaves: to compare with, not to drive with.
+
+It departs from the paper: detections are compared with a share of the track's area and not by IoU, each gain is
+applied twice, several detections may each take a copy of one track, and a velocity is the last innovation. Only one
+object is its output.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from foreglow.config import TrackerConfig
+from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
+
+Box: TypeAlias = tuple[float, float, float, float]
+"""Either x1, y1, x2, y2 or centre x, y, width, height, pixels."""
+
+_AT_REST = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A detection as this tracker takes it.
+
+    Attributes:
+        box: x1, y1, x2, y2, pixels.
+        score: Of the classifier.
+        distance_m: None where unknown.
+        place: In the frame's detections.
+    """
+
+    box: Box
+    score: float
+    distance_m: float | None
+    place: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedObject:
+    """A tracked object.
+
+    Attributes:
+        track_id: Its own, unlike in the published code; a copy of an object has another one.
+        birth_s: Time of its first detection, which a copy shares.
+        box: x1, y1, x2, y2; cut to the image's area from the second frame on.
+        future_box: Where it is expected next, not cut.
+        score: Filtered.
+        distance_m: Filtered; None without any so far.
+        num_hits: Detections, the first included (count_visibility).
+        num_lost: Frames in a row without one (count_lost).
+        momentum: Last innovation of centre x, y, width, height; None before the second detection.
+        momentum_m: Last innovation of the distance; None before the second one.
+        place: Of its detection in the latest frame; -1 without one.
+    """
+
+    track_id: int
+    birth_s: float
+    box: Box
+    future_box: Box
+    score: float
+    distance_m: float | None
+    num_hits: int = 1
+    num_lost: int = 0
+    momentum: Box | None = None
+    momentum_m: float | None = None
+    place: int = -1
+
+
+class PublishedTracker:
+    """The tracker of the published code with all its quirks; counts frames.
+
+    Of the configuration it takes the fields that `TrackerConfig` marks with p, and of the frame its size and time.
+    Ids and ages are ours. An object keeps its id with the first detection that takes it; every further copy is given
+    a new one. A range comes without a standard deviation.
+    """
+
+    def __init__(self, config: TrackerConfig) -> None:
+        self._config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all objects, as at the start of a sequence; ids begin again."""
+        self._objects: tuple[PublishedObject, ...] = ()
+        self._next_id = 0
+
+    @property
+    def objects(self) -> tuple[PublishedObject, ...]:
+        """All objects, in the order of the published code's list."""
+        return self._objects
+
+    @property
+    def focus(self) -> PublishedObject | None:
+        """The one object that the published code returns: of those above the confidence the one with most detections.
+
+        Then the most confident one, then the last in the list; None if it has fewer than `min_hits` detections.
+        """
+        best: PublishedObject | None = None
+        for one in reversed(self._objects):
+            if one.score > self._config.min_confidence and (
+                best is None or (one.num_hits, one.score) > (best.num_hits, best.score)
+            ):
+                best = one
+        return best if best is not None and best.num_hits >= self._config.min_hits else None
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
+        """The tracks after `frame`."""
+        boxes, scores = detections.boxes_xyxy_px.astype(np.float64).tolist(), detections.scores.tolist()
+        distances_m = [math.nan] * len(boxes) if ranges is None else ranges.ranges_m.tolist()
+        sightings = [
+            Sighting((x1, y1, x2, y2), score, None if math.isnan(distance_m) else distance_m, place)
+            for place, ((x1, y1, x2, y2), score, distance_m) in enumerate(zip(boxes, scores, distances_m, strict=True))
+        ]
+        now_s = frame.timestamp_ns / 1e9
+        self.follow(sightings, (frame.width_px - 1.0, frame.height_px - 1.0), now_s)
+        return self._as_tracks(now_s)
+
+    def follow(self, sightings: list[Sighting], limits_px: tuple[float, float], now_s: float) -> None:
+        """The published code's step.
+
+        Args:
+            sightings: All detections.
+            limits_px: Greatest x and y of a box; the published code ends one pixel before the half-open image.
+            now_s: The time, for ages alone.
+        """
+        followed: list[PublishedObject] = []
+        found: set[int] = set()
+        for sighting in sightings:
+            if sighting.score < self._config.min_score:
+                continue
+            index = self._best_object(sighting, limits_px)
+            if index is None:
+                followed.append(self._started(sighting, now_s))  # not cut before its second frame
+                continue
+            source = self._objects[index]
+            if index in found:
+                source = replace(source, track_id=self._new_id())
+            found.add(index)
+            followed.append(_clipped(self._updated(source, sighting), limits_px))
+        lost = [_clipped(self._lost(one), limits_px) for place, one in enumerate(self._objects) if place not in found]
+        self._objects = tuple(
+            one for one in followed + lost if one.num_lost <= self._config.max_misses and _is_ordered(one.box)
+        )
+
+    def _new_id(self) -> int:
+        self._next_id += 1
+        return self._next_id - 1
+
+    def _best_object(self, sighting: Sighting, limits_px: tuple[float, float]) -> int | None:
+        """The object that a detection covers most; of equals that with most hits, the most confident, the last."""
+        x, y, width, height = _centre_size(sighting.box)
+        grow = self._config.enlargement
+        grown = _clip(_corners((x, y, grow * width, grow * height)), limits_px)
+        shares = [(_share_covered(one.future_box, grown), one.num_hits, one.score) for one in self._objects]
+        candidates = [(*share, place) for place, share in enumerate(shares) if share[0] >= self._config.min_iou]
+        return max(candidates)[-1] if candidates else None
+
+    def _started(self, sighting: Sighting, now_s: float) -> PublishedObject:
+        return PublishedObject(
+            self._new_id(),
+            now_s,
+            sighting.box,
+            sighting.box,
+            sighting.score,
+            sighting.distance_m,
+            place=sighting.place,
+        )
+
+    def _updated(self, one: PublishedObject, sighting: Sighting) -> PublishedObject:
+        """`one` with a detection: both gains are applied twice, and the future moves as far once more."""
+        config = self._config
+        old, new = _centre_size(one.box), _centre_size(sighting.box)
+        momentum = (new[0] - old[0], new[1] - old[1], new[2] - old[2], new[3] - old[3])
+        moved = _moved(old, momentum, 2.0 * config.alpha_centre, 2.0 * config.alpha_size)
+        distance_m, momentum_m = one.distance_m, one.momentum_m
+        if sighting.distance_m is not None:
+            if distance_m is None:
+                distance_m = sighting.distance_m
+            else:
+                momentum_m = sighting.distance_m - distance_m
+                distance_m += config.alpha_range * momentum_m
+        return replace(
+            one,
+            box=_corners(moved),
+            future_box=_corners(_moved(moved, momentum, 2.0 * config.alpha_centre, 0.0)),
+            score=config.alpha_confidence * sighting.score + (1.0 - config.alpha_confidence) * one.score,
+            distance_m=distance_m,
+            num_hits=one.num_hits + 1,
+            num_lost=0,
+            momentum=momentum,
+            momentum_m=momentum_m,
+            place=sighting.place,
+        )
+
+    def _lost(self, one: PublishedObject) -> PublishedObject:
+        """`one` without a detection: it moves on by its last innovation, which never decays."""
+        gain = 2.0 * self._config.alpha_centre
+        momentum = one.momentum or _AT_REST
+        moved = _moved(_centre_size(one.box), momentum, gain, 0.0)
+        distance_m = one.distance_m
+        if distance_m is not None and one.momentum_m is not None:
+            distance_m += self._config.alpha_range * one.momentum_m
+        return replace(
+            one,
+            box=_corners(moved),
+            future_box=one.future_box if one.momentum is None else _corners(_moved(moved, momentum, gain, 0.0)),
+            distance_m=distance_m,
+            num_lost=one.num_lost + 1,
+            place=-1,
+        )
+
+    def _as_tracks(self, now_s: float) -> Tracks:
+        objects = sorted(self._objects, key=lambda one: one.track_id)
+        # 0 m is what is left of a negative distance: not a range.
+        ranges_m = np.array([one.distance_m or math.nan for one in objects], np.float64)
+        return Tracks(
+            ids=np.array([one.track_id for one in objects], np.int64),
+            states=np.array([self._state(one) for one in objects], np.int64),
+            boxes_xyxy_px=np.array([one.box for one in objects], np.float64).reshape(-1, 4),
+            confidences=np.array([one.score for one in objects], np.float64),
+            num_hits=np.array([one.num_hits for one in objects], np.int64),
+            num_misses=np.array([one.num_lost for one in objects], np.int64),
+            ages_s=np.array([now_s - one.birth_s for one in objects], np.float64),
+            ranges_m=ranges_m,
+            sigmas_m=np.full(len(objects), np.inf),
+            detections=np.array([one.place for one in objects], np.int64),
+        )
+
+    def _state(self, one: PublishedObject) -> TrackState:
+        if one.num_hits < self._config.min_hits or not one.score > self._config.min_confidence:
+            return TrackState.TENTATIVE
+        return TrackState.COASTING if one.num_lost else TrackState.CONFIRMED
+
+
+def _centre_size(box: Box) -> Box:
+    x1, y1, x2, y2 = box
+    return (x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1
+
+
+def _corners(centre_size: Box) -> Box:
+    x, y, width, height = centre_size
+    return x - width / 2.0, y - height / 2.0, x + width / 2.0, y + height / 2.0
+
+
+def _moved(centre_size: Box, momentum: Box, gain_centre: float, gain_size: float) -> Box:
+    """Centre and size after a step along `momentum`."""
+    x, y, width, height = centre_size
+    dx, dy, dw, dh = momentum
+    width, height = width + gain_size * dw, height + gain_size * dh
+    return x + gain_centre * dx, y + gain_centre * dy, width, height
+
+
+def _clip(box: Box, limits_px: tuple[float, float]) -> Box:
+    (x1, y1, x2, y2), (right, bottom) = box, limits_px
+    return max(x1, 0.0), max(y1, 0.0), min(x2, right), min(y2, bottom)
+
+
+def _is_ordered(box: Box) -> bool:
+    x1, y1, x2, y2 = box
+    return x1 < x2 and y1 < y2
+
+
+def _clipped(one: PublishedObject, limits_px: tuple[float, float]) -> PublishedObject:
+    """`one` inside the image's area, with a distance of at least 0 and a future box of a positive size."""
+    x, y, width, height = _centre_size(one.future_box)
+    is_sound = width > 0.0 and height > 0.0
+    sound = (x, y, width if width > 0.0 else 1.0, height if height > 0.0 else 1.0)
+    return replace(
+        one,
+        box=_clip(one.box, limits_px),
+        future_box=one.future_box if is_sound else _corners(sound),
+        distance_m=None if one.distance_m is None else max(one.distance_m, 0.0),
+    )
+
+
+def _share_covered(box: Box, by: Box) -> float:
+    """The part of the area of `box` that `by` covers."""
+    width, height = min(box[2], by[2]) - max(box[0], by[0]), min(box[3], by[3]) - max(box[1], by[1])
+    if width <= 0.0 or height <= 0.0:
+        return 0.0
+    return width * height / ((box[2] - box[0]) * (box[3] - box[1]))

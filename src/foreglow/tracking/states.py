@@ -1,0 +1,93 @@
+"""What a tracker remembers of its tracks: one array a quantity, one place a track, in the order of their ids."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Floats
+
+NUM_CHANNELS = 5
+RANGE = 4
+"""Channels of the filter: centre x, y, width, height in pixels, range in metres."""
+
+
+@dataclass(slots=True, eq=False)
+class TrackStates:
+    """The state of M tracks.
+
+    Arrays are replaced, never written to, so that results that were handed out stay as they are.
+
+    Attributes:
+        ids: Shape (M,).
+        values: Shape (M, NUM_CHANNELS), filtered; NaN where never measured.
+        rates: Shape (M, NUM_CHANNELS), per second.
+        measured_s: Shape (M, NUM_CHANNELS), time of each channel's latest measurement; -infinity where there is none.
+        sigmas_m: Shape (M,), of the range; infinite where unknown.
+        range_history: Shape (M, H), the latest measured ranges, newest first, NaN where there are fewer.
+        sigma_history: Shape (M, H), their standard deviations.
+        confidences: Shape (M,).
+        num_hits: Shape (M,).
+        num_misses: Shape (M,), in a row up to now.
+        births_s: Shape (M,), time of the first detection.
+        missing_s: Shape (M,), for how long the track has been looked for in vain.
+        memory: Shape (M, K), of the confirmation rule.
+        is_plausible: Shape (M,).
+        detections: Shape (M,), place of the box in the latest frame's detections; -1 without one.
+    """
+
+    ids: NDArray[np.int64]
+    values: Floats
+    rates: Floats
+    measured_s: Floats
+    sigmas_m: Floats
+    range_history: Floats
+    sigma_history: Floats
+    confidences: Floats
+    num_hits: NDArray[np.int64]
+    num_misses: NDArray[np.int64]
+    births_s: Floats
+    missing_s: Floats
+    memory: Floats
+    is_plausible: NDArray[np.bool_]
+    detections: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def where(self, is_kept: NDArray[np.bool_]) -> TrackStates:
+        """The states of some of the tracks."""
+        return TrackStates(*(getattr(self, name)[is_kept] for name in _NAMES))
+
+    def joined(self, others: TrackStates) -> TrackStates:
+        """These and `others` behind them."""
+        return TrackStates(*(np.concatenate([getattr(self, name), getattr(others, name)]) for name in _NAMES))
+
+
+_NAMES = tuple(one.name for one in dataclasses.fields(TrackStates))
+
+
+def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_size: int) -> TrackStates:
+    """Tracks that begin at the time `now_s`, before their first measurement."""
+    count = len(ids)
+    history = np.full((count, history_size), np.nan)
+    return TrackStates(
+        ids=ids,
+        values=np.full((count, NUM_CHANNELS), np.nan),
+        rates=np.zeros((count, NUM_CHANNELS)),
+        measured_s=np.full((count, NUM_CHANNELS), -np.inf),
+        sigmas_m=np.full(count, np.inf),
+        range_history=history,
+        sigma_history=history,
+        confidences=np.full(count, np.nan),
+        num_hits=np.zeros(count, np.int64),
+        num_misses=np.zeros(count, np.int64),
+        births_s=np.full(count, now_s),
+        missing_s=np.zeros(count),
+        memory=np.zeros((count, memory_size)),
+        is_plausible=np.zeros(count, np.bool_),
+        detections=np.full(count, -1),
+    )

@@ -1,0 +1,193 @@
+"""The life of tracks: predicted, associated, corrected, confirmed, ended."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.config import TrackerConfig
+from foreglow.tracking.alpha_beta import correct, moving_mean, predict, steady_betas
+from foreglow.tracking.association import (
+    ASSOCIATIONS,
+    UNASSIGNED,
+    Assignment,
+    corners,
+    is_duplicate,
+    is_range_apart,
+    overlaps,
+)
+from foreglow.tracking.confirmation import CONFIRMATIONS, Looks
+from foreglow.tracking.ego_motion import turn_shift_px
+from foreglow.tracking.measurements import Measurements, measurements
+from foreglow.tracking.states import RANGE, TrackStates, unmeasured
+from foreglow.tracking.track_range import (
+    NUM_RANGES,
+    RANGE_RATE_SIGMA_MPS,
+    filtered_sigmas,
+    mean_of,
+    median_of,
+    remembered,
+)
+from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
+
+MIN_SIZE_PX = 1.0
+"""Predicted boxes do not shrink below this."""
+
+
+class AlphaBetaTracker:
+    """The paper's tracker, with options that go beyond it: `TrackerConfig` names them.
+
+    With the clock `time`, a frame at the time of the one before and with the same boxes is that frame again, and its
+    tracks are returned as they are. Any other frame that is not later than the one before ends all tracks, and so
+    does a gap longer than `max_gap_s`; their ids are not given again.
+
+    Source: Ewecker et al., arXiv 2107.11302, section on tracking.
+    """
+
+    def __init__(self, config: TrackerConfig) -> None:
+        self._config = config
+        alphas = np.repeat([config.alpha_centre, config.alpha_size, config.alpha_range], [2, 2, 1])
+        self._gains = (alphas, steady_betas(alphas))
+        self._assign = ASSOCIATIONS[config.association]
+        self._rule = CONFIRMATIONS[config.confirmation](config)
+        self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
+        # Half a frame of tolerance: frames come somewhat early or late.
+        self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz
+        self._max_miss_s = max(config.max_misses, 1) / config.rate_hz
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all tracks, as at the start of a sequence; ids begin again."""
+        self._now_s = 0.0
+        self._timestamp_ns: int | None = None
+        self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
+        self._next_id = 0
+        self._states = self._born(0)
+        self._tracks = self._as_tracks(self._states)
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
+        """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
+        if self._is_again(frame, detections):
+            return self._tracks
+        step_s = self._step_s(frame)
+        if not 0.0 < step_s <= self._config.max_gap_s:
+            self._states = self._born(0)
+            step_s = 1.0 / self._config.rate_hz
+        self._now_s += step_s
+        self._timestamp_ns, self._boxes = frame.timestamp_ns, detections.boxes_xyxy_px
+
+        found = measurements(detections, ranges, self._config.min_score)
+        self._predict(frame, step_s)
+        assigned = self._associated(found)
+        is_free = np.ones(len(found), np.bool_)
+        is_free[assigned[assigned != UNASSIGNED]] = False
+        if is_free.any():
+            beginning = np.flatnonzero(is_free)
+            self._states = self._states.joined(self._born(len(beginning)))
+            assigned = np.concatenate([assigned, beginning])
+        self._correct(found.taken(assigned), step_s)
+        self._end(frame)
+        self._tracks = self._as_tracks(self._states)
+        return self._tracks
+
+    def _is_again(self, frame: Frame, detections: Detections) -> bool:
+        return (
+            self._config.clock == "time"
+            and frame.timestamp_ns == self._timestamp_ns
+            and np.array_equal(detections.boxes_xyxy_px, self._boxes)
+        )
+
+    def _step_s(self, frame: Frame) -> float:
+        """Time since the frame before."""
+        if self._config.clock == "frames" or self._timestamp_ns is None:
+            return 1.0 / self._config.rate_hz
+        return (frame.timestamp_ns - self._timestamp_ns) / 1e9
+
+    def _born(self, count: int) -> TrackStates:
+        """New tracks that wait for their first measurement."""
+        ids = np.arange(self._next_id, self._next_id + count)
+        self._next_id += count
+        return unmeasured(ids, self._now_s, self._num_ranges, self._rule.memory_size)
+
+    def _predict(self, frame: Frame, step_s: float) -> None:
+        """Moves all tracks to the time of `frame`."""
+        values = predict(self._states.values, self._states.rates, step_s)
+        if self._config.compensate_yaw and frame.camera is not None and frame.motion is not None:
+            values[:, :2] += turn_shift_px(frame.camera, values[:, :2], frame.motion.yaw_rate_radps * step_s)
+        values[:, 2:RANGE] = np.maximum(values[:, 2:RANGE], MIN_SIZE_PX)
+        self._states.values = values
+
+    def _associated(self, found: Measurements) -> Assignment:
+        """For each track the measurement that it takes."""
+        states, config = self._states, self._config
+        if not (len(states) and len(found)):
+            return np.full(len(states), UNASSIGNED)
+        overlap = overlaps(corners(states.values, config.enlargement), corners(found.values, config.enlargement))
+        if np.isfinite(config.range_gate):
+            ranges_m = (states.values[:, RANGE], found.values[:, RANGE])
+            overlap[is_range_apart(ranges_m, (states.sigmas_m, found.sigmas_m), config.range_gate)] = 0.0
+        return self._assign(overlap, config.min_iou)
+
+    def _correct(self, taken: Measurements, step_s: float) -> None:
+        """Puts in what each track was measured to be, and looks whether it is plausible."""
+        states = self._states
+        is_hit = taken.places != UNASSIGNED
+        look_s = np.where(states.num_hits == 0, np.inf, step_s)
+        since_s = self._now_s - states.measured_s
+        states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, self._gains)
+        states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
+        states.confidences = moving_mean(states.confidences, taken.scores, self._config.alpha_confidence)
+        states.num_hits = states.num_hits + is_hit
+        states.num_misses = np.where(is_hit, 0, states.num_misses + 1)
+        # However long the gap before it, a single miss ends no track.
+        states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
+        states.detections = taken.places
+        self._correct_sigmas(taken, step_s)
+        looks = Looks(taken.scores, look_s, states.num_hits, states.confidences, states.is_plausible)
+        states.memory, states.is_plausible = self._rule.look(states.memory, looks)
+
+    def _correct_sigmas(self, taken: Measurements, step_s: float) -> None:
+        """How well the ranges are known now; remembers them where the latest ones are averaged."""
+        states = self._states
+        if self._num_ranges:
+            states.range_history = remembered(states.range_history, taken.values[:, RANGE])
+            states.sigma_history = remembered(states.sigma_history, taken.sigmas_m)
+            unmeasured_s = self._now_s - states.measured_s[:, RANGE]
+            states.sigmas_m = mean_of(states.sigma_history) + RANGE_RATE_SIGMA_MPS * unmeasured_s
+        else:
+            states.sigmas_m = filtered_sigmas(states.sigmas_m, taken.sigmas_m, step_s, self._config.alpha_range)
+
+    def _end(self, frame: Frame) -> None:
+        """Ends tracks that were missed for too long, have left the image, or double another one."""
+        states = self._states
+        x, y = states.values[:, 0], states.values[:, 1]
+        is_outside = (x < 0) | (y < 0) | (x >= frame.width_px) | (y >= frame.height_px)
+        is_over = (states.missing_s > self._max_missing_s) | (is_outside & (states.num_misses > 0))
+        if self._config.merge_iou < 1.0 and len(states) > 1:
+            boxes = corners(states.values)
+            is_detected = states.num_misses == 0
+            is_over |= is_duplicate(overlaps(boxes, boxes), is_detected, states.num_hits, self._config.merge_iou)
+        if is_over.any():
+            self._states = states.where(~is_over)
+
+    def _as_tracks(self, states: TrackStates) -> Tracks:
+        """What is handed out."""
+        seen = np.where(states.num_misses > 0, TrackState.COASTING, TrackState.CONFIRMED)
+        ranges_m, sigmas_m = states.values[:, RANGE], states.sigmas_m
+        if self._num_ranges:
+            average = mean_of if self._config.range_filter == "mean" else median_of
+            ranges_m = average(states.range_history)
+        # A light that is behind us by its own motion has no range any more.
+        is_known = ranges_m > 0.0
+        return Tracks(
+            ids=states.ids,
+            states=np.where(states.is_plausible, seen, TrackState.TENTATIVE),
+            boxes_xyxy_px=corners(states.values),
+            confidences=states.confidences,
+            num_hits=states.num_hits,
+            num_misses=states.num_misses,
+            ages_s=self._now_s - states.births_s,
+            ranges_m=np.where(is_known, ranges_m, np.nan),
+            sigmas_m=np.where(is_known, sigmas_m, np.inf),
+            detections=states.detections,
+        )
