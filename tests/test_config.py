@@ -91,7 +91,7 @@ def test_empty_file_is_the_base() -> None:
         ("[proposals]\nregion_xyxy_px = [1, 2, 3]", r"proposals.region_xyxy_px.3: .*got \[1, 2, 3\]"),
         ("[proposals]\nbackend = 'gpu'", "proposals.backend: .*'native' or 'reference', got 'gpu'"),
         ("[proposals]\nkapa = 1", "proposals.kapa: unknown, expected one of kappa, window_px, "),
-        ("[tracker]\na = 1", "tracker: unknown, expected one of proposals, classifier"),
+        ("[beam]\na = 1", "beam: unknown, expected one of proposals, classifier, distance, tracker"),
         ("proposals = 3", "proposals: .*got 3"),
         ("kappa =", "expected TOML: Invalid value"),
         ("[classifier]\nmodel = 3", "classifier.model: .*got 3"),
