@@ -10,6 +10,7 @@ import pytest
 
 from tests.cli.commands import complaint, foreglow_command
 from tests.experiments.detector_data import make_data, make_model
+from tests.experiments.ranged_drives import make_split
 from tests.learning.yolo.fakes import Calls, fake_libreyolo
 
 
@@ -74,3 +75,24 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     assert "rows: expected some of baseline" in complaint(*experiment, "--rows", "best")
     assert "no such model, given with --our-model" in complaint(*experiment, "--our-model", tmp_path / "absent")
     assert "expected the split" in complaint(*experiment, "--split", "all")
+
+
+def test_distance(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    make_split(tmp_path / "drives", "val")
+    out = tmp_path / "out"
+    arguments = ("experiment", "distance", tmp_path / "drives", "--out", out, "--split", "val")
+    result = foreglow_command(*arguments, "--estimators", "gp,psd_3d", "--seed", 4)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"look in {out / 'report.html'}\n"
+    record = json.loads((out / "results.json").read_text())
+    assert {one["estimator"] for one in record["findings"]} == {"gp", "psd_3d"}
+    assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
+
+
+def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> None:
+    experiment = ("experiment", "distance", data, "--out", tmp_path / "out")
+    assert "estimators: expected some of gp, psd_3d" in complaint(*experiment, "--estimators", "radar")
+    assert "expected the range of each light, a calibration and the road ahead" in complaint(*experiment)
+    assert "expected the split" in complaint(*experiment, "--split", "all")
+    assert not (tmp_path / "out").exists()
