@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def _pitch(findings: Sequence[Finding]) -> bytes:
         panel.axhline(0.0, color=INK, linewidth=0.8)
         panel.set(title=light, xlabel="error of the pitch, degrees upwards", ylim=(-1.05, 1.55))
     axes[0].set_ylabel("median relative error")
-    axes[0].legend(frameon=False)
+    _legend_above(figure, axes[0])
     return png(figure)
 
 
@@ -115,8 +116,13 @@ def _two_panels(findings: Sequence[Finding], axis: str, figure_of: Callable[[Fin
         panel.set_xticks(np.arange(len(groups)), [f"{group}\n{numbers[group]}" for group in groups], fontsize=8)
         panel.set_title(light)
     axes[0].set_ylabel(label)
-    axes[0].legend(frameon=False)
+    _legend_above(figure, axes[0])
     return png(figure)
+
+
+def _legend_above(figure: Any, axes: Any) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, loc="outside upper center", ncols=len(labels))
 
 
 def _by_estimator(findings: Sequence[Finding], axis: str, light: str) -> dict[str, list[Finding]]:
