@@ -1,4 +1,4 @@
-"""The commands `export-yolo`, `yolo` and `experiment detector`: what they say, and one line for bad input."""
+"""The commands `export-yolo`, `yolo`, `export-mot` and `experiment`: what they say, and one line for bad input."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
 from tests.experiments.detector_data import make_data, make_model
+from tests.experiments.ranged_drives import make_split
 from tests.learning.yolo.fakes import Calls, fake_libreyolo
 
 
@@ -102,4 +103,27 @@ def test_export_mot(tmp_path: Path) -> None:
     assert len(rows) > 20
     assert len({row.split(",")[1] for row in rows}) >= 2
     assert (out / "gt/S00001/gt/gt.txt").exists()
-    assert "frames.jsonl: no such file, expected predictions" in complaint("export-mot", out, shipped_drive(), "--out", out)
+    assert "frames.jsonl: no such file, expected predictions" in complaint(
+        "export-mot", out, shipped_drive(), "--out", out
+    )
+
+
+def test_distance(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    make_split(tmp_path / "drives", "val")
+    out = tmp_path / "out"
+    arguments = ("experiment", "distance", tmp_path / "drives", "--out", out, "--split", "val")
+    result = foreglow_command(*arguments, "--estimators", "gp,psd_3d", "--seed", 4)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"look in {out / 'report.html'}\n"
+    record = json.loads((out / "results.json").read_text())
+    assert {one["estimator"] for one in record["findings"]} == {"gp", "psd_3d"}
+    assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
+
+
+def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> None:
+    experiment = ("experiment", "distance", data, "--out", tmp_path / "out")
+    assert "estimators: expected some of gp, psd_3d" in complaint(*experiment, "--estimators", "radar")
+    assert "expected the range of each light, a calibration and the road ahead" in complaint(*experiment)
+    assert "expected the split" in complaint(*experiment, "--split", "all")
+    assert not (tmp_path / "out").exists()

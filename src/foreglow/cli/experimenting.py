@@ -43,6 +43,31 @@ def experiment_simulator(
     typer.echo(f"look in {report}")
 
 
+@experiments.command("distance")
+def experiment_distance(
+    data: Annotated[Path, argument(metavar="DATA", help="A simulated data set with train, val and test.")],
+    out: Annotated[Path, folder(help="Folder for the report.")],
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    estimators: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Only these estimators (default: all).")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 1,
+) -> None:
+    """Measure every estimator of ranges with every heuristic on lights whose range is known."""
+    from foreglow.distance import ESTIMATORS
+    from foreglow.experiments.distance import DistancePlan, run_experiment
+    from foreglow.reports.distance_page import write_report
+    from foreglow.reports.figures import require_matplotlib
+    from foreglow.reports.progress import StepProgress
+
+    require_matplotlib()
+    names = tuple(ESTIMATORS) if estimators is None else tuple(estimators.split(","))
+    plan = DistancePlan(split=cast("SplitName", split), estimators=names, seed=seed)
+    with contextlib.closing(StepProgress()) as progress:
+        results = run_experiment(data, plan, progress)
+    typer.echo(f"look in {write_report(results, out)}")
+
+
 @experiments.command("detector")
 def experiment_detector(
     data: Annotated[Path, argument(metavar="DATA", help="A data set with train, val and test.")],

@@ -15,7 +15,7 @@ from foreglow.distance.psd_3d import PSD3D
 from foreglow.distance.psd_3d_plus import PSD3DPlus
 from foreglow.types import Detections, Frame, Ranges
 
-__all__ = ["ESTIMATORS", "GroundPlane", "PSD2D", "PSD3D", "PSD3DPlus", "RangeEstimator", "make_estimator"]
+__all__ = ["ESTIMATORS", "PSD2D", "PSD3D", "GroundPlane", "PSD3DPlus", "RangeEstimator", "make_estimator"]
 
 
 class RangeEstimator(Protocol):

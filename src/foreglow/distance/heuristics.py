@@ -1,9 +1,9 @@
 """Which range stands for a box, of those of its pixels: the paper's heuristics.
 
 `maximum`, `minimum`, `mean` and `median` look at 3 x 3 places, evenly spread from the first pixel's centre to the
-last one's along either axis, instead of at every pixel. Ranges change smoothly over a box and the extremes lie on its
-rim, which the places include, so that maximum and minimum are those of all pixels wherever the extreme lies in a
-corner or in the middle of an edge; mean and median weigh the rim a little more than all pixels would.
+last one's along either axis, instead of at every pixel. Ranges change smoothly over a box: GP has its extremes in
+these places, PSD may have one between them and be off by a few per cent in boxes of 20 pixels; mean and median weigh
+the rim a little more than all pixels would.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation (the heuristics; places instead of pixels are ours).
 """

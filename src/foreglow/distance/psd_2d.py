@@ -15,8 +15,14 @@ from foreglow.distance.road_line import closest_approach, dense, nearest_points
 from foreglow.geometry import Floats
 from foreglow.types import Frame
 
-YAW_SIGMA_RAD = math.radians(0.5)
-LATERAL_SIGMA_M = 1.5
+YAW_SIGMA_RAD = math.radians(1.0)
+"""How the car heads on the road, and how well the map knows its curves."""
+
+LATERAL_SIGMA_M = 4.0
+"""How far lights are from the centre line, seen from above. Chosen on the training drives, where 71 % of the lights are
+within one sigma, and 88 % within two.
+"""
+
 MIN_LEVEL = 1e-6
 """A ray whose level part is shorter has no azimuth."""
 

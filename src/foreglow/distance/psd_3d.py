@@ -16,7 +16,12 @@ from foreglow.geometry import Floats
 from foreglow.types import Frame
 
 MAP_SIGMA_RAD = math.radians(0.2)
-OFFSET_SIGMA_M = 1.0
+"""Of the map's slopes, which come in steps of 0.5 %, as an angle from the camera."""
+
+OFFSET_SIGMA_M = 4.0
+"""How far lights are from the centre line: in a lane, above it, on a rail or in the trees, where the map is off by what
+its position is. Chosen on the training drives, where 72 % of the lights are within one sigma, and 89 % within two.
+"""
 
 
 class PSD3D(PixelwiseEstimator):
@@ -39,6 +44,6 @@ class PSD3D(PixelwiseEstimator):
         return ranges_m, np.where(np.isnan(ranges_m), np.inf, sigmas_m)
 
     def _road_points(self, frame: Frame) -> Floats:
-        """The centre line as the map has it, shape (N, 3), in the vehicle's frame; only asked for where there is one."""
+        """The centre line as the map has it, shape (N, 3), in the vehicle's frame; there must be one."""
         assert frame.road is not None
         return frame.road.points_m

@@ -13,6 +13,9 @@ MAX_SPACING_M = 2.0
 MIN_SQUARED_SINE = 1e-12
 """A ray at less than a millionth of a radian to the road runs along it: no place on it is the nearest."""
 
+_BESIDE = np.array([-1, 0])
+"""The pieces that end and begin at a point, against its index."""
+
 
 def dense(points_m: Floats) -> Floats:
     """The line through `points_m`, shape (N, D), with further points each metre where it is coarse."""
@@ -55,24 +58,25 @@ def closest_approach(directions: Floats, offsets_m: Floats, nearest: NDArray[np.
         Distances t, shape (M,), metres, and sines, shape (M,). NaN where the closest place is the ray's or the line's
         beginning or the line's end (the line says nothing of what lies beyond), and where both run alongside.
     """
-    pieces = np.clip(nearest[:, None] + np.array([-1, 0]), 0, len(offsets_m) - 2)  # (M, 2)
+    last = len(offsets_m) - 2
+    pieces = np.minimum(np.maximum(nearest[:, None] + _BESIDE, 0), last)  # (M, 2)
     starts = offsets_m[pieces]
     spans = offsets_m[pieces + 1] - starts
     # |start + s span - t d|^2 is least where both derivatives are 0; s is then cut to the piece.
-    along_starts, along_spans = (np.einsum("ij,ikj->ik", directions, one) for one in (starts, spans))
+    along_starts = np.einsum("ij,ikj->ik", directions, starts)
+    along_spans = np.einsum("ij,ikj->ik", directions, spans)
     lengths_squared = np.einsum("ikj,ikj->ik", spans, spans)
     across_squared = lengths_squared - along_spans * along_spans
     is_across = across_squared > MIN_SQUARED_SINE * lengths_squared
-    shares = (along_spans * along_starts - np.einsum("ikj,ikj->ik", spans, starts)) / np.where(
-        is_across, across_squared, 1.0
-    )
-    shares = np.clip(np.where(is_across, shares, 0.0), 0.0, 1.0)
+    across_squared[~is_across] = np.inf
+    shares = (along_spans * along_starts - np.einsum("ikj,ikj->ik", spans, starts)) / across_squared
+    shares = np.minimum(np.maximum(shares, 0.0), 1.0)
+    feet = starts + shares[..., None] * spans
     reaches_m = np.maximum(along_starts + shares * along_spans, 0.0)
-    gaps = starts + shares[..., None] * spans - reaches_m[..., None] * directions[:, None]
-    better = np.einsum("ikj,ikj->ik", gaps, gaps).argmin(axis=1)
-    rows = np.arange(len(better))
-    piece, share, reach_m = pieces[rows, better], shares[rows, better], reaches_m[rows, better]
-    is_inside = ((piece > 0) | (share > 0.0)) & ((piece < len(offsets_m) - 2) | (share < 1.0))
-    is_found = is_inside & (reach_m > 0.0) & is_across[rows, better]
-    sines = np.sqrt(np.where(is_found, (across_squared / lengths_squared)[rows, better], 1.0))
+    better = (np.einsum("ikj,ikj->ik", feet, feet) - reaches_m * reaches_m).argmin(axis=1)
+    chosen = np.arange(len(better)), better
+    piece, share, reach_m = pieces[chosen], shares[chosen], reaches_m[chosen]
+    is_inside = ((piece > 0) | (share > 0.0)) & ((piece < last) | (share < 1.0))
+    is_found = is_inside & (reach_m > 0.0) & is_across[chosen]
+    sines = np.sqrt(np.where(is_found, across_squared[chosen] / lengths_squared[chosen], 1.0))
     return np.where(is_found, reach_m, np.nan), np.where(is_found, sines, np.nan)

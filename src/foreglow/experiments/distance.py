@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -49,13 +49,15 @@ class DistancePlan:
 
     split: SplitName = "test"
     estimators: tuple[str, ...] = tuple(ESTIMATORS)
-    config: PipelineConfig = preset("foreglow")
+    config: PipelineConfig = field(default_factory=lambda: preset("foreglow"))
     seed: int = 1
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.estimators if name not in ESTIMATORS]
         if unknown or not self.estimators:
-            raise ValueError(f"estimators: expected some of {', '.join(ESTIMATORS)}, got {', '.join(unknown) or 'none'}")
+            raise ValueError(
+                f"estimators: expected some of {', '.join(ESTIMATORS)}, got {', '.join(unknown) or 'none'}"
+            )
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -111,9 +113,9 @@ class DistanceResults:
     sigmas_m: Mapping[Method, Floats]
     series_m: Mapping[tuple[str, Method], Floats]
 
-    def column(self, field: str) -> NDArray[Any]:
+    def column(self, name: str) -> NDArray[Any]:
         """Shape (N,): a field of the lights."""
-        return np.array([getattr(light, field) for light in self.lights])
+        return np.array([getattr(light, name) for light in self.lights])
 
     @property
     def methods(self) -> tuple[Method, ...]:
