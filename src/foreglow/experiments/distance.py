@@ -11,18 +11,17 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.config import DistanceConfig, PipelineConfig, preset
+from foreglow.config import DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import PVDN, SplitName, split_folder
-from foreglow.datasets.vehicle_data import equip
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
-from foreglow.experiments.distance_lights import KnownVehicle, RangedLight, detections_of, ranged_lights, tilted
+from foreglow.experiments.distance_lights import RangedLight, ranged_lights, tilted
 from foreglow.geometry import Floats
-from foreglow.proposals import make_proposer
+from foreglow.pipeline import Pipeline
 from foreglow.simulation import read_truth
-from foreglow.types import Frame
+from foreglow.types import Detections, Frame
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Told the step, how much of it is done, and of how much."""
@@ -43,7 +42,7 @@ class DistancePlan:
     Attributes:
         split: The split that is measured on.
         estimators: Names of `ESTIMATORS`.
-        config: Of the proposals whose boxes are given a range, and of the pitch.
+        config: Of the detector whose boxes are given a range, and of the pitch.
         seed: Of the intervals.
     """
 
@@ -147,7 +146,11 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
             "as simulated drives have them in simulation/; found none"
         )
     truth = read_truth(dataset.root)
-    proposer = make_proposer(plan.config.proposals)
+    detector = Pipeline(
+        plan.config.model_copy(
+            update={"distance": DistanceConfig(estimator="none"), "tracker": TrackerConfig(method="none")}
+        )
+    )
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
     left_out: Counter[str] = Counter()
     lights: list[RangedLight] = []
@@ -155,14 +158,15 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     num_done = 0
     for sequence_id in (sequence.id for sequence in dataset.sequences):
         drive = truth.sequence(sequence_id)
-        known = KnownVehicle(drive)
+        detector.reset()
         for estimator in methods.values():
             estimator.reset()
         for image in drive.frames:
-            frame = equip(dataset.read(image.image_id), known)
-            its_lights = ranged_lights(frame, drive, proposer, left_out)
+            frame = dataset.read(image.image_id)
+            detections = _detections(detector, frame)
+            its_lights = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
             lights += its_lights
-            for method, ranges in _estimated(frame, its_lights, methods):
+            for method, ranges in _estimated(frame, detections, its_lights, methods):
                 found[method].append(ranges)
             num_done += 1
             if progress is not None:
@@ -193,15 +197,24 @@ def _methods(estimators: Sequence[str]) -> Iterator[Method]:
                 yield Method(name, DEFAULT_HEURISTIC if by_pixels else OWN_RULE, tilt_deg)
 
 
+def _detections(detector: Pipeline, frame: Frame) -> Detections:
+    """All boxes of the frame, as the stage of distance gets them; without a model all with the score 1."""
+    result = detector.step(frame)
+    ones = np.ones(len(result.proposals), np.float32)
+    if result.detections is not None:
+        return result.detections
+    return Detections(result.proposals, ones, score_threshold=0.5)
+
+
 def _estimated(
-    frame: Frame, lights: tuple[RangedLight, ...], methods: Mapping[Method, RangeEstimator]
+    frame: Frame, detections: Detections, lights: Sequence[RangedLight], methods: Mapping[Method, RangeEstimator]
 ) -> Iterator[tuple[Method, tuple[Floats, Floats]]]:
     """Ranges and sigmas of the lights by each method; estimators with a memory see images without lights, too."""
-    detections = detections_of(lights)
     frames = {tilt_deg: tilted(frame, float(np.radians(tilt_deg))) for tilt_deg in TILTS_DEG if tilt_deg} | {0.0: frame}
+    places = np.array([light.place for light in lights], np.intp)
     for method, estimator in methods.items():
         ranges = estimator.estimate(frames[method.tilt_deg], detections)
-        yield method, (ranges.ranges_m, ranges.sigmas_m)
+        yield method, (ranges.ranges_m[places], ranges.sigmas_m[places])
 
 
 def _series(

@@ -64,7 +64,7 @@ def lights_csv(results: DistanceResults) -> str:
     """A line for each light: what is known of it, and each method's range and sigma, metres; empty where none."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    fields = [field.name for field in dataclasses.fields(RangedLight) if field.name != "box_xyxy_px"]
+    fields = [field.name for field in dataclasses.fields(RangedLight) if field.name not in ("place", "box_xyxy_px")]
     corners = ["x1_px", "y1_px", "x2_px", "y2_px"]
     names = [f"{method.name}: {what}" for method in results.methods for what in ("range_m", "sigma_m")]
     writer.writerow([*fields, *corners, *names])
