@@ -27,7 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"types", "geometry", "photometry"},
     "street": {"types", "geometry", "config"},
     "calibration": {"types", "geometry", "config", "files"},
-    "maps": {"types", "geometry", "config", "street", "files"},
+    "maps": {"types", "geometry", "street", "files"},
     **{stage: VALUES | {"_native", "models"} for stage in STAGES},
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files", "maps"},
