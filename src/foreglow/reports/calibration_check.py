@@ -94,8 +94,8 @@ def check_lines(camera: Camera) -> list[str]:
     lines = [
         f"image          {camera.width_px}x{camera.height_px} px, field of view "
         f"{figures.horizontal_fov_deg:.1f} x {figures.vertical_fov_deg:.1f} degrees",
-        f"camera         {figures.height_m:.2f} m above the road, pitch {figures.pitch_deg:+.2f} degrees upwards, "
-        f"yaw {figures.yaw_deg:+.2f} to the left, roll {figures.roll_deg:+.2f} to the right",
+        f"camera         {figures.height_m:.2f} m above the road, pitch {figures.pitch_deg:+.2f} (up), "
+        f"yaw {figures.yaw_deg:+.2f} (left), roll {figures.roll_deg:+.2f} (right) degrees",
         "vanishing at   ({:.1f}, {:.1f}) px".format(*figures.vanishing_px),
     ]
     lines += [
@@ -249,7 +249,7 @@ def _draw_vanishing_point(picture: Picture, pixel: Floats, measures: Measures) -
 
 def _draw_labels(picture: Picture, camera: Camera, across: list[int], measures: Measures) -> None:
     """Writes the distances beside the lines across, 100 m and 50 m first, then from near to far where there is room."""
-    taken_px: list[float] = []
+    taken: list[tuple[int, int, int, int]] = []
     for ahead_m in (FAR_END_M, NEAR_END_M, *across):
         line = _project_road(camera, float(ahead_m), np.arange(0.0, SIDES_M[0] - _STEP_M / 2, -_STEP_M))
         line = line[np.isfinite(line).all(-1)] * measures.enlargement
@@ -258,10 +258,11 @@ def _draw_labels(picture: Picture, camera: Camera, across: list[int], measures: 
         line = line[(line[:, 0] >= 0) & (line[:, 0] + width_px + 8 < picture.shape[1])]
         if not len(line) or not height_px < line[-1, 1] < picture.shape[0] - height_px:
             continue
-        if any(abs(line[-1, 1] - other_px) < height_px + 4 for other_px in taken_px):
-            continue
-        taken_px.append(float(line[-1, 1]))
         x, y = round(float(line[-1, 0])) + 4, round(float(line[-1, 1])) + height_px // 2
-        ground = picture[max(0, y - height_px - 3) : y + 4, x - 2 : x + width_px + 2]
+        label = (x - 2, y - height_px - 3, x + width_px + 2, y + 4)
+        if any(label[0] < x2 and x1 < label[2] and label[1] < y2 and y1 < label[3] for x1, y1, x2, y2 in taken):
+            continue
+        taken.append(label)
+        ground = picture[max(0, label[1]) : label[3], label[0] : label[2]]
         ground[:] = (0.35 * ground + 0.65 * np.array(_GROUND_BGR)).astype(np.uint8)
         cv2.putText(picture, text, (x, y), _FONT, measures.label_scale, GRID_BGR, measures.thin_px, cv2.LINE_AA)
