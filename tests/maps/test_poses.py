@@ -94,8 +94,9 @@ def test_tum(tmp_path: Path) -> None:
 )
 def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in METRIC
-    with pytest.raises(ValueError, match=rf"drive\.csv: .*{message}|{message}"):
+    with pytest.raises(ValueError, match=message) as caught:
         read_poses(write(tmp_path, METRIC.replace(old, new, 1)))
+    assert "drive.csv: " in str(caught.value)
 
 
 def test_poses_and_map_must_be_of_one_kind(tmp_path: Path) -> None:

@@ -135,13 +135,20 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_broken_logs(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "expected"),
+    [
+        (".asc", "expected frames of StreetSegment"),  # whose reader passes over what it does not know
+        (".blf", r"expected a CAN log of the kind \.blf"),
+        (".log", r"expected a CAN log of the kind \.log"),
+    ],
+)
+def test_broken_logs(tmp_path: Path, suffix: str, expected: str) -> None:
     path = tmp_path / f"drive{suffix}"
     with pytest.raises(FileNotFoundError, match="drive"):
         read_can_log(path)
     path.write_bytes(b"\x00\xffthis is no log at all\n" * 20)
-    with pytest.raises(ValueError, match=rf"drive\{suffix}: expected (a CAN log of the kind|frames of StreetSegment)"):
+    with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
         read_can_log(path)
 
 
