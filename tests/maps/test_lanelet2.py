@@ -63,6 +63,17 @@ def test_a_lanelet_of_its_own_whose_borders_run_apart(tmp_path: Path) -> None:
     assert line.length_m == pytest.approx(55.6, abs=0.1)
 
 
+def test_lanes_that_part_are_no_two_directions(tmp_path: Path) -> None:
+    """Two lanelets on the same side of their common left border."""
+    text = (
+        document()
+        .replace(lanelet(2, "b", "a"), lanelet(2, "a", "b"))
+        .replace(lanelet(1, "b", "c"), lanelet(1, "a", "c"))
+    )
+    widths_m = sorted(2 * line.half_width_m for line in read(tmp_path, text).lines)
+    assert widths_m == pytest.approx([WIDTH_M, 2 * WIDTH_M], abs=0.01)
+
+
 def test_paths_are_left_out(tmp_path: Path) -> None:
     assert len(read(tmp_path, document(more=lanelet(3, "a", "c", "walkway"))).lines) == 1
 

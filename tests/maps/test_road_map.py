@@ -30,6 +30,23 @@ def test_it_goes_on_in_the_straightest_line_whichever_way_that_runs() -> None:
     assert y == pytest.approx(10.0, abs=0.3)
 
 
+def test_short_lines_and_ends_that_overlap() -> None:
+    pieces = [line((x, 0), (x + 10.5, 0)) for x in (0, 10, 20)] + [line((30.5, 0), (31, 0)), line((31, 0), (60, 0))]
+    road = RoadMap(pieces).ahead(pose(5.0, 0.0), length_m=200.0)
+    assert road is not None
+    np.testing.assert_allclose(road.points_m[:, 0], np.arange(56.0), atol=1e-9)
+
+
+def test_a_single_lane_through_a_junction() -> None:
+    lane = line(*[(x, -1.75) for x in range(50, 71)], half_width_m=1.75)
+    pieces = [line((0, 0), (50, 0)), lane, line((70, 0), (120, 0))]
+    road = RoadMap(pieces).ahead(pose(5.0, -1.75), length_m=200.0)
+    assert road is not None
+    assert road.half_width_m == 3.0
+    assert road.points_m[-1, :2].tolist() == pytest.approx([115.0, 1.75], abs=1.0)
+    assert np.abs(road.points_m[50:60, 1]).max() < 0.01
+
+
 def test_it_ends_at_a_crossing_where_nothing_goes_on() -> None:
     road = RoadMap([line((0, 0), (100, 0)), line((100, 0), (100, 80))]).ahead(pose(50.0, 0.0))
     assert road is not None

@@ -1,8 +1,8 @@
 """Roads in a Lanelet2 file (.osm): carriageways between the borders of lanelets.
 
-Two lanelets that share their left border are the two directions of one carriageway; any other is one of its own. Read
-are the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a road for cars; projections and
-regulatory elements are not.
+Two lanelets on either side of the same left border are the two directions of one carriageway; any other is one of its
+own. Read are the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a road for cars; projections
+and regulatory elements are not.
 
 Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 """
@@ -46,7 +46,7 @@ def read_lanelet2(path: Path) -> RoadMap:
         if not is_missing.all():
             raise ValueError(f"{path}: ele: expected a height at all nodes of borders, or at none")
         borders = {way: np.nan_to_num(border) for way, border in borders.items()}
-    lines = [_line(borders[first], borders[second]) for first, second in _carriageways(lanelets)]
+    lines = [_line(first, second) for first, second in _carriageways(lanelets, borders)]
     return RoadMap(lines, earth, has_heights=not is_missing.any())
 
 
@@ -96,15 +96,25 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
     return border
 
 
-def _carriageways(lanelets: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The outer borders of each: of two lanelets that share their left border, both right ones."""
+def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[Floats, Floats]]:
+    """The outer borders of each: of two lanelets on either side of the same left border, both right ones."""
     rights_of: dict[str, list[str]] = {}
     for left, right in lanelets:
         rights_of.setdefault(left, []).append(right)
     found = []
     for left, rights in rights_of.items():
-        found += [(rights[0], rights[1])] if len(rights) == 2 else [(left, right) for right in rights]
+        sides = {_side(borders[left], borders[right]): borders[right] for right in rights}
+        if len(rights) == 2 and len(sides) == 2:
+            found.append((sides[1.0], sides[-1.0]))
+        else:
+            found += [(borders[left], borders[right]) for right in rights]
     return found
+
+
+def _side(line: Floats, other: Floats) -> float:
+    """1 if `other` lies to the left of `line` as that runs, -1 if to the right."""
+    along, away = line[-1] - line[0], other.mean(axis=0) - line.mean(axis=0)
+    return 1.0 if along[0] * away[1] - along[1] * away[0] > 0 else -1.0
 
 
 def _line(first: Floats, second: Floats) -> CentreLine:

@@ -12,8 +12,10 @@ from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
 
-JOIN_M = 1.0
-"""Ends of two lines that are this near are one place."""
+JOIN_M = 2.5
+"""Ends of two lines that are this near are one place: through a junction a map may have single lanes, whose middle is
+half a lane beside the road's.
+"""
 
 MIN_GOING_ON = 0.5
 """A road goes on in another one only if it turns by less than 60 degrees there; the cosine of it."""
@@ -79,22 +81,25 @@ class RoadMap:
         """The line `number` as it is driven, and those that it goes on in for at least `missing_m` more."""
         line = self._driven(2 * number + is_against)
         points, slopes, seen = [line.points_m], [line.cross_slopes], {number}
-        while missing_m > 0 and (row := self._next(points[-1], seen)) is not None:
-            following = self._driven(row)
-            begin = int(np.hypot(*(following.points_m[0] - points[-1][-1])[:2]) <= 1e-3)
-            points.append(following.points_m[begin:])
-            slopes.append(following.cross_slopes[begin:])
+        while missing_m > 0 and (row := self._next(line, seen)) is not None:
+            step = line.points_m[-1] - line.points_m[-2]
+            line = self._driven(row)
+            # Ends that overlap would lead back a little.
+            begin = int(np.argmax((line.points_m - points[-1][-1])[:, :2] @ step[:2] > 1e-3 * np.hypot(*step[:2])))
+            points.append(line.points_m[begin:])
+            slopes.append(line.cross_slopes[begin:])
             seen.add(row // 2)
-            missing_m -= following.length_m
-        return CentreLine(np.concatenate(points), line.half_width_m, np.concatenate(slopes))
+            missing_m -= line.length_m
+        return CentreLine(np.concatenate(points), self.lines[number].half_width_m, np.concatenate(slopes))
 
     def _driven(self, row: int) -> CentreLine:
         line = self.lines[row // 2]
         return line.reversed() if row % 2 else line
 
-    def _next(self, points: Floats, seen: set[int]) -> int | None:
-        """Row of the straightest line that begins where `points` end; None where the map ends."""
-        end, step = points[-1, :2], points[-1, :2] - points[-2, :2]
+    def _next(self, line: CentreLine, seen: set[int]) -> int | None:
+        """Row of the straightest line that begins where `line` ends; None where the map ends."""
+        before, end = line.points_m[-2:, :2]
+        step = end - before
         turns = self._directions @ (step / np.linalg.norm(step))
         is_next = (np.linalg.norm(self._begins - end, axis=1) <= JOIN_M) & (turns >= MIN_GOING_ON)
         is_next[[row for number in seen for row in (2 * number, 2 * number + 1)]] = False
