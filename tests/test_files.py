@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.files import naming, open_atomic, write_atomic
+from foreglow.files import naming, open_atomic, read_text, write_atomic
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -41,3 +41,18 @@ def test_an_error_about_another_file_keeps_its_name(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as caught, naming(tmp_path / "a"):
         (tmp_path / "b").read_bytes()
     assert caught.value.filename == str(tmp_path / "b")
+
+
+def test_text_without_its_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xef\xbb\xbfK\xc3\xb6ln\n")
+    assert read_text(path) == "Köln\n"
+
+
+def test_what_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match=r"a\.txt: expected UTF-8 text"):
+        read_text(path)
+    with pytest.raises(FileNotFoundError, match="absent"):
+        read_text(tmp_path / "absent")

@@ -64,3 +64,18 @@ def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
         if error.errno is None or error.filename not in (None, in_place_of and str(in_place_of)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def read_text(path: Path) -> str:
+    """The text in the UTF-8 file at `path`; a byte order mark is dropped.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not UTF-8 text.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected UTF-8 text: {error}") from error

@@ -18,6 +18,7 @@ EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
     **dict.fromkeys(("mitsuba", "drjit"), "sim"),
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    **dict.fromkeys(("cantools", "can"), "can"),
     "matplotlib": "plots",
     "ultralytics": "ultralytics",
     "trackeval": "mot",
@@ -117,6 +118,14 @@ def configuration_of(preset: str, file: Path | None, model: Path | None) -> Pipe
         classifier = configuration.classifier.model_copy(update={"model": model})
         configuration = configuration.model_copy(update={"classifier": classifier})
     return configuration
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """The width and height that `text` such as 1280x960 says."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"size: expected WIDTHxHEIGHT such as 1280x960, got {text!r}")
+    return int(width), int(height)
 
 
 def opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:

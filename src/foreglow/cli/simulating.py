@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.cli.app import app, file, folder
+from foreglow.cli.app import app, file, folder, size_of
 
 if TYPE_CHECKING:
     from foreglow import simulation
@@ -57,10 +57,8 @@ def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tu
     """The scenes with the size, the frame rate and the exposure that were asked for."""
     from foreglow.simulation import adapted
 
-    width, _, height = size.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"size: expected WIDTHxHEIGHT such as 1280x960, got {size!r}")
-    return tuple(adapted(scene, (int(width), int(height)), fps, cycle) for scene in scenes)
+    size_px = size_of(size)
+    return tuple(adapted(scene, size_px, fps, cycle) for scene in scenes)
 
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:

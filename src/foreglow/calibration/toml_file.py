@@ -21,72 +21,66 @@ The centre of the upper left pixel is (0.5, 0.5); `foreglow.geometry` says what 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
 
 import numpy as np
 import tomli_w
-from pydantic import Field
 
+from foreglow.calibration.values import NO_DISTORTION, Five, Focal, ImageChoice, Intrinsics, Mount, Side, Two
 from foreglow.config import FrozenModel, read_toml, validated
-from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
+from foreglow.geometry import Camera, rotation_angles_rad
 
 ANGLE_DECIMALS = 12
 """Of a degree, in a file: far below any calibration, and coarse enough that angles survive the way to a matrix and
 back.
 """
 
-# TOML has lists where Python has tuples; what is in them stays strict.
-_Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
-_Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
-_Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(strict=False)]
-_Focal: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], Field(strict=False)]
-_Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
-
 
 class _Image(FrozenModel):
-    width_px: Annotated[int, Field(ge=1)]
-    height_px: Annotated[int, Field(ge=1)]
+    width_px: Side
+    height_px: Side
 
 
-class _Intrinsics(FrozenModel):
-    focal_px: _Focal
-    centre_px: _Two
-    distortion: _Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+class _Lens(FrozenModel):
+    focal_px: Focal
+    centre_px: Two
+    distortion: Five = NO_DISTORTION
 
 
-class _Mount(FrozenModel):
-    position_m: _Three
-    yaw_deg: _Angle = 0.0
-    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    roll_deg: _Angle = 0.0
-
-
-class _Calibration(FrozenModel):
+class _IntrinsicsFile(FrozenModel):
     image: _Image
-    intrinsics: _Intrinsics
-    mount: _Mount
+    intrinsics: _Lens
+    mount: Mount | None = None
 
 
-def read_calibration(path: Path | str) -> Camera:
-    """The camera in the TOML file `path`.
+class _CameraFile(_IntrinsicsFile):
+    mount: Mount
+
+
+def read_toml_calibration(path: Path) -> tuple[Intrinsics, Mount]:
+    """The camera in the TOML file `path`, and its mount.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or a field is missing, unknown, no finite number or out of range; the message
             names path and field.
     """
-    path = Path(path)
-    file = validated(_Calibration, read_toml(path), str(path))
-    mount = file.mount
-    turned = rotation(*np.radians([mount.yaw_deg, mount.pitch_deg, mount.roll_deg]))
-    return Camera(
-        width_px=file.image.width_px,
-        height_px=file.image.height_px,
-        focal_px=file.intrinsics.focal_px,
-        centre_px=file.intrinsics.centre_px,
-        distortion=file.intrinsics.distortion,
-        vehicle_from_camera=Pose(np.array(mount.position_m), turned),
-    )
+    file = validated(_CameraFile, read_toml(path), str(path))
+    return _intrinsics(file), file.mount
+
+
+def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
+    """The camera in the TOML file `path`, whether it has a mount or not; it knows one kind of image only.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: As in `read_toml_calibration`; also if another camera, another size or rectified images are asked
+            for.
+    """
+    if choice.camera != 0 or choice.is_rectified:
+        raise ValueError(f"{path}: camera: expected no choice for a TOML file, which knows one kind of image")
+    intrinsics = _intrinsics(validated(_IntrinsicsFile, read_toml(path), str(path)))
+    choice.checked_size_px((intrinsics.width_px, intrinsics.height_px), f"{path}: image")
+    return intrinsics
 
 
 def calibration_to_toml(camera: Camera) -> str:
@@ -114,6 +108,10 @@ def calibration_to_toml(camera: Camera) -> str:
             },
         }
     )
+
+
+def _intrinsics(file: _IntrinsicsFile) -> Intrinsics:
+    return Intrinsics(**file.image.model_dump(), **file.intrinsics.model_dump())
 
 
 def _floats(values: tuple[float, ...] | np.ndarray) -> list[float]:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.calibration import calibration_to_toml, read_calibration
+from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_calibration, read_intrinsics
 from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
 
 TEXT = """\
@@ -126,3 +126,24 @@ def test_any_camera_comes_back(
 def test_a_camera_that_looks_straight_down_or_up(pitch_deg: float) -> None:
     turned = rotation(*np.radians([30.0, pitch_deg, 20.0]))
     np.testing.assert_allclose(rotation(*rotation_angles_rad(turned)), turned, atol=1e-12)
+
+
+def test_another_mount_than_the_files(tmp_path: Path) -> None:
+    camera = read_calibration(write(tmp_path, TEXT), Mount(position_m=(0, 0, 2)))
+    assert camera.vehicle_from_camera.position_m.tolist() == [0, 0, 2]
+    assert camera.focal_px == (1312.0, 1310.5)
+
+
+def test_a_camera_without_a_mount(tmp_path: Path) -> None:
+    path = write(tmp_path, TEXT[: TEXT.index("[mount]")])
+    assert read_intrinsics(path).focal_px == (1312.0, 1310.5)
+    with pytest.raises(ValueError, match="mount: missing"):
+        read_calibration(path)
+
+
+def test_choices_that_a_toml_file_does_not_have(tmp_path: Path) -> None:
+    path = write(tmp_path, TEXT)
+    with pytest.raises(ValueError, match=r"camera\.toml: camera: expected no choice"):
+        read_intrinsics(path, ImageChoice(is_rectified=True))
+    with pytest.raises(ValueError, match=r"camera\.toml: image: expected 640x480 px as asked for, got 1280x960"):
+        read_intrinsics(path, ImageChoice(size_px=(640, 480)))

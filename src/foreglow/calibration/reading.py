@@ -1,0 +1,62 @@
+"""Which reader a calibration file has, by its ending."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from foreglow.calibration.kitti import read_kitti_intrinsics
+from foreglow.calibration.ros import read_ros_intrinsics
+from foreglow.calibration.toml_file import read_toml_calibration, read_toml_intrinsics
+from foreglow.calibration.values import ImageChoice, Intrinsics, Mount
+from foreglow.geometry import Camera
+
+READERS: dict[str, Callable[[Path, ImageChoice], Intrinsics]] = {
+    ".toml": read_toml_intrinsics,
+    ".txt": read_kitti_intrinsics,
+    ".yaml": read_ros_intrinsics,
+    ".yml": read_ros_intrinsics,
+}
+"""Readers by the ending of the file."""
+
+
+def read_intrinsics(path: Path | str, choice: ImageChoice | None = None) -> Intrinsics:
+    """The camera in the file `path`, without its mount: TOML, KITTI's .txt or ROS's .yaml.
+
+    Args:
+        path: The file.
+        choice: Which images, where the file knows of several; None for images as the camera 0 took them.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If its ending is another, or it cannot be used; the message names path, field and expectation.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: expected a calibration that ends in {', '.join(READERS)}, got {path.suffix!r}")
+    return reader(path, choice or ImageChoice())
+
+
+def read_calibration(path: Path | str, mount: Mount | None = None) -> Camera:
+    """The camera in the file `path`.
+
+    Args:
+        path: A file as `read_intrinsics` takes it, for images as they were taken.
+        mount: How the camera sits in the vehicle, in place of what a TOML file says; other files do not know it.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be used, or nobody says how the camera is mounted; the message names path and field.
+    """
+    path = Path(path)
+    if mount is not None:
+        return read_intrinsics(path).camera(mount)
+    if path.suffix.lower() == ".toml":
+        intrinsics, own = read_toml_calibration(path)
+        return intrinsics.camera(own)
+    read_intrinsics(path)
+    raise ValueError(
+        f"{path}: mount: missing, such a file does not know it; give one, or write a TOML file that has it with "
+        "`foreglow calibrate convert`"
+    )

@@ -1,0 +1,118 @@
+"""ROS's calibration files: the YAML that `camera_calibration` writes and `camera_info_manager` reads.
+
+    image_width: 1280
+    image_height: 960
+    camera_name: front
+    camera_matrix: {rows: 3, cols: 3, data: [1312, 0, 639.5, 0, 1312, 479.5, 0, 0, 1]}
+    distortion_model: plumb_bob
+    distortion_coefficients: {rows: 1, cols: 5, data: [-0.05, 0.02, 0, 0, 0]}
+    rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+    projection_matrix: {rows: 3, cols: 4, data: [1300, 0, 639.5, 0, 0, 1300, 479.5, 0, 0, 0, 1, 0]}
+
+Images as taken have `camera_matrix` and the distortion, rectified ones `projection_matrix` and none. The
+`rectification_matrix` turns a camera of a stereo pair: it belongs to the mount, and is not used.
+
+Source: sensor_msgs/CameraInfo, docs.ros.org.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import yaml
+from pydantic import BeforeValidator, Field
+
+from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics, Side
+from foreglow.config import FrozenModel, validated
+from foreglow.files import read_text
+
+MODELS = ("plumb_bob", "rational_polynomial")
+"""Distortion models that can be read; the second only where its terms beyond k3 are 0."""
+
+NUM_TERMS = 5
+
+
+def _number(value: Any) -> Any:
+    """YAML 1.1 takes 1e-05 for a text, as it has no dot; the C++ tools of ROS write such numbers."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+_Number: TypeAlias = Annotated[float, BeforeValidator(_number)]
+
+
+class _Matrix(FrozenModel):
+    rows: Annotated[int, Field(ge=0)]
+    cols: Annotated[int, Field(ge=0)]
+    data: Annotated[tuple[_Number, ...], Field(strict=False)]
+
+
+class _File(FrozenModel):
+    image_width: Side
+    image_height: Side
+    camera_name: Any = ""
+    camera_matrix: _Matrix
+    distortion_model: str
+    distortion_coefficients: _Matrix
+    rectification_matrix: _Matrix | None = None
+    projection_matrix: _Matrix | None = None
+
+
+def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
+    """The camera in a file of ROS's.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not YAML, a field is missing, unknown, no finite number or of the wrong count, the
+            distortion model is another or needs terms beyond k3, or the size is another than asked for.
+    """
+    file = _read(path)
+    size_px = choice.checked_size_px((file.image_width, file.image_height), f"{path}: image_width, image_height")
+    if choice.camera != 0:
+        raise ValueError(f"{path}: camera: expected 0, a ROS file has one camera, got {choice.camera}")
+    name, columns = ("projection_matrix", 4) if choice.is_rectified else ("camera_matrix", 3)
+    given = file.projection_matrix if choice.is_rectified else file.camera_matrix
+    if given is None:
+        raise ValueError(f"{path}: {name}: missing, rectified images need it")
+    if (given.rows, given.cols, len(given.data)) != (3, columns, 3 * columns):
+        raise ValueError(
+            f"{path}: {name}: expected 3 rows, {columns} columns and {3 * columns} numbers, got {given.rows} rows, "
+            f"{given.cols} columns and {len(given.data)} numbers"
+        )
+    distortion = NO_DISTORTION if choice.is_rectified else _distortion(file, path)
+    return Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {name}", distortion)
+
+
+def _read(path: Path) -> _File:
+    try:
+        fields = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: expected YAML: {error}") from None
+    if not isinstance(fields, dict):
+        raise ValueError(f"{path}: expected the fields {', '.join(_File.model_fields)}, got {type(fields).__name__}")
+    return validated(_File, fields, str(path))
+
+
+def _distortion(file: _File, path: Path) -> Five:
+    """k1, k2, p1, p2, k3."""
+    if file.distortion_model not in MODELS:
+        raise ValueError(
+            f"{path}: distortion_model: expected one of {', '.join(MODELS)}, got {file.distortion_model!r}; rectify "
+            "the images and ask for rectified ones"
+        )
+    terms = file.distortion_coefficients.data
+    if any(terms[NUM_TERMS:]):
+        raise ValueError(
+            f"{path}: distortion_coefficients: expected k1, k2, p1, p2, k3 and no further term but 0, got "
+            f"{list(terms)}; calibrate with plumb_bob, or rectify the images and ask for rectified ones"
+        )
+    if len(terms) not in (0, 4) and len(terms) < NUM_TERMS:
+        raise ValueError(f"{path}: distortion_coefficients: expected 0, 4, 5 or more numbers, got {len(terms)}")
+    k1, k2, p1, p2, k3 = (*terms[:NUM_TERMS], *[0.0] * (NUM_TERMS - len(terms[:NUM_TERMS])))
+    return k1, k2, p1, p2, k3

@@ -1,0 +1,143 @@
+"""The two halves of a calibration, the camera itself and its mount, and which images a file is asked about."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from foreglow.config import FrozenModel
+from foreglow.geometry import Camera, Floats, Pose, rotation
+
+# TOML has lists where Python has tuples; what is in them stays strict.
+Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
+Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
+Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(strict=False)]
+Focal: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], Field(strict=False)]
+Side: TypeAlias = Annotated[int, Field(ge=1)]
+_Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+
+HALF_PIXEL_PX = 0.5
+"""KITTI, ROS and OpenCV have the centre of the upper left pixel at (0, 0); here it is (0.5, 0.5)."""
+
+NO_DISTORTION: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Mount(FrozenModel):
+    """How a camera sits in its vehicle.
+
+    Attributes:
+        position_m: Forward of the rear axle, left of the middle, above the road.
+        yaw_deg: How far its axis points to the left.
+        pitch_deg: How far its axis points upwards.
+        roll_deg: How far it is turned to the right about its axis.
+    """
+
+    position_m: Three
+    yaw_deg: _Angle = 0.0
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    roll_deg: _Angle = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """vehicle_from_camera."""
+        turned = rotation(*np.radians([self.yaw_deg, self.pitch_deg, self.roll_deg]))
+        return Pose(np.array(self.position_m), turned)
+
+
+class Intrinsics(FrozenModel):
+    """A camera without its mount.
+
+    Attributes:
+        width_px: Columns of the image.
+        height_px: Rows of the image.
+        focal_px: Focal lengths fx, fy.
+        centre_px: Principal point cx, cy; the centre of the upper left pixel is (0.5, 0.5).
+        distortion: k1, k2, p1, p2, k3, no unit (OpenCV's order).
+    """
+
+    width_px: Side
+    height_px: Side
+    focal_px: Focal
+    centre_px: Two
+    distortion: Five = NO_DISTORTION
+
+    @classmethod
+    def of_matrix(
+        cls, values: Floats, size_px: tuple[int, int], field: str, distortion: Five = NO_DISTORTION
+    ) -> Intrinsics:
+        """The camera that a matrix of OpenCV's convention means, with the centre of the first pixel at (0, 0).
+
+        Args:
+            values: The matrix by rows: 9 numbers of a camera matrix, or 12 of a projection, whose last column is not
+                used.
+            size_px: Width and height.
+            field: Path and field, for messages.
+            distortion: k1, k2, p1, p2, k3.
+
+        Raises:
+            ValueError: If a focal length is not positive, or the matrix is not fx 0 cx, 0 fy cy, 0 0 1.
+        """
+        matrix = values.reshape(3, -1)[:, :3]
+        fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        for name, focal_px in (("fx", fx), ("fy", fy)):
+            if not focal_px > 0:
+                raise ValueError(f"{field}: {name}: expected a positive focal length, got {focal_px:g}")
+        if matrix.tolist() != [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]:
+            raise ValueError(f"{field}: expected fx 0 cx, 0 fy cy, 0 0 1, got {matrix.tolist()}")
+        return cls(
+            width_px=size_px[0],
+            height_px=size_px[1],
+            focal_px=(fx, fy),
+            centre_px=(cx + HALF_PIXEL_PX, cy + HALF_PIXEL_PX),
+            distortion=distortion,
+        )
+
+    def camera(self, mount: Mount) -> Camera:
+        """The camera on its mount."""
+        return Camera(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            focal_px=self.focal_px,
+            centre_px=self.centre_px,
+            distortion=self.distortion,
+            vehicle_from_camera=mount.pose,
+        )
+
+
+class ImageChoice(FrozenModel):
+    """Which images a calibration is wanted for, where a file knows of several.
+
+    Attributes:
+        camera: Number of the camera, in a file of KITTI: 0 and 1 grey, 2 and 3 colour.
+        is_rectified: Whether the images were rectified: then they have no distortion, and a projection of their own.
+        size_px: Width and height, where the file does not know them; otherwise they must be the file's.
+    """
+
+    camera: Annotated[int, Field(ge=0, le=99)] = 0
+    is_rectified: bool = False
+    size_px: Annotated[tuple[Side, Side], Field(strict=False)] | None = None
+
+    def checked_size_px(self, file_px: tuple[int, int] | None, field: str) -> tuple[int, int]:
+        """The size that the file says, or else the one asked for.
+
+        Args:
+            file_px: Width and height in the file; None where it has none.
+            field: Path and field, for messages.
+
+        Raises:
+            ValueError: If nobody says a size, or the two differ.
+        """
+        size_px = file_px or self.size_px
+        if size_px is None:
+            raise ValueError(f"{field}: missing, and the file says no other size: give the images' size")
+        if self.size_px not in (None, size_px):
+            raise ValueError(
+                f"{field}: expected {_size(self.size_px or size_px)} px as asked for, got {_size(size_px)}"
+            )
+        return size_px
+
+
+def _size(size_px: tuple[int, int]) -> str:
+    return f"{size_px[0]}x{size_px[1]}"

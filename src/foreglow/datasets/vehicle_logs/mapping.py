@@ -1,0 +1,176 @@
+"""Which signals of a DBC mean what: a TOML file that the user writes for the own car.
+
+Signals are taken as the DBC scales them. A section names its message, and a signal for each field; what has a default
+may be left out. `street.toml` in this folder is the mapping of our own `street.dbc`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from foreglow.config import FrozenModel
+from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
+
+
+class Section(FrozenModel):
+    """Fields that come with one message.
+
+    Attributes:
+        message: Its name in the DBC.
+    """
+
+    message: str
+
+    def signals(self) -> dict[str, str]:
+        """The signals that the section names, by its fields."""
+        fields = self.model_dump(exclude={"message"}, exclude_none=True)
+        return {field: value for field, value in fields.items() if isinstance(value, str)}
+
+
+class SlopeSignals(Section):
+    """A frame that tells the slope of a segment.
+
+    Attributes:
+        segment_id: The segment's number.
+        slope_percent: Its slope.
+        is_downhill: 1 where the slope is to be taken negative; None if it has a sign.
+    """
+
+    segment_id: str
+    slope_percent: str
+    is_downhill: str | None = None
+
+
+class SegmentSignals(Section):
+    """A frame that tells a segment.
+
+    Attributes:
+        segment_id: Its number, 1..62; frames with another are passed over.
+        parent_id: The number of the segment before it.
+        length_m: Its length; frames with 0 are passed over.
+        start_curvature: Curvature where it begins, see `CurvatureMeaning`.
+        end_curvature: Curvature where it ends.
+        is_start_left: Which way it bends where it begins; None if the curvature has a sign, positive to the left.
+        is_end_left: Which way it bends where it ends.
+        slope_percent: Its slope; None if another message tells it or none does: then it is level.
+        is_downhill: 1 where the slope is to be taken negative; None if it has a sign.
+        is_probable: 1 where the segment is on the most probable path; others are passed over. None: all are.
+    """
+
+    segment_id: str
+    parent_id: str
+    length_m: str
+    start_curvature: str
+    end_curvature: str
+    is_start_left: str | None = None
+    is_end_left: str | None = None
+    slope_percent: str | None = None
+    is_downhill: str | None = None
+    is_probable: str | None = None
+
+
+class PositionSignals(Section):
+    """A frame that tells where the vehicle is believed to be.
+
+    Attributes:
+        segment_id: The segment it is in; one without a number 1..62 is an unknown position.
+        remaining_length_m: To the end of that segment; above 254 is unknown.
+        error_class: Class of the longitudinal error; above the last class is unknown.
+        first_error_class: Its value for an error below 2 m.
+        num_segments: How many segments belong to the message; None: as many as follow each other.
+    """
+
+    segment_id: str
+    remaining_length_m: str
+    error_class: str
+    first_error_class: Annotated[int, Field(ge=0)] = 0
+    num_segments: str | None = None
+
+
+class CurvatureMeaning(FrozenModel):
+    """What the signals of curvature mean.
+
+    Attributes:
+        meaning: `code`: radii in equal ratios; `radius_m`; `per_m`, the curvature itself. A radius of 0 is straight.
+        straight_code: The code of a straight road; the codes below it are the radii.
+        min_radius_m: Radius of code 0.
+        max_radius_m: Radius of the last code before straight.
+        left_when: Value of `is_start_left` and `is_end_left` that means left.
+    """
+
+    meaning: Literal["code", "radius_m", "per_m"] = "code"
+    straight_code: Annotated[int, Field(ge=2)] = STRAIGHT_CODE
+    min_radius_m: Annotated[float, Field(gt=0)] = MIN_RADIUS_M
+    max_radius_m: Annotated[float, Field(gt=0)] = MAX_RADIUS_M
+    left_when: Literal[0, 1] = 1
+
+    @model_validator(mode="after")
+    def _check(self) -> CurvatureMeaning:
+        if self.max_radius_m <= self.min_radius_m:
+            raise ValueError(f"max_radius_m: expected more than min_radius_m, {self.min_radius_m:g}")
+        return self
+
+    def per_m(self, value: float) -> float:
+        """The curvature, 1/m, that a signal's value means."""
+        if self.meaning == "per_m":
+            return value
+        if self.meaning == "radius_m":
+            return 1.0 / value if value else 0.0
+        if value >= self.straight_code:
+            return 0.0
+        return float((self.max_radius_m / self.min_radius_m) ** (-value / (self.straight_code - 1)) / self.min_radius_m)
+
+
+class NumberSignal(Section):
+    """A number of its own.
+
+    Attributes:
+        signal: Its name.
+        factor: From the signal's unit to ours: 0.277778 for km/h, 0.0174533 for degrees.
+        is_negative: 1 where it is to be taken negative; None if it has a sign.
+    """
+
+    signal: str
+    factor: float = 1.0
+    is_negative: str | None = None
+
+
+class CanMapping(FrozenModel):
+    """The whole mapping: the road, the motion, or both.
+
+    Attributes:
+        segment: Needs `position`.
+        position: Needs `segment`.
+        slope: Slopes in a message of their own.
+        curvature: What curvatures mean.
+        speed: Forward speed, m/s; needs `yaw_rate`.
+        yaw_rate: Rate of turn to the left, rad/s; needs `speed`.
+    """
+
+    segment: SegmentSignals | None = None
+    position: PositionSignals | None = None
+    slope: SlopeSignals | None = None
+    curvature: CurvatureMeaning = CurvatureMeaning()
+    speed: NumberSignal | None = None
+    yaw_rate: NumberSignal | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> CanMapping:
+        for one, other in (("segment", "position"), ("speed", "yaw_rate")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise ValueError(f"{one}, {other}: expected both sections or neither")
+        if self.segment is None and self.speed is None:
+            raise ValueError("expected the sections segment and position, or speed and yaw_rate, or all four")
+        if self.slope is not None and self.segment is None:
+            raise ValueError("slope: expected a section segment beside it")
+        return self
+
+    def sections(self) -> Iterator[tuple[str, Section]]:
+        """The sections that name a message, with their names."""
+        for name in ("segment", "position", "slope", "speed", "yaw_rate"):
+            section = getattr(self, name)
+            if section is not None:
+                yield name, section

@@ -1,0 +1,182 @@
+"""From the files of a drive to what the car knew at each frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from foreglow.calibration import read_calibration
+from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
+from foreglow.geometry import Camera
+from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
+from foreglow.street import road_from_message
+from foreglow.types import EgoMotion, Frame, RoadAhead
+
+MAX_CLOCK_GAP_S = 3600.0
+"""A frame that is this far from all data is of another clock, and not merely before or after them."""
+
+NUM_PLACES = 100
+"""So many poses along the drive are tried on the map when it is opened."""
+
+
+class VehicleFiles:
+    """A `VehicleData` of files; of a frame its time and size are used."""
+
+    def __init__(
+        self,
+        *,
+        camera: Camera | None = None,
+        log: CanLog | None = None,
+        road_map: RoadMap | None = None,
+        poses: PoseTrack | None = None,
+        time_offset_s: float = 0.0,
+        pose_error_m: float = math.inf,
+        names: Sequence[str] = ("calibration", "CAN log", "poses"),
+    ) -> None:
+        """Takes what the files hold; `open_vehicle_data` says what the arguments are.
+
+        Args:
+            camera: The calibration.
+            log: The CAN log.
+            road_map: The map; needs `poses`.
+            poses: Poses on it.
+            time_offset_s: What is added to the times of log and poses to have the frames'.
+            pose_error_m: How far a pose may be off along the road.
+            names: The paths of calibration, log and poses, for messages.
+        """
+        self._camera, self._log, self._road_map, self._poses = camera, log, road_map, poses
+        self._offset_ns = round(time_offset_s * 1e9)
+        self._pose_error_m = pose_error_m
+        self._names = names
+
+    def camera(self, frame: Frame) -> Camera | None:
+        """The calibration, scaled to the frame's size; None without one.
+
+        Raises:
+            ValueError: If the frame's sides have another ratio than the calibration's.
+        """
+        camera = self._camera
+        if camera is None or (camera.width_px, camera.height_px) == (frame.width_px, frame.height_px):
+            return camera
+        if abs(camera.height_px * frame.width_px / camera.width_px - frame.height_px) > 1.0:
+            raise ValueError(
+                f"{self._names[0]}: image: expected the frames' size or its multiple, {frame.width_px}x"
+                f"{frame.height_px} px, got {camera.width_px}x{camera.height_px} px"
+            )
+        return camera.scaled(frame.width_px, frame.height_px)
+
+    def motion(self, frame: Frame) -> EgoMotion | None:
+        """The latest motion in the log; None where there is none.
+
+        Raises:
+            ValueError: If the log is of another time.
+        """
+        if self._log is None:
+            return None
+        return self._log.motion(self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1]))
+
+    def road(self, frame: Frame) -> RoadAhead | None:
+        """The road ahead by map and pose, or else by the latest street message in the log; None where there is none.
+
+        Raises:
+            ValueError: If poses or log are of another time.
+        """
+        return self._road_by_map(frame) or self._road_by_message(frame)
+
+    def _road_by_map(self, frame: Frame) -> RoadAhead | None:
+        if self._poses is None or self._road_map is None:
+            return None
+        first_ns, last_ns = int(self._poses.times_ns[0]), int(self._poses.times_ns[-1])
+        pose = self._poses.pose(self._time_ns(frame, first_ns, last_ns, self._names[2]))
+        if pose is None:
+            return None
+        is_on_road = not self._poses.has_attitude
+        return self._road_map.ahead(pose, error_bound_m=self._pose_error_m, is_on_road=is_on_road)
+
+    def _road_by_message(self, frame: Frame) -> RoadAhead | None:
+        if self._log is None:
+            return None
+        time_ns = self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1])
+        message = self._log.street(time_ns)
+        return None if message is None else road_from_message(message)
+
+    def _time_ns(self, frame: Frame, first_ns: int, last_ns: int, name: str) -> int:
+        """The frame's time by the clock of the data, which reach from `first_ns` to `last_ns`."""
+        time_ns = frame.timestamp_ns - self._offset_ns
+        if max(first_ns - time_ns, time_ns - last_ns) > MAX_CLOCK_GAP_S * 1e9:
+            raise ValueError(
+                f"{name}: time: expected data of the frames' time, got data from {first_ns / 1e9:.3f} to "
+                f"{last_ns / 1e9:.3f} s and a frame at {time_ns / 1e9:.3f} s; give the time offset between the clocks"
+            )
+        return time_ns
+
+
+def open_vehicle_data(
+    calibration: Path | str | None = None,
+    can_log: Path | str | None = None,
+    dbc: Path | None = None,
+    mapping: Path | None = None,
+    road_map: Path | str | None = None,
+    poses: Path | str | None = None,
+    *,
+    time_offset_s: float = 0.0,
+    pose_error_m: float = math.inf,
+) -> VehicleFiles:
+    """What the car knew at each frame of a drive, from files; each may be left out, but not all.
+
+    Args:
+        calibration: Of the camera, with its mount: TOML.
+        can_log: CAN log with street messages, motion, or both: .asc, .blf or .log.
+        dbc: What is in its frames; None for our own.
+        mapping: What its signals mean; goes with `dbc`.
+        road_map: GeoJSON, OpenDRIVE (.xodr) or Lanelet2 (.osm); goes with `poses`. Where it tells no road, the log may.
+        poses: Where the vehicle was: CSV, or TUM's format.
+        time_offset_s: What is added to the times of log and poses to have the frames'.
+        pose_error_m: How far a pose may be off along the road; infinite where unknown.
+
+    Raises:
+        FileNotFoundError: If one of the files is missing.
+        ModuleNotFoundError: If a CAN log is given, and the extra `can` is not installed.
+        ValueError: If a file is broken, one is missing that goes with another, or no pose is on a road of the map.
+    """
+    if all(one is None for one in (calibration, can_log, dbc, mapping, road_map, poses)):
+        raise ValueError("vehicle data: expected a calibration, a CAN log, or a map with poses, got none of them")
+    if can_log is None and (dbc or mapping) is not None:
+        raise ValueError(f"{dbc or mapping}: expected a CAN log with it, got none")
+    if (road_map is None) != (poses is None):
+        other = "poses on it" if poses is None else "a map with them"
+        raise ValueError(f"{road_map or poses}: expected {other}, got none")
+    if not math.isfinite(time_offset_s):
+        raise ValueError(f"time offset: expected a finite number of seconds, got {time_offset_s}")
+    if not pose_error_m >= 0:
+        raise ValueError(f"pose error: expected a number of metres of at least 0, got {pose_error_m}")
+    roads = None if road_map is None else read_road_map(road_map)
+    track = None if poses is None or roads is None else read_poses(poses, roads.origin)
+    if track is not None and roads is not None:
+        _check_on_road(track, roads, f"{poses}", f"{road_map}")
+    return VehicleFiles(
+        camera=None if calibration is None else read_calibration(calibration),
+        log=None if can_log is None else read_can_log(can_log, dbc, mapping),
+        road_map=roads,
+        poses=track,
+        time_offset_s=time_offset_s,
+        pose_error_m=pose_error_m,
+        names=(f"{calibration}", f"{can_log}", f"{poses}"),
+    )
+
+
+def _check_on_road(track: PoseTrack, roads: RoadMap, name: str, map_name: str) -> None:
+    """Passes poses of which at least one has a road ahead.
+
+    Raises:
+        ValueError: If none has.
+    """
+    times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_PLACES)].tolist()
+    found = [pose for time_ns in times_ns if (pose := track.pose(time_ns)) is not None]
+    if not any(roads.ahead(pose, is_on_road=not track.has_attitude) for pose in found):
+        nearest_m = min(roads.distance_m(pose.position_m) for pose in found)
+        raise ValueError(
+            f"{name}: expected poses along the roads of {map_name}, with heights of one kind; none is, the nearest is "
+            f"{nearest_m:.0f} m from a point of the map"
+        )

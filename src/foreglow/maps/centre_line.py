@@ -1,0 +1,164 @@
+"""One road of a map, and the way to the road ahead of a vehicle that stands on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from foreglow.geometry import Floats, Pose
+from foreglow.types import RoadAhead
+
+MAX_OFFSET_M = 20.0
+"""A road whose centre line is further away, horizontally, is not the one that we drive on."""
+
+MAX_HEIGHT_OFFSET_M = 5.0
+"""Nor is one that is further above or below us: at a bridge the two roads are about this far apart."""
+
+MIN_ALONG = 0.5
+"""Nor one across our way: cosine of the largest angle between our way and the road's, 60 degrees."""
+
+STEP_M = 1.0
+_AXLES_M = 1.4
+"""Half the distance between the axles: how far to either side the slope under the vehicle is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Foot:
+    """The place of a road that is nearest to a vehicle.
+
+    Attributes:
+        distance_m: Horizontal distance of the vehicle from it.
+        way_m: Along the centre line from its first point.
+        is_against: Whether the vehicle drives towards the first point.
+    """
+
+    distance_m: float
+    way_m: float
+    is_against: bool
+
+
+@dataclass(frozen=True, eq=False)
+class CentreLine:
+    """The centre line of a carriageway, straight between its points; either direction may be driven.
+
+    Attributes:
+        points_m: Shape (N, 3), N >= 2, in the map's frame: x east, y north, z up, metres, horizontally no two
+            neighbours alike.
+        half_width_m: From the centre line to either edge.
+        cross_slopes: Shape (N,), rise for each metre to the left as the points run; an empty array becomes zeros.
+
+    Raises:
+        ValueError: If a shape is wrong, a number is not finite, or two neighbours are the same.
+    """
+
+    points_m: Floats
+    half_width_m: float
+    cross_slopes: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points_m, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+            raise ValueError(f"CentreLine.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError("CentreLine.points_m: expected finite numbers, got NaN or infinity")
+        if not np.diff(points[:, :2], axis=0).any(axis=1).all():
+            raise ValueError("CentreLine.points_m: expected neighbours that differ horizontally")
+        if not (math.isfinite(self.half_width_m) and self.half_width_m > 0):
+            raise ValueError(f"CentreLine.half_width_m: expected a positive number, got {self.half_width_m}")
+        slopes = np.array(self.cross_slopes, np.float64) if np.size(self.cross_slopes) else np.zeros(len(points))
+        if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
+            raise ValueError(f"CentreLine.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
+        object.__setattr__(self, "points_m", points)
+        object.__setattr__(self, "cross_slopes", slopes)
+
+    @cached_property
+    def ways_m(self) -> Floats:
+        """Horizontal way to each point from the first, shape (N,)."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points_m[:, :2], axis=0), axis=1))])
+
+    @property
+    def length_m(self) -> float:
+        """Horizontal length."""
+        return float(self.ways_m[-1])
+
+    def reversed(self) -> CentreLine:
+        """The same road, run the other way."""
+        return CentreLine(self.points_m[::-1], self.half_width_m, -self.cross_slopes[::-1])
+
+    def at(self, ways_m: Floats) -> Floats:
+        """Points, shape (..., 3), at ways along the line, shape (...); its ends beyond them."""
+        return np.stack([np.interp(ways_m, self.ways_m, values) for values in self.points_m.T], -1)
+
+    def foot(self, pose: Pose, *, knows_height: bool = True) -> Foot | None:
+        """The place nearest to a vehicle whose way it is; None if there is none near.
+
+        Args:
+            pose: map_from_vehicle.
+            knows_height: Whether heights of pose and map may be compared.
+        """
+        starts, steps = self.points_m[:-1], np.diff(self.points_m, axis=0)
+        lengths_m = np.linalg.norm(steps[:, :2], axis=1)
+        shares = ((pose.position_m - starts)[:, :2] * steps[:, :2]).sum(-1) / lengths_m**2
+        shares = np.clip(shares, 0.0, 1.0)
+        away = starts + shares[:, None] * steps - pose.position_m
+        distances_m = np.hypot(away[:, 0], away[:, 1])
+        forward = pose.rotation[:2, 0]
+        along = steps[:, :2] @ forward / (lengths_m * max(float(np.hypot(*forward)), 1e-12))
+        is_ours = (np.abs(along) >= MIN_ALONG) & (distances_m <= MAX_OFFSET_M)
+        if knows_height:
+            is_ours &= np.abs(away[:, 2]) <= MAX_HEIGHT_OFFSET_M
+        if not is_ours.any():
+            return None
+        nearest = int(np.argmin(np.where(is_ours, distances_m, np.inf)))
+        way_m = self.ways_m[nearest] + shares[nearest] * lengths_m[nearest]
+        return Foot(float(distances_m[nearest]), float(way_m), bool(along[nearest] < 0))
+
+    def ahead(
+        self, pose: Pose, length_m: float = 400.0, error_bound_m: float = math.inf, *, is_on_road: bool = False
+    ) -> RoadAhead | None:
+        """The road ahead of a vehicle, from the place beside it on, a point each metre, in the vehicle's frame.
+
+        None if the road is not near, runs across our way, or ends here.
+
+        Args:
+            pose: map_from_vehicle.
+            length_m: How far; the road may end before.
+            error_bound_m: How far the position may be off along the road; infinite where unknown.
+            is_on_road: The vehicle is put onto the road: height, pitch and roll of `pose` are taken from the map, for
+                poses or maps that know nothing of heights.
+        """
+        foot = self.foot(pose, knows_height=not is_on_road)
+        if foot is None:
+            return None
+        line, way_m = (self.reversed(), self.length_m - foot.way_m) if foot.is_against else (self, foot.way_m)
+        places_m = np.arange(way_m, min(way_m + length_m, line.length_m) + 1e-9, STEP_M)
+        if len(places_m) < 2:
+            return None
+        stands = line.standing(pose, way_m) if is_on_road else pose
+        slopes = np.interp(places_m, line.ways_m, line.cross_slopes)
+        return RoadAhead(stands.to_body(line.at(places_m)), self.half_width_m, slopes, error_bound_m)
+
+    def standing(self, pose: Pose, way_m: float) -> Pose:
+        """`pose` with the height, pitch and roll of a vehicle that stands on the road beside the place `way_m`."""
+        behind, place, before = self.at(np.array([way_m - _AXLES_M, way_m, way_m + _AXLES_M]))
+        step = before - behind
+        along = step[:2] / np.hypot(step[0], step[1])
+        cross_slope = float(np.interp(way_m, self.ways_m, self.cross_slopes))
+        # Rise for each metre east and north of the plane that touches the road here.
+        gradient = step[2] / np.hypot(step[0], step[1]) * along + cross_slope * np.array([-along[1], along[0]])
+        position_m = pose.position_m.copy()
+        position_m[2] = place[2] + gradient @ (position_m - place)[:2]
+        heading = pose.rotation[:2, 0] / np.hypot(*pose.rotation[:2, 0])
+        forward = np.array([*heading, gradient @ heading])
+        forward /= np.linalg.norm(forward)
+        up = np.array([*-gradient, 1.0]) / np.sqrt(1.0 + gradient @ gradient)
+        return Pose(position_m, np.stack([forward, np.cross(up, forward), up], -1))
+
+
+def without_repeats(points_m: Floats) -> Floats:
+    """`points_m` without those that lie within a millimetre of the one before, horizontally."""
+    steps_m = np.linalg.norm(np.diff(points_m[:, :2], axis=0), axis=1)
+    return np.asarray(points_m[np.concatenate([[True], steps_m > 1e-3])])

@@ -1,0 +1,143 @@
+"""Roads in a Lanelet2 file (.osm): carriageways between the borders of lanelets.
+
+Two lanelets on either side of the same left border are the two directions of one carriageway; any other is one of its
+own. Read are the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a road for cars; projections
+and regulatory elements are not.
+
+Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from foreglow.geometry import Floats
+from foreglow.maps.centre_line import CentreLine, without_repeats
+from foreglow.maps.geographic import GeographicOrigin, check_place
+from foreglow.maps.road_map import RoadMap
+from foreglow.maps.xml_file import number_of, read_xml
+
+DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
+SIDES = ("left", "right")
+STEP_M = 1.0
+
+
+def read_lanelet2(path: Path) -> RoadMap:
+    """The carriageways of a Lanelet2 file, whose first node becomes the map's origin.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no OSM XML, a lanelet lacks a border, a border a node, a number is broken, only some nodes
+            have heights, or there is no lanelet; the message names path and element.
+    """
+    root = read_xml(path, "osm")
+    nodes, earth = _nodes(root, path)
+    ways = {str(way.get("id")): [str(nd.get("ref")) for nd in way.findall("nd")] for way in root.findall("way")}
+    lanelets = _lanelets(root, path)
+    if not lanelets:
+        raise ValueError(f"{path}: expected at least one lanelet for cars, got none")
+    borders = {way: _border(way, ways, nodes, path) for pair in lanelets for way in pair}
+    is_missing = np.concatenate([np.isnan(border[:, 2]) for border in borders.values()])
+    if is_missing.any():
+        if not is_missing.all():
+            raise ValueError(f"{path}: ele: expected a height at all nodes of borders, or at none")
+        borders = {way: np.nan_to_num(border) for way, border in borders.items()}
+    lines = [_line(first, second) for first, second in _carriageways(lanelets, borders)]
+    return RoadMap(lines, earth, has_heights=not is_missing.any())
+
+
+def _nodes(root: Element, path: Path) -> tuple[dict[str, Floats], GeographicOrigin]:
+    """Every node as a place, shape (3,), with NaN for a height that is not there; and the first as the origin."""
+    ids, degrees, heights_m = [], [], []
+    for node in root.findall("node"):
+        origin = f"{path}: node {node.get('id')}"
+        latitude_deg, longitude_deg = number_of(node, "lat", origin), number_of(node, "lon", origin)
+        check_place(latitude_deg, longitude_deg, origin)
+        ele = [tag for tag in node.findall("tag") if tag.get("k") == "ele"]
+        ids.append(str(node.get("id")))
+        degrees.append((latitude_deg, longitude_deg))
+        heights_m.append(number_of(ele[0], "v", origin) if ele else np.nan)
+    if not ids:
+        raise ValueError(f"{path}: expected nodes, got none")
+    earth = GeographicOrigin(*degrees[0])
+    level_m = earth.local(*np.array(degrees).T)
+    return dict(zip(ids, np.column_stack([level_m, heights_m]), strict=True)), earth
+
+
+def _lanelets(root: Element, path: Path) -> list[tuple[str, str]]:
+    """Ids of the left and the right border of each lanelet for cars."""
+    found = []
+    for relation in root.findall("relation"):
+        tags = {tag.get("k"): tag.get("v") for tag in relation.findall("tag")}
+        if tags.get("type") != "lanelet" or tags.get("subtype", "road") not in DRIVEN_SUBTYPES:
+            continue
+        ways = {
+            side: [one.get("ref") for one in relation.findall("member") if one.get("role") == side] for side in SIDES
+        }
+        for side, refs in ways.items():
+            if len(refs) != 1:
+                raise ValueError(f"{path}: lanelet {relation.get('id')}: expected one {side} border, got {len(refs)}")
+        found.append((str(ways["left"][0]), str(ways["right"][0])))
+    return found
+
+
+def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path: Path) -> Floats:
+    """The places of a border, shape (N, 3)."""
+    missing = [node for node in ways.get(way, []) if node not in nodes]
+    if way not in ways or missing:
+        raise ValueError(f"{path}: way {way}: expected it with all its nodes, {missing[:1] or 'it'} is missing")
+    border = without_repeats(np.array([nodes[node] for node in ways[way]]).reshape(-1, 3))
+    if len(border) < 2:
+        raise ValueError(f"{path}: way {way}: expected at least two nodes that differ")
+    return border
+
+
+def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[Floats, Floats]]:
+    """The outer borders of each: of two lanelets on either side of the same left border, both right ones."""
+    rights_of: dict[str, list[str]] = {}
+    for left, right in lanelets:
+        rights_of.setdefault(left, []).append(right)
+    found = []
+    for left, rights in rights_of.items():
+        sides = {_side(borders[left], borders[right]): borders[right] for right in rights}
+        if len(rights) == 2 and len(sides) == 2:
+            found.append((sides[1.0], sides[-1.0]))
+        else:
+            found += [(borders[left], borders[right]) for right in rights]
+    return found
+
+
+def _side(line: Floats, other: Floats) -> float:
+    """1 if `other` lies to the left of `line` as that runs, -1 if to the right."""
+    along, away = line[-1] - line[0], other.mean(axis=0) - line.mean(axis=0)
+    return 1.0 if along[0] * away[1] - along[1] * away[0] > 0 else -1.0
+
+
+def _line(first: Floats, second: Floats) -> CentreLine:
+    """The middle between two borders, which may run either way."""
+    if np.linalg.norm(first[0] - second[0]) > np.linalg.norm(first[0] - second[-1]):
+        second = second[::-1]
+    num = 1 + math.ceil(max(_ways_m(first)[-1], _ways_m(second)[-1]) / STEP_M)
+    first, second = _spread(first, num), _spread(second, num)
+    points = (first + second) / 2
+    across, along = second - first, np.gradient(points, axis=0)
+    widths_m = np.hypot(across[:, 0], across[:, 1])
+    is_left = across[:, 1] * along[:, 0] - across[:, 0] * along[:, 1] > 0  # the second one, as the points run
+    cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
+    whole = without_repeats(np.column_stack([points, cross_slopes]))
+    return CentreLine(whole[:, :3], float(widths_m.mean()) / 2, whole[:, 3])
+
+
+def _ways_m(border: Floats) -> Floats:
+    """Horizontal way to each place from the first."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(border[:, :2], axis=0).T))])
+
+
+def _spread(border: Floats, num: int) -> Floats:
+    """`num` places at equal ways along the border."""
+    ways_m = _ways_m(border)
+    return np.stack([np.interp(np.linspace(0.0, ways_m[-1], num), ways_m, values) for values in border.T], -1)

@@ -1,0 +1,157 @@
+"""Roads in an OpenDRIVE file (.xodr).
+
+Read are the reference line (line, arc, spiral, paramPoly3), elevation, superelevation, the lane offset and the widths
+of the driving lanes: the centre line is the middle of these. Lane heights, crossfall and shape are not. The frame is
+the file's own; its geo-reference is not evaluated, so that poses must be in the same metres.
+
+Source: ASAM OpenDRIVE 1.4 to 1.8.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from foreglow.geometry import Floats
+from foreglow.maps.centre_line import CentreLine, without_repeats
+from foreglow.maps.road_map import RoadMap
+from foreglow.maps.xml_file import number_of, read_xml
+from foreglow.street import LANE_WIDTH_M
+
+STEP_M = 1.0
+DRIVEN_LANES = frozenset({"driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp"})
+_COEFFICIENTS = ("a", "b", "c", "d")
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def read_opendrive(path: Path) -> RoadMap:
+    """The roads of an OpenDRIVE file that have a driving lane, or no lanes at all: these are two lanes wide.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no OpenDRIVE, a number is missing or broken, a geometry is of another kind, or there is no
+            road; the message names path and road.
+    """
+    roads = read_xml(path, "OpenDRIVE").findall("road")
+    lines = [line for road in roads if (line := _line(road, f"{path}: road {road.get('id')}")) is not None]
+    if not lines:
+        raise ValueError(f"{path}: expected at least one <road> with a driving lane, got none of {len(roads)}")
+    return RoadMap(lines)
+
+
+def _line(road: Element, origin: str) -> CentreLine | None:
+    """The middle of a road's driving lanes; None where it has other lanes only."""
+    length_m = number_of(road, "length", origin)
+    if length_m < 1e-3:
+        return None
+    places_m = np.append(np.arange(0.0, length_m - 1e-3, STEP_M), length_m)
+    reference = _reference(road, places_m, origin)
+    widths = _widths_m(road, places_m, origin)
+    if widths is None:
+        return None
+    left_m, right_m = widths
+    middle_m = _cubics(road.findall("lanes/laneOffset"), places_m, "s", origin) + (left_m - right_m) / 2
+    roll_rad = _cubics(road.findall("lateralProfile/superelevation"), places_m, "s", origin)
+    level_m = middle_m * np.cos(roll_rad)
+    points = np.stack(
+        [
+            reference[:, 0] - level_m * np.sin(reference[:, 2]),
+            reference[:, 1] + level_m * np.cos(reference[:, 2]),
+            _cubics(road.findall("elevationProfile/elevation"), places_m, "s", origin) + middle_m * np.sin(roll_rad),
+        ],
+        -1,
+    )
+    # Superelevation is positive where the road falls to the right: it rises to the left.
+    whole = without_repeats(np.column_stack([points, np.tan(roll_rad)]))
+    if len(whole) < 2:
+        return None
+    return CentreLine(whole[:, :3], float(np.mean(left_m + right_m)) / 2, whole[:, 3])
+
+
+def _reference(road: Element, places_m: Floats, origin: str) -> Floats:
+    """x, y and heading of the reference line, shape (N, 3), at places along it."""
+    geometries = sorted(
+        ((number_of(one, "s", origin), one) for one in road.findall("planView/geometry")), key=lambda pair: pair[0]
+    )
+    if not geometries:
+        raise ValueError(f"{origin}: planView: expected at least one <geometry>, got none")
+    numbers = np.clip(np.searchsorted([s for s, _ in geometries], places_m, side="right") - 1, 0, None)
+    found = np.empty((len(places_m), 3))
+    for number in np.unique(numbers).tolist():
+        begin_m, geometry = geometries[number]
+        x, y, heading = (number_of(geometry, name, origin) for name in ("x", "y", "hdg"))
+        own = _curve(geometry, places_m[numbers == number] - begin_m, origin)
+        turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
+        turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
+        found[numbers == number] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
+    return found
+
+
+def _curve(geometry: Element, ways_m: Floats, origin: str) -> Floats:
+    """x, y and heading of a piece in its own frame, shape (N, 3), at ways from its beginning."""
+    length_m = number_of(geometry, "length", origin)
+    for shape in geometry:
+        if shape.tag == "line":
+            return _clothoid(0.0, 0.0, ways_m)
+        if shape.tag == "arc":
+            return _clothoid(number_of(shape, "curvature", origin), 0.0, ways_m)
+        if shape.tag == "spiral":
+            start, end = number_of(shape, "curvStart", origin), number_of(shape, "curvEnd", origin)
+            return _clothoid(start, (end - start) / max(length_m, 1e-9), ways_m)
+        if shape.tag == "paramPoly3":
+            is_arc_length = shape.get("pRange") == "arcLength"
+            return _parametric(shape, ways_m if is_arc_length else ways_m / max(length_m, 1e-9), origin)
+    kinds = ", ".join(shape.tag for shape in geometry) or "nothing"
+    raise ValueError(f"{origin}: geometry: expected line, arc, spiral or paramPoly3, got {kinds}")
+
+
+def _clothoid(curvature_per_m: float, change_per_m2: float, ways_m: Floats) -> Floats:
+    """x, y and heading of a curve whose curvature changes evenly, at rising ways from its beginning."""
+    starts, steps = np.concatenate([[0.0], ways_m[:-1]]), np.diff(ways_m, prepend=0.0)
+    nodes = starts[:, None] + steps[:, None] * (_GAUSS_NODES + 1) / 2
+    headings = curvature_per_m * nodes + change_per_m2 / 2 * nodes**2
+    x = np.cumsum((np.cos(headings) @ _GAUSS_WEIGHTS) * steps / 2)
+    y = np.cumsum((np.sin(headings) @ _GAUSS_WEIGHTS) * steps / 2)
+    return np.stack([x, y, curvature_per_m * ways_m + change_per_m2 / 2 * ways_m**2], -1)
+
+
+def _parametric(shape: Element, parameters: Floats, origin: str) -> Floats:
+    """x, y and heading of two cubics of a parameter."""
+    powers = np.stack([parameters**k for k in range(4)])
+    slopes = np.stack([k * parameters ** max(k - 1, 0) for k in range(4)])
+    u, v = (np.array([number_of(shape, name + axis, origin) for name in _COEFFICIENTS]) for axis in "UV")
+    return np.stack([u @ powers, v @ powers, np.arctan2(v @ slopes, u @ slopes)], -1)
+
+
+def _cubics(pieces: list[Element], places_m: Floats, begin: str, origin: str) -> Floats:
+    """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its place `begin` on, shape (N,); 0 before the first."""
+    values = np.zeros(len(places_m))
+    for piece in sorted(pieces, key=lambda one: number_of(one, begin, origin)):
+        ways_m = places_m - number_of(piece, begin, origin)
+        a, b, c, d = (number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS)
+        values = np.where(ways_m >= -1e-9, a + ways_m * (b + ways_m * (c + ways_m * d)), values)
+    return values
+
+
+def _widths_m(road: Element, places_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
+    """Width of the driving lanes left and right of the lanes' zero, shape (N,) each; None where there are none."""
+    sections = road.findall("lanes/laneSection")
+    if not sections:
+        return np.full(len(places_m), LANE_WIDTH_M), np.full(len(places_m), LANE_WIDTH_M)
+    sections = sorted(sections, key=lambda one: number_of(one, "s", origin))
+    begins_m = np.array([number_of(section, "s", origin) for section in sections])
+    numbers = np.clip(np.searchsorted(begins_m, places_m + 1e-9, side="right") - 1, 0, None)
+    sides = {"left": np.zeros(len(places_m)), "right": np.zeros(len(places_m))}
+    for number, section in enumerate(sections):
+        is_here = numbers == number
+        for side, sums_m in sides.items():
+            for lane in section.findall(f"{side}/lane"):
+                if lane.get("type", "driving") in DRIVEN_LANES:
+                    sums_m[is_here] += _cubics(
+                        lane.findall("width"), places_m[is_here] - begins_m[number], "sOffset", origin
+                    )
+    if not (sides["left"] + sides["right"] > 0).any():
+        return None
+    return sides["left"], sides["right"]

@@ -1,0 +1,34 @@
+"""Which reader a map has, by its ending."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from foreglow.maps.geojson import read_geojson
+from foreglow.maps.lanelet2 import read_lanelet2
+from foreglow.maps.opendrive import read_opendrive
+from foreglow.maps.road_map import RoadMap
+
+READERS: dict[str, Callable[[Path], RoadMap]] = {
+    ".geojson": read_geojson,
+    ".json": read_geojson,
+    ".osm": read_lanelet2,
+    ".xodr": read_opendrive,
+}
+"""Readers by the ending of the file."""
+
+
+def read_road_map(path: Path | str) -> RoadMap:
+    """The roads in the file `path`: GeoJSON, OpenDRIVE (.xodr) or Lanelet2 (.osm).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If its ending is another, it is broken, or there is no road in it; the message names path and
+            place.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: expected a map that ends in {', '.join(READERS)}, got {path.suffix!r}")
+    return reader(path)

@@ -1,0 +1,51 @@
+"""XML files and the numbers in them, with errors that say where."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+
+def read_xml(path: Path, root: str) -> Element:
+    """The XML file `path`, whose outermost element is called `root`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no XML, or of another kind.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        element = ElementTree.fromstring(path.read_bytes())
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the latter two for strange encodings
+        raise ValueError(f"{path}: expected XML: {error}") from None
+    if element.tag != root:
+        raise ValueError(f"{path}: expected XML with the root <{root}>, got <{element.tag}>")
+    return element
+
+
+def number_of(element: Element, name: str, origin: str, default: float | None = None) -> float:
+    """The number in the attribute `name` of an element.
+
+    Args:
+        element: The element.
+        name: The attribute.
+        origin: Where the element is, for messages.
+        default: What a missing attribute means; None if it must be there.
+
+    Raises:
+        ValueError: If it is missing, or no finite number.
+    """
+    text = element.get(name)
+    if text is None and default is not None:
+        return default
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        got = "nothing" if text is None else repr(text)
+        raise ValueError(f"{origin}: <{element.tag}> {name}: expected a finite number, got {got}")
+    return value

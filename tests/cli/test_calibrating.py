@@ -1,0 +1,65 @@
+"""`foreglow calibrate`, as a user types it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from foreglow.calibration import read_calibration
+from tests.calibration.test_kitti import CAM_TO_CAM, ODOMETRY
+from tests.calibration.test_ros import TEXT as ROS
+from tests.cli.commands import complaint, foreglow_command
+from tests.stand_ins import night_image
+
+MOUNT = ("--mount-forward", "1.9", "--mount-height", "1.3", "--pitch-deg", "-1")
+
+
+def converted(tmp_path: Path, *arguments: object) -> Path:
+    out = tmp_path / "camera.toml"
+    result = foreglow_command("calibrate", "convert", *arguments, "--out", out, *MOUNT)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_convert_and_check(tmp_path: Path) -> None:
+    (tmp_path / "front.yaml").write_text(ROS)
+    camera = converted(tmp_path, tmp_path / "front.yaml")
+    assert read_calibration(camera).vehicle_from_camera.position_m.tolist() == [1.9, 0, 1.3]
+    image, picture = tmp_path / "image.png", tmp_path / "check.png"
+    cv2.imwrite(str(image), night_image(0, 960, 1280))
+    result = foreglow_command("calibrate", "check", camera, image, "--out", picture)
+    assert result.exit_code == 0, result.output
+    assert "1.30 m above the road, pitch -1.00" in result.stdout
+    assert cv2.imread(str(picture)) is not None
+    cv2.imwrite(str(image), night_image(0, 480, 640))
+    said = complaint("calibrate", "check", camera, image, "--out", picture)
+    assert "image.png: size: expected 1280x960 px as the calibration has it, got 640x480 px" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "size_px"),
+    [
+        (CAM_TO_CAM, ("--camera", "2"), (1392, 512)),
+        (CAM_TO_CAM, ("--camera", "2", "--rectified"), (1242, 375)),
+        (ODOMETRY, ("--camera", "1", "--size", "1241x376"), (1241, 376)),
+    ],
+)
+def test_convert_kitti(tmp_path: Path, text: str, options: tuple[str, ...], size_px: tuple[int, int]) -> None:
+    (tmp_path / "calib.txt").write_text(text)
+    camera = read_calibration(converted(tmp_path, tmp_path / "calib.txt", *options))
+    assert (camera.width_px, camera.height_px) == size_px
+
+
+def test_complaints(tmp_path: Path) -> None:
+    (tmp_path / "front.yaml").write_text(ROS)
+    out = ("--out", tmp_path / "camera.toml")
+    assert "nowhere.yaml: no such file" in complaint("calibrate", "convert", tmp_path / "nowhere.yaml", *out, *MOUNT)
+    said = complaint("calibrate", "convert", tmp_path / "front.yaml", *out, *MOUNT[:-1], "-91")
+    assert "mount: pitch_deg" in said
+    said = complaint("calibrate", "convert", tmp_path / "front.yaml", *out, *MOUNT, "--size", "big")
+    assert "size: expected WIDTHxHEIGHT" in said
+    said = complaint("calibrate", "check", tmp_path / "front.yaml", tmp_path / "a.png", "--out", tmp_path / "c.png")
+    assert "front.yaml: mount: missing" in said
+    assert not (tmp_path / "camera.toml").exists()

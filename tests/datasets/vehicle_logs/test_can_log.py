@@ -1,0 +1,183 @@
+"""Messages to a CAN log and back, by our own DBC."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
+from foreglow.simulation.recording.street_data import StreetDataError, StreetMap
+from foreglow.simulation.scenes.scene import RoadSpec
+from foreglow.simulation.world.road import Road
+from foreglow.street import StreetMessage
+from foreglow.types import EgoMotion
+from tests.datasets.vehicle_logs.messages import message, segment
+
+pytest.importorskip("can")
+pytest.importorskip("cantools")
+
+SUFFIXES = (".asc", ".blf", ".log")
+MS = 1_000_000
+TENTH = 100 * MS
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[tuple[int, StreetMessage]]:
+    """The messages of ten seconds on a winding, hilly road."""
+    spec = RoadSpec(
+        length_m=800.0,
+        curvature_per_m=((0.0, 0.0), (200.0, 0.006), (500.0, -0.004)),
+        elevation_m=((0.0, 0.0), (300.0, 9.0), (600.0, 0.0)),
+    )
+    told = StreetMap(Road(spec), StreetDataError(longitudinal_class=2), np.random.default_rng(3))
+    return [(k * TENTH, told.message(20.0 + 1.5 * k)) for k in range(100)]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_drive_comes_back(tmp_path: Path, drive: list[tuple[int, StreetMessage]], suffix: str) -> None:
+    path = tmp_path / f"drive{suffix}"
+    motions = [(time_ns, EgoMotion(14.37 + 0.01 * k, -0.0421)) for k, (time_ns, _) in enumerate(drive)]
+    write_can_log(path, drive, motions)
+    log = read_can_log(path)
+    assert log.has_street
+    assert (log.first_ns, log.last_ns) == pytest.approx((0, drive[-1][0]), abs=MS)
+    for (time_ns, told), (_, motion) in zip(drive, motions, strict=True):
+        assert log.street(time_ns + MS) == told
+        back = log.motion(time_ns + MS)
+        assert back is not None
+        assert (back.speed_mps, back.yaw_rate_radps) == pytest.approx((motion.speed_mps, motion.yaw_rate_radps))
+        assert np.isnan(back.pitch_rad)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log"])
+def test_times_since_1970(tmp_path: Path, suffix: str) -> None:
+    path, begin_ns = tmp_path / f"drive{suffix}", 1_700_000_000_123_456_000
+    write_can_log(path, [(begin_ns, message())])
+    assert read_can_log(path).first_ns == pytest.approx(begin_ns, abs=MS)
+
+
+def test_a_message_grows_stale(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    write_can_log(path, [(0, message()), (TENTH, message(2))], [(0, EgoMotion(10.0, 0.1))])
+    log = read_can_log(path)
+    assert log.street(-MS) is None
+    assert log.street(99 * MS) == message()
+    assert log.street(TENTH + 1000 * MS) == message(2)
+    assert log.street(TENTH + 1001 * MS) is None
+    assert log.motion(500 * MS) is not None
+    assert log.motion(501 * MS) is None
+
+
+def test_numbers_come_round_again(tmp_path: Path) -> None:
+    """Segment 3 is now another road, of which 2 is no parent."""
+    path = tmp_path / "drive.log"
+    again = StreetMessage(
+        segments=(segment(62, parent_id=61), segment(3, parent_id=62, slope_code=5)),
+        remaining_length_m=8,
+        error_class=0,
+    )
+    write_can_log(path, [(0, message()), (TENTH, again), (2 * TENTH, message(1, 2))])
+    log = read_can_log(path)
+    assert [log.street(k * TENTH) for k in range(3)] == [message(), again, message(1, 2)]
+
+
+_codes = st.integers(0, 255)
+
+
+@st.composite
+def _messages(draw: st.DrawFn) -> StreetMessage:
+    numbers = draw(st.lists(st.integers(1, 62), min_size=1, max_size=8, unique=True))
+    segments = tuple(
+        segment(
+            number,
+            parent_id=parent,
+            length_code=draw(st.integers(1, 127)),
+            start_curvature_code=draw(_codes),
+            is_start_left=draw(st.booleans()),
+            end_curvature_code=draw(_codes),
+            is_end_left=draw(st.booleans()),
+            slope_code=draw(st.integers(-127, 127)),
+        )
+        for parent, number in zip([draw(st.integers(0, 62)), *numbers], numbers, strict=False)
+    )
+    return StreetMessage(
+        segments=segments, remaining_length_m=draw(st.integers(0, 254)), error_class=draw(st.integers(0, 5))
+    )
+
+
+@settings(derandomize=True, max_examples=40, deadline=None)
+@given(st.lists(_messages(), min_size=1, max_size=4))
+def test_any_messages_come_back(tmp_path_factory: pytest.TempPathFactory, told: list[StreetMessage]) -> None:
+    path = tmp_path_factory.mktemp("any") / "drive.log"
+    write_can_log(path, [(k * TENTH, one) for k, one in enumerate(told)])
+    log = read_can_log(path)
+    assert [log.street(k * TENTH) for k in range(len(told))] == told
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    with pytest.raises(ValueError, match=r"drive\.txt: expected a CAN log that ends in \.asc, \.blf, \.log"):
+        write_can_log(tmp_path / "drive.txt", [(0, message())])
+    with pytest.raises(ValueError, match="expected at least one message"):
+        write_can_log(path, [])
+    broken = StreetMessage(segments=(segment(1), segment(3)), remaining_length_m=8, error_class=0)
+    with pytest.raises(ValueError, match=r"segments\.1\.parent_id: expected 1, the segment before it, got 2"):
+        write_can_log(path, [(0, broken)])
+    twice = StreetMessage(segments=(segment(1), segment(1, parent_id=1)), remaining_length_m=8, error_class=0)
+    with pytest.raises(ValueError, match="segment_id: expected numbers of 1 to 62, each once"):
+        write_can_log(path, [(0, twice)])
+    with pytest.raises(ValueError, match=r"EgoMotion at 0 ns: .*Speed"):
+        write_can_log(path, [], [(0, EgoMotion(500.0, 0.0))])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"),
+    [
+        (".asc", "expected frames of StreetSegment"),  # whose reader passes over what it does not know
+        (".blf", r"expected a CAN log of the kind \.blf"),
+        (".log", r"expected a CAN log of the kind \.log"),
+    ],
+)
+def test_broken_logs(tmp_path: Path, suffix: str, expected: str) -> None:
+    path = tmp_path / f"drive{suffix}"
+    with pytest.raises(FileNotFoundError, match="drive"):
+        read_can_log(path)
+    path.write_bytes(b"\x00\xffthis is no log at all\n" * 20)
+    with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
+        read_can_log(path)
+
+
+def test_a_log_of_another_bus(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text("(1.0) can0 123#00\n(1.1) can0 123#01\n")
+    with pytest.raises(ValueError, match="expected frames of StreetSegment, StreetPosition, EgoMotion, got none"):
+        read_can_log(path)
+    with pytest.raises(ValueError, match=r"drive\.mf4: expected a CAN log that ends in"):
+        read_can_log(tmp_path / "drive.mf4")
+
+
+def test_a_frame_that_is_too_short(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text("(1.5) can0 3A1#00\n")
+    with pytest.raises(ValueError, match=r"drive\.log: frame at 1\.500000 s: StreetPosition: "):
+        read_can_log(path)
+
+
+def test_a_position_that_the_car_does_not_know(tmp_path: Path) -> None:
+    """It takes the place of the message before; a segment that was never told does so too."""
+    path = tmp_path / "drive.log"
+    write_can_log(path, [(0, message())])
+    known = path.read_text()
+    unknown = f"{0x2 | 40 << 6 | 7 << 14 | 1 << 17:08x}"  # error class 7
+    absent = f"{0x9 | 40 << 6 | 1 << 14 | 1 << 17:08x}"  # segment 9
+    for code in (unknown, absent):
+        data = bytes.fromhex(code)[::-1].hex()
+        path.write_text(f"{known}(0.1) can0 3A1#{data}\n")
+        log = read_can_log(path)
+        assert log.street(50 * MS) == message()
+        assert log.street(150 * MS) is None

@@ -1,0 +1,224 @@
+"""A car with a DBC of its own: slopes in a multiplexed message, signs apart, km/h and degrees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+
+from foreglow.datasets.vehicle_logs import CanLog, read_can_log
+from foreglow.datasets.vehicle_logs.mapping import CurvatureMeaning
+from foreglow.street import curvature_code, curvature_from_code
+
+can = pytest.importorskip("can")
+cantools = pytest.importorskip("cantools")
+
+Sent: TypeAlias = tuple[str, dict[str, float]]
+"""A message's name and its values."""
+
+DBC = """\
+VERSION ""
+NS_ :
+BS_:
+BU_: Car
+
+BO_ 2147484160 Piece: 8 Car
+ SG_ Id : 0|6@1+ (1,0) [0|63] "" Car
+ SG_ Before : 8|6@1+ (1,0) [0|63] "" Car
+ SG_ Metres : 16|8@1+ (2,0) [0|510] "m" Car
+ SG_ BendIn : 24|8@1+ (1,0) [0|255] "" Car
+ SG_ BendInRight : 32|1@1+ (1,0) [0|1] "" Car
+ SG_ BendOut : 40|8@1+ (1,0) [0|255] "" Car
+ SG_ BendOutRight : 48|1@1+ (1,0) [0|1] "" Car
+ SG_ OnPath : 49|1@1+ (1,0) [0|1] "" Car
+
+BO_ 513 Facts: 8 Car
+ SG_ What M : 0|4@1+ (1,0) [0|15] "" Car
+ SG_ FactId : 8|6@1+ (1,0) [0|63] "" Car
+ SG_ Limit m0 : 16|8@1+ (1,0) [0|255] "km/h" Car
+ SG_ Grade m1 : 16|8@1+ (0.5,0) [0|127] "%" Car
+ SG_ GradeDown m1 : 24|1@1+ (1,0) [0|1] "" Car
+
+BO_ 514 Here: 8 Car
+ SG_ HereId : 0|6@1+ (1,0) [0|63] "" Car
+ SG_ Rest : 8|8@1+ (1,0) [0|255] "m" Car
+ SG_ Trust : 16|3@1+ (1,0) [0|7] "" Car
+
+BO_ 515 Dynamics: 8 Car
+ SG_ Pace : 0|16@1+ (0.01,0) [0|655] "km/h" Car
+ SG_ Turn : 16|14@1+ (0.01,0) [0|163] "deg/s" Car
+ SG_ TurnRight : 30|1@1+ (1,0) [0|1] "" Car
+"""
+
+MAPPING = """\
+[segment]
+message = "Piece"
+segment_id = "Id"
+parent_id = "Before"
+length_m = "Metres"
+start_curvature = "BendIn"
+is_start_left = "BendInRight"
+end_curvature = "BendOut"
+is_end_left = "BendOutRight"
+is_probable = "OnPath"
+
+[slope]
+message = "Facts"
+segment_id = "FactId"
+slope_percent = "Grade"
+is_downhill = "GradeDown"
+
+[position]
+message = "Here"
+segment_id = "HereId"
+remaining_length_m = "Rest"
+error_class = "Trust"
+first_error_class = 1
+
+[curvature]
+min_radius_m = 15.0
+max_radius_m = 5000.0
+left_when = 0
+
+[speed]
+message = "Dynamics"
+signal = "Pace"
+factor = 0.2777777777777778
+
+[yaw_rate]
+message = "Dynamics"
+signal = "Turn"
+factor = 0.017453292519943295
+is_negative = "TurnRight"
+"""
+
+
+def piece(number: int, before: int, **others: float) -> Sent:
+    usual = {"Metres": 80, "BendIn": 255, "BendInRight": 1, "BendOut": 255, "BendOutRight": 1, "OnPath": 1}
+    return "Piece", {"Id": number, "Before": before} | usual | others
+
+
+def here(number: int, trust: float = 2) -> Sent:
+    return "Here", {"HereId": number, "Rest": 30, "Trust": trust}
+
+
+def log_of(tmp_path: Path, frames: list[Sent], mapping: str = MAPPING) -> CanLog:
+    """What is read of these frames, sent every 10 ms."""
+    (tmp_path / "car.dbc").write_text(DBC)
+    (tmp_path / "car.toml").write_text(mapping)
+    database: Any = cantools.database.load_file(tmp_path / "car.dbc")
+    with can.CanutilsLogWriter(tmp_path / "car.log") as log:
+        for k, (name, values) in enumerate(frames):
+            one = database.get_message_by_name(name)
+            log(
+                can.Message(
+                    timestamp=1 + k / 100,
+                    arbitration_id=one.frame_id,
+                    is_extended_id=one.is_extended_frame,
+                    data=one.encode(values),
+                )
+            )
+    return read_can_log(tmp_path / "car.log", tmp_path / "car.dbc", tmp_path / "car.toml")
+
+
+def test_the_road_of_another_car(tmp_path: Path) -> None:
+    frames: list[Sent] = [
+        piece(7, 6, BendIn=0, BendInRight=0, BendOut=254, BendOutRight=1),
+        piece(8, 7),
+        piece(9, 7, OnPath=0),  # a side road
+        piece(0, 8),  # none
+        piece(10, 8, Metres=0),
+        ("Facts", {"What": 1, "FactId": 7, "Grade": 3.0, "GradeDown": 1}),
+        ("Facts", {"What": 0, "FactId": 7, "Limit": 70}),  # another fact of the same message
+        here(7),
+    ]
+    told = log_of(tmp_path, frames).street(1_100_000_000)
+    assert told is not None
+    assert [one.segment_id for one in told.segments] == [7, 8]
+    assert (told.remaining_length_m, told.error_class) == (30, 1)
+    first, second = told.segments
+    assert (first.length_m, first.slope, second.slope) == (80.0, -0.03, 0.0)
+    # Half a code of ours is 1.4 %.
+    assert first.curvatures_per_m == pytest.approx((1 / 15, -1 / 5000), rel=0.0138)
+    assert second.curvatures_per_m == (0.0, 0.0)
+
+
+def test_slopes_of_a_number_that_comes_again_are_forgotten(tmp_path: Path) -> None:
+    grade: Sent = ("Facts", {"What": 1, "FactId": 7, "Grade": 3.0, "GradeDown": 0})
+    frames = [piece(7, 6), grade, piece(7, 6), here(7), piece(7, 5), here(7)]
+    log = log_of(tmp_path, frames)
+    before, after = log.street(1_035_000_000), log.street(1_055_000_000)
+    assert before is not None
+    assert after is not None
+    assert (before.segments[0].slope, after.segments[0].slope) == (0.03, 0.0)
+
+
+def test_motion_in_other_units(tmp_path: Path) -> None:
+    frames: list[Sent] = [("Dynamics", {"Pace": 72.0, "Turn": 9.0, "TurnRight": 1})]
+    motion = log_of(tmp_path, frames).motion(1_000_000_000)
+    assert motion is not None
+    assert (motion.speed_mps, motion.yaw_rate_radps) == pytest.approx((20.0, -0.15708), abs=1e-5)
+
+
+def test_a_position_without_a_class(tmp_path: Path) -> None:
+    assert log_of(tmp_path, [piece(7, 6), here(7, trust=0)]).street(1_020_000_000) is None
+    assert log_of(tmp_path, [piece(7, 6), here(7, trust=7)]).street(1_020_000_000) is None
+
+
+def test_old_segments_are_forgotten(tmp_path: Path) -> None:
+    still: Sent = ("Dynamics", {"Pace": 0, "Turn": 0, "TurnRight": 0})
+    frames = [piece(7, 6), *[still] * 1001, here(7)]
+    assert log_of(tmp_path, frames).street(11_100_000_000) is None
+
+
+def test_meanings_of_curvature() -> None:
+    assert CurvatureMeaning(meaning="per_m").per_m(-0.01) == -0.01
+    radius = CurvatureMeaning(meaning="radius_m")
+    assert (radius.per_m(-50.0), radius.per_m(0.0)) == (-0.02, 0.0)
+    own = CurvatureMeaning()
+    for code in range(256):
+        assert curvature_code(own.per_m(code)) == code
+        assert own.per_m(code) == pytest.approx(curvature_from_code(code, True))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"Piece"', '"Peace"', r"car\.toml: segment\.message: expected a message of .*car\.dbc, .*Dynamics, .*'Peace'"),
+        (
+            '"Trust"',
+            '"Trusty"',
+            r"car\.toml: position\.error_class: expected a signal of Here, one of HereId, Rest, Tr",
+        ),
+        ('segment_id = "Id"\n', "", r"car\.toml: segment\.segment_id: missing"),
+        ("is_probable", "is_likely", r"car\.toml: segment\.is_likely: unknown"),
+        ("max_radius_m = 5000.0", "max_radius_m = 15.0", r"max_radius_m: expected more than min_radius_m, 15"),
+        ("left_when = 0", "left_when = 2", r"curvature\.left_when: .*0 or 1"),
+        ("factor = 0.2777777777777778", "factor = nan", r"speed\.factor: .*finite"),
+        ("[position]", "[place]", r"car\.toml: place: unknown, expected one of segment"),
+        (MAPPING[MAPPING.index("[yaw_rate]") :], "", "speed, yaw_rate: expected both sections or neither"),
+        (
+            MAPPING[MAPPING.index("[position]") : MAPPING.index("[speed]")],
+            "",
+            "segment, position: expected both sections",
+        ),
+        (MAPPING, "", "expected the sections segment and position, or speed and yaw_rate"),
+        ("[segment]", "[segment", r"car\.toml: expected TOML"),
+    ],
+)
+def test_broken_mappings(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in MAPPING
+    with pytest.raises(ValueError, match=message):
+        log_of(tmp_path, [here(7)], MAPPING.replace(old, new, 1))
+
+
+def test_broken_descriptions(tmp_path: Path) -> None:
+    log_of(tmp_path, [here(7)])
+    (tmp_path / "car.dbc").write_text("BO_ this is no DBC")
+    with pytest.raises(ValueError, match=r"car\.dbc: expected a DBC file: "):
+        read_can_log(tmp_path / "car.log", tmp_path / "car.dbc", tmp_path / "car.toml")
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.dbc: no such file"):
+        read_can_log(tmp_path / "car.log", tmp_path / "nowhere.dbc", tmp_path / "car.toml")
+    with pytest.raises(ValueError, match=r"car\.dbc: expected a DBC and a mapping together"):
+        read_can_log(tmp_path / "car.log", tmp_path / "car.dbc")

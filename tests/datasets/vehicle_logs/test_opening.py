@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.calibration import calibration_to_toml
+from foreglow.datasets.vehicle_data import Equipped
+from foreglow.datasets.vehicle_logs import VehicleFiles, open_vehicle_data, write_can_log
+from foreglow.geometry import Camera, Pose
+from foreglow.types import EgoMotion, Frame
+from tests.datasets.vehicle_logs.messages import message
+from tests.stand_ins import ListSource
+
+CAMERA = Camera(1280, 960, (1300.0, 1300.0), (640.0, 480.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
+SECOND = 1_000_000_000
+
+
+def frame(time_s: float = 0.0, width_px: int = 1280, height_px: int = 960) -> Frame:
+    return Frame(np.zeros((height_px, width_px), np.uint8), timestamp_ns=round(time_s * SECOND))
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    path = tmp_path / "camera.toml"
+    path.write_text(calibration_to_toml(CAMERA))
+    return path
+
+
+@pytest.fixture
+def can_log(tmp_path: Path) -> Path:
+    """A street message and a motion every 100 ms for ten seconds."""
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    path = tmp_path / "drive.log"
+    times_ns = range(0, 10 * SECOND, SECOND // 10)
+    write_can_log(path, [(t, message()) for t in times_ns], [(t, EgoMotion(12.0, 0.1)) for t in times_ns])
+    return path
+
+
+@pytest.fixture
+def road_map(tmp_path: Path) -> Path:
+    """A road of 746 m to the east."""
+    path = tmp_path / "town.geojson"
+    path.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0], [9.01, 48.0]]}))
+    return path
+
+
+def poses_at(tmp_path: Path, latitude_deg: float = 47.999985) -> Path:
+    """Ten seconds to the east at 7.46 m/s, at first 1.67 m to the right of the road's beginning."""
+    path = tmp_path / "drive.csv"
+    rows = [f"{k},{latitude_deg},{9 + k * 0.0001},90" for k in range(11)]
+    path.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg", *rows]))
+    return path
+
+
+def test_a_camera_of_the_frames_size(calibration: Path) -> None:
+    data = open_vehicle_data(calibration)
+    same, half = data.camera(frame()), data.camera(frame(0.0, 640, 480))
+    assert same is not None
+    assert same.focal_px == (1300.0, 1300.0)
+    assert half is not None
+    assert (half.width_px, half.height_px, half.focal_px) == (640, 480, (650.0, 650.0))
+    assert data.motion(frame()) is None
+    assert data.road(frame()) is None
+
+
+def test_a_camera_of_another_shape(calibration: Path) -> None:
+    data = open_vehicle_data(calibration)
+    with pytest.raises(ValueError, match=r"camera\.toml: image: expected .* 1280x720 px, got 1280x960 px"):
+        data.camera(frame(0.0, 1280, 720))
+
+
+def test_motion_and_road_of_a_log(can_log: Path) -> None:
+    data = open_vehicle_data(can_log=can_log)
+    motion, road = data.motion(frame(5.0)), data.road(frame(5.0))
+    assert motion is not None
+    assert motion.speed_mps == 12.0
+    assert road is not None
+    assert (len(road), road.error_bound_m) == (241, 5.0)
+    assert data.camera(frame()) is None
+    assert data.road(frame(20.0)) is None
+
+
+def test_the_offset_between_the_clocks(can_log: Path) -> None:
+    data = open_vehicle_data(can_log=can_log, time_offset_s=100.0)
+    assert data.motion(frame(105.0)) is not None
+    assert data.motion(frame(5.0)) is None
+    with pytest.raises(ValueError, match=r"drive\.log: time: expected .*from 0\.000 to 9\.900 s and a frame at 16999"):
+        data.motion(frame(1.7e9))
+
+
+def test_the_road_of_a_map(tmp_path: Path, road_map: Path) -> None:
+    data = open_vehicle_data(road_map=road_map, poses=poses_at(tmp_path), pose_error_m=2.0)
+    road = data.road(frame(5.5))
+    assert road is not None
+    assert road.points_m[0].tolist() == pytest.approx([0.0, 1.67, 0.0], abs=0.01)
+    assert (len(road), road.error_bound_m) == (401, 2.0)
+    assert data.road(frame(10.5)) is None
+    with pytest.raises(ValueError, match=r"drive\.csv: time: expected data of the frames' time"):
+        data.road(frame(1.7e9))
+
+
+def test_the_map_goes_before_the_log(tmp_path: Path, road_map: Path, can_log: Path) -> None:
+    data = open_vehicle_data(can_log=can_log, road_map=road_map, poses=poses_at(tmp_path))
+    by_map, by_log = data.road(frame(5.0)), data.road(frame(10.4))
+    assert by_map is not None
+    assert by_map.error_bound_m == np.inf
+    assert by_log is not None
+    assert by_log.error_bound_m == 5.0
+
+
+def test_frames_carry_it(calibration: Path, can_log: Path) -> None:
+    (equipped,) = Equipped(ListSource([frame(1.0)]), open_vehicle_data(calibration, can_log))
+    assert equipped.camera is not None
+    assert equipped.motion is not None
+    assert equipped.road is not None
+
+
+def test_nothing_known_is_nothing() -> None:
+    data = VehicleFiles()
+    assert (data.camera(frame()), data.motion(frame()), data.road(frame())) == (None, None, None)
+
+
+def test_combinations_that_make_no_sense(tmp_path: Path, road_map: Path, calibration: Path) -> None:
+    poses = poses_at(tmp_path)
+    with pytest.raises(ValueError, match="expected a calibration, a CAN log, or a map with poses, got none"):
+        open_vehicle_data()
+    with pytest.raises(ValueError, match=r"a\.dbc: expected a CAN log with it, got none"):
+        open_vehicle_data(calibration, dbc=tmp_path / "a.dbc")
+    with pytest.raises(ValueError, match=r"a\.toml: expected a CAN log with it, got none"):
+        open_vehicle_data(mapping=tmp_path / "a.toml")
+    with pytest.raises(ValueError, match=r"town\.geojson: expected poses on it, got none"):
+        open_vehicle_data(road_map=road_map)
+    with pytest.raises(ValueError, match=r"drive\.csv: expected a map with them, got none"):
+        open_vehicle_data(poses=poses)
+    with pytest.raises(ValueError, match="time offset: expected a finite number of seconds, got nan"):
+        open_vehicle_data(calibration, time_offset_s=np.nan)
+    with pytest.raises(ValueError, match="pose error: expected a number of metres of at least 0, got -1"):
+        open_vehicle_data(calibration, pose_error_m=-1)
+
+
+def test_poses_beside_the_map(tmp_path: Path, road_map: Path) -> None:
+    poses = poses_at(tmp_path, latitude_deg=48.01)
+    with pytest.raises(ValueError, match=r"drive\.csv: expected poses along the roads of .*town\.geojson.* 1112 m"):
+        open_vehicle_data(road_map=road_map, poses=poses)

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.maps import CentreLine, RoadMap, read_road_map
+from foreglow.street import LANE_WIDTH_M
+from tests.maps.roads import pose
+
+LANES = """
+<lanes>{offset}
+ <laneSection s="0">
+  <left><lane id="2" type="sidewalk"><width sOffset="0" a="9" b="0" c="0" d="0"/></lane>
+        <lane id="1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/></lane></left>
+  <center><lane id="0" type="none"/></center>
+  <right><lane id="-1" type="driving"><width sOffset="0" a="{right}" b="0" c="0" d="0"/></lane></right>
+ </laneSection>
+</lanes>"""
+
+
+def geometry(s: float, x: float | str, y: float, heading: float, length_m: float, shape: str) -> str:
+    return f'<geometry s="{s}" x="{x}" y="{y}" hdg="{heading}" length="{length_m}">{shape}</geometry>'
+
+
+def road(plan: str, length_m: float | str, more: str = "") -> str:
+    return f'<road id="7" length="{length_m}"><planView>{plan}</planView>{more}</road>'
+
+
+def read(tmp_path: Path, *roads: str) -> RoadMap:
+    path = tmp_path / "town.xodr"
+    path.write_text(f"<?xml version='1.0'?><OpenDRIVE><header/>{''.join(roads)}</OpenDRIVE>")
+    return read_road_map(path)
+
+
+def only(road_map: RoadMap) -> CentreLine:
+    assert len(road_map.lines) == 1
+    return road_map.lines[0]
+
+
+def test_a_line_and_an_arc(tmp_path: Path) -> None:
+    plan = geometry(0, 5, 6, np.pi / 2, 50, "<line/>") + geometry(50, 5, 56, np.pi / 2, 60.5, '<arc curvature="0.01"/>')
+    line = only(read(tmp_path, road(plan, 110.5)))
+    assert line.half_width_m == LANE_WIDTH_M
+    assert line.length_m == pytest.approx(110.5, abs=1e-3)
+    np.testing.assert_allclose(line.points_m[:51], [[5, 6 + k, 0] for k in range(51)], atol=1e-9)
+    turn = 0.605  # of the circle around (-95, 56)
+    np.testing.assert_allclose(line.points_m[-1], [-95 + 100 * np.cos(turn), 56 + 100 * np.sin(turn), 0], atol=1e-9)
+
+
+def test_a_spiral_bends_as_a_clothoid(tmp_path: Path) -> None:
+    """From straight to 1/50 m over 100 m: the series x = s - s^5/(40 A^4), y = s^3/(6 A^2) - ..., A^2 = 5000."""
+    line = only(read(tmp_path, road(geometry(0, 0, 0, 0, 100, '<spiral curvStart="0" curvEnd="0.02"/>'), 100)))
+    s, square = 100.0, 5000.0
+    x = s - s**5 / (40 * square**2) + s**9 / (3456 * square**4) - s**13 / (599040 * square**6)
+    y = s**3 / (6 * square) - s**7 / (336 * square**3) + s**11 / (42240 * square**5) - s**15 / (9676800 * square**7)
+    np.testing.assert_allclose(line.points_m[-1, :2], [x, y], atol=1e-3)
+
+
+@pytest.mark.parametrize(("p_range", "scale"), [("arcLength", 1.0), ("normalized", 20.0)])
+def test_a_parametric_cubic(tmp_path: Path, p_range: str, scale: float) -> None:
+    """v = 0.01 u^2."""
+    u = f'aU="0" bU="{scale}" cU="0" dU="0"'
+    shape = f'<paramPoly3 pRange="{p_range}" {u} aV="0" bV="0" cV="{0.01 * scale**2}" dV="0"/>'
+    line = only(read(tmp_path, road(geometry(0, 0, 0, 0, 20, shape), 20)))
+    np.testing.assert_allclose(line.points_m[:, 1], 0.01 * line.points_m[:, 0] ** 2, atol=1e-9)
+    assert line.points_m[-1, 0] == pytest.approx(20.0)
+
+
+def test_the_middle_of_the_driving_lanes(tmp_path: Path) -> None:
+    plan = geometry(0, 0, 0, 0, 40, "<line/>")
+    line = only(read(tmp_path, road(plan, 40, LANES.format(offset="", right=4))))
+    assert line.half_width_m == 3.5
+    np.testing.assert_allclose(line.points_m[:, 1], -0.5)
+    offset = '<laneOffset s="10" a="1" b="0.1" c="0" d="0"/>'
+    line = only(read(tmp_path, road(plan, 40, LANES.format(offset=offset, right=3))))
+    np.testing.assert_allclose(line.points_m[[5, 10, 30], 1], [0.0, 1.0, 3.0])
+
+
+def test_heights_and_banking(tmp_path: Path) -> None:
+    more = (
+        '<elevationProfile><elevation s="0" a="100" b="0.05" c="0" d="0"/>'
+        '<elevation s="20" a="101" b="0.05" c="0.001" d="0"/></elevationProfile>'
+        '<lateralProfile><superelevation s="0" a="0.04" b="0" c="0" d="0"/></lateralProfile>'
+    )
+    line = only(read(tmp_path, road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, more + LANES.format(offset="", right=5))))
+    # The middle is 1 m to the right of the reference line, which falls to the right.
+    np.testing.assert_allclose(line.points_m[[0, 20, 40], 2] + np.sin(0.04), [100, 101, 102.4], atol=1e-9)
+    np.testing.assert_allclose(line.cross_slopes, np.tan(0.04))
+
+
+def test_roads_are_joined(tmp_path: Path) -> None:
+    first = road(geometry(0, 0, 0, 0, 50, "<line/>"), 50)
+    second = road(geometry(0, 100, 0, np.pi, 50, "<line/>"), 50)  # runs towards the first
+    ahead = read(tmp_path, first, second).ahead(pose(10.0, 0.0))
+    assert ahead is not None
+    assert len(ahead) == 91
+
+
+def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
+    plan = geometry(0, 0, 0, 0, 40, "<line/>")
+    path_only = LANES.format(offset="", right=3).replace('"driving"', '"biking"')
+    assert len(read(tmp_path, road(plan, 40, path_only), road(plan, 40)).lines) == 1
+    with pytest.raises(
+        ValueError, match=r"town\.xodr: expected at least one <road> with a driving lane, got none of 1"
+    ):
+        read(tmp_path, road(plan, 40, path_only))
+
+
+@pytest.mark.parametrize(
+    ("one", "message"),
+    [
+        (road("", 40), "road 7: planView: expected at least one <geometry>"),
+        (road(geometry(0, 0, 0, 0, 40, "<poly3/>"), 40), "road 7: geometry: expected line, arc, .*got poly3"),
+        (
+            road(geometry(0, 0, 0, 0, 40, "<arc/>"), 40),
+            "road 7: <arc> curvature: expected a finite number, got nothing",
+        ),
+        (
+            road(geometry(0, "nan", 0, 0, 40, "<line/>"), 40),
+            "road 7: <geometry> x: expected a finite number, got 'nan'",
+        ),
+        (road(geometry(0, 0, 0, 0, 40, "<line/>"), "long"), "road 7: <road> length: .* got 'long'"),
+    ],
+)
+def test_errors(tmp_path: Path, one: str, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"town\.xodr: {message}"):
+        read(tmp_path, one)
+
+
+def test_broken_files(tmp_path: Path) -> None:
+    path = tmp_path / "town.xodr"
+    path.write_text("<OpenDRIVE><road>")
+    with pytest.raises(ValueError, match=r"town\.xodr: expected XML: .*line 1"):
+        read_road_map(path)
+    path.write_text("<osm/>")
+    with pytest.raises(ValueError, match=r"expected XML with the root <OpenDRIVE>, got <osm>"):
+        read_road_map(path)
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        read_road_map(tmp_path / "nowhere.xodr")

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.geometry import rotation_angles_rad
+from foreglow.maps import GeographicOrigin, PoseTrack, read_poses
+from tests.maps.roads import pose
+
+ORIGIN = GeographicOrigin(48.0, 9.0)
+METRIC = """\
+timestamp_s,x_m,y_m,z_m,qx,qy,qz,qw
+1700000000.1,0,0,5,0,0,0,1
+1700000000.2,2,0,6,0,0,0.70710678,0.70710678
+
+1700000003.2,4,0,6,0,0,0.70710678,0.70710678
+"""
+EARTH = """\
+timestamp_ns, lat_deg, lon_deg, heading_deg
+0, 48.0, 9.0, 350
+100000000, 48.0001, 9.0, 10
+"""
+
+
+def write(tmp_path: Path, text: str, name: str = "drive.csv") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_between_two_poses(tmp_path: Path) -> None:
+    track = read_poses(write(tmp_path, METRIC))
+    assert track.has_attitude
+    assert track.times_ns[0] == 1_700_000_000_100_000_000  # exactly
+    between = track.pose(1_700_000_000_150_000_000)
+    assert between is not None
+    np.testing.assert_allclose(between.position_m, [1.0, 0.0, 5.5])
+    assert rotation_angles_rad(between.rotation) == pytest.approx((np.pi / 4, 0.0, 0.0), abs=1e-7)
+
+
+def test_at_the_poses_themselves_and_outside(tmp_path: Path) -> None:
+    track = read_poses(write(tmp_path, METRIC))
+    for time_ns, place in zip(track.times_ns.tolist(), track.positions_m, strict=True):
+        at = track.pose(time_ns)
+        assert at is not None
+        np.testing.assert_allclose(at.position_m, place)
+    assert track.pose(1_700_000_000_099_999_999) is None
+    assert track.pose(1_700_000_003_200_000_001) is None
+    assert track.pose(1_700_000_002_000_000_000) is None  # in a gap of three seconds
+
+
+def test_on_the_earth(tmp_path: Path) -> None:
+    """Headings turn the short way, across north."""
+    track = read_poses(write(tmp_path, EARTH), ORIGIN)
+    assert not track.has_attitude
+    between = track.pose(50_000_000)
+    assert between is not None
+    np.testing.assert_allclose(between.position_m, [0.0, 5.56, 0.0], atol=0.01)
+    assert rotation_angles_rad(between.rotation)[0] == pytest.approx(np.pi / 2)
+
+
+def test_on_the_earth_with_all_angles(tmp_path: Path) -> None:
+    text = "timestamp_s,lat_deg,lon_deg,heading_deg,height_m,pitch_deg,roll_deg\n0,48,9,0,400,2,1\n1,48,9,0,402,2,1\n"
+    track = read_poses(write(tmp_path, text), ORIGIN)
+    assert track.has_attitude
+    at = track.pose(500_000_000)
+    assert at is not None
+    assert at.position_m[2] == 401.0
+    assert np.degrees(rotation_angles_rad(at.rotation)) == pytest.approx([90.0, 2.0, 1.0])
+
+
+def test_tum(tmp_path: Path) -> None:
+    text = "# t x y z qx qy qz qw\n0.5 1 2 3 0 0 0 1\n1.0 2 2 3 0 0 0 1 # end\n"
+    at = read_poses(write(tmp_path, text, "drive.tum")).pose(750_000_000)
+    assert at is not None
+    assert at.position_m.tolist() == [1.5, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("timestamp_s", "time", r"drive\.csv: header: expected one of the columns timestamp_ns, timestamp_s"),
+        ("z_m", "height", "header: expected the columns timestamp_s, x_m, y_m, z_m, qx"),
+        ("1700000000.2,2", "1700000000.2,two", "line 3: expected numbers: could not convert"),
+        ("1700000000.2,2", "1700000000.2,nan", "line 3: x_m: expected a finite number, got nan"),
+        ("1700000000.2,2", "1700000000.2", "line 3: expected 8 numbers, got 7"),
+        ("1700000003.2", "1700000000.2", "line 5: timestamp_s: expected times that rise"),
+        ("0,0,0,1\n", "0,0,0,2\n", r"line 2: qx, qy, qz, qw: expected a quaternion of length 1, got \[0"),
+        (METRIC[METRIC.index("\n") + 1 :], "", "expected at least two poses, got 0"),
+        (METRIC, "", "expected a header line, the file is empty"),
+    ],
+)
+def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in METRIC
+    with pytest.raises(ValueError, match=message) as caught:
+        read_poses(write(tmp_path, METRIC.replace(old, new, 1)))
+    assert "drive.csv: " in str(caught.value)
+
+
+def test_poses_and_map_must_be_of_one_kind(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"drive\.csv: expected poses with lat_deg, .*as the map is, got x_m"):
+        read_poses(write(tmp_path, METRIC), ORIGIN)
+    with pytest.raises(ValueError, match=r"drive\.csv: expected poses with x_m, .*as the map is, got lat_deg"):
+        read_poses(write(tmp_path, EARTH))
+    with pytest.raises(ValueError, match=r"line 2: expected a latitude of -90 to 90"):
+        read_poses(write(tmp_path, EARTH.replace("48.0,", "98.0,")), ORIGIN)
+
+
+def test_a_track_of_one_pose() -> None:
+    with pytest.raises(ValueError, match="expected at least two poses, got 1"):
+        PoseTrack(np.array([0]), [pose(0, 0)], has_attitude=True)
+    with pytest.raises(ValueError, match="expected times that rise, pose 2 does not"):
+        PoseTrack(np.array([5, 5]), [pose(0, 0), pose(1, 0)], has_attitude=True)
