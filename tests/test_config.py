@@ -134,3 +134,11 @@ def test_published_parameter_sets() -> None:
     paper, baseline = preset("paper").proposals, preset("baseline").proposals
     assert (paper.kappa, paper.window_px, paper.min_deviation, paper.gap_px) == (0.4, 19, 0.01, 4)
     assert (baseline.kappa, baseline.window_px, baseline.min_deviation, baseline.gap_px) == (0.5, 20, 0.005, 13)
+
+
+def test_the_detector_alone() -> None:
+    config = preset("foreglow")
+    alone = config.detector_only
+    assert (alone.distance.estimator, alone.tracker.method) == ("none", "none")
+    assert (alone.proposals, alone.classifier) == (config.proposals, config.classifier)
+    assert config.tracker.method != "none"

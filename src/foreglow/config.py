@@ -212,6 +212,15 @@ class PipelineConfig(FrozenModel):
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()
 
+    @property
+    def detector_only(self) -> PipelineConfig:
+        """The same without the stages that follow the detector."""
+        off = {
+            "distance": self.distance.model_copy(update={"estimator": "none"}),
+            "tracker": self.tracker.model_copy(update={"method": "none"}),
+        }
+        return self.model_copy(update=off)
+
 
 PRESETS: dict[str, PipelineConfig] = {
     # Paper, table of the parameter search (kappa 0.4, w 19, s 0.01, d 4).

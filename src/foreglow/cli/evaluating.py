@@ -74,7 +74,7 @@ def _evaluated_configuration(
     given = {"model": model, "preset": preset, "config": config}
     for name in [name for name, value in given.items() if value is not None and predictions is not None]:
         raise ValueError(f"evaluate: expected --predictions or --{name}, got both")
-    configuration = configuration_of(preset or DEFAULT_PRESET, config, model)
+    configuration = configuration_of(preset or DEFAULT_PRESET, config, model).detector_only
     if configuration.classifier.model is None and predictions is None:
         raise ValueError("evaluate: expected --predictions FILE or --model FILE, got neither")
     if threshold is None:

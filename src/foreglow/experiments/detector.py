@@ -165,7 +165,7 @@ def _classifier_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLab
     model = classifier_model(name, place)
     assert model.config.classifier.model is not None
     counts = count_model(model.config.classifier.model)
-    pipeline = Pipeline(model.config)
+    pipeline = Pipeline(model.config.detector_only)
     pipeline.step(dataset.read(dataset.frame_ids[0]))  # the first one also makes buffers
     run = run_split(dataset, pipeline, _told(place, name, len(dataset)))
     row = _measured(name, run.predictions, run.total_ms, place, labels)

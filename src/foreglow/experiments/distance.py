@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.config import DistanceConfig, PipelineConfig, TrackerConfig, preset
+from foreglow.config import DistanceConfig, PipelineConfig, preset
 from foreglow.datasets import PVDN, SplitName, split_folder
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
@@ -146,11 +146,7 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
             "as simulated drives have them in simulation/; found none"
         )
     truth = read_truth(dataset.root)
-    detector = Pipeline(
-        plan.config.model_copy(
-            update={"distance": DistanceConfig(estimator="none"), "tracker": TrackerConfig(method="none")}
-        )
-    )
+    detector = Pipeline(plan.config.detector_only)
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
     left_out: Counter[str] = Counter()
     lights: list[RangedLight] = []
