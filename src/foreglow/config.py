@@ -159,6 +159,7 @@ class TrackerConfig(FrozenModel):
         neutral_score: Score that speaks neither for nor against light (`evidence`).
         detection_probability: That light is detected in a frame while its track lives (`evidence`).
         confirm_evidence: Log-likelihood ratio above which a track becomes plausible (`evidence`).
+        reject_evidence: Log-likelihood ratio down to which it stays so (`evidence`).
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
@@ -187,11 +188,17 @@ class TrackerConfig(FrozenModel):
     neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.5
     detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 3.0
+    reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> TrackerConfig:
         if self.confirmation == "m_of_n" and self.min_hits > self.num_looks:
             raise ValueError(f"min_hits: expected at most num_looks, {self.num_looks}, got {self.min_hits}")
+        if self.reject_evidence > self.confirm_evidence:
+            raise ValueError(
+                f"reject_evidence: expected at most confirm_evidence, {self.confirm_evidence:g}, "
+                f"got {self.reject_evidence:g}"
+            )
         return self
 
 

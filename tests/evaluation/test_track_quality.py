@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from foreglow.config import TrackerConfig
 from foreglow.datasets import PVDN
 from foreglow.evaluation import read_split_labels
+from foreglow.evaluation.lights import Light
 from foreglow.evaluation.track_quality import SequenceTracks, false_per_minute, match_tracks, track_predictions
 from foreglow.tracking import make_tracker
 from foreglow.types import Tracks, TrackState
@@ -34,9 +36,9 @@ def tracks_of(*rows: tuple[int, TrackState, int]) -> Tracks:
 
 
 def matched(
-    lights: dict[int, Sequence[object]], tracks: dict[int, Tracks], **fields: object
+    lights: Mapping[int, Sequence[Light]], tracks: dict[int, Tracks], **fields: Any
 ) -> tuple[SequenceTracks, ...]:
-    labels = split_labels(lights, **fields)  # type: ignore[arg-type]
+    labels = split_labels(lights, **fields)
     return match_tracks(labels, tracks, dict.fromkeys(lights, BOXES))
 
 
@@ -67,7 +69,7 @@ def test_tentative_tracks_are_not_false() -> None:
 def test_any_light_at_any_time_makes_it_true(when: int) -> None:
     """Doubtful light and rear lamps too, before or after it was plausible; neither of them is a vehicle found."""
     tracks = {number: tracks_of((0, CONFIRMED if number == 1 else TENTATIVE, 0)) for number in range(3)}
-    empty: dict[int, Sequence[object]] = {0: [], 1: [], 2: []}
+    empty: dict[int, Sequence[Light]] = {0: [], 1: [], 2: []}
     (doubtful,) = matched(empty, tracks, doubtful_px={when: [(5.0, 5.0)]})
     (rear,) = matched(empty | {when: [light(when, 5, 5, is_rear=True)]}, tracks)
     for one in (doubtful, rear):

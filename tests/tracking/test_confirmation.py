@@ -101,6 +101,10 @@ class TestEvidence:
     def test_plausible_until_nothing_is_left(self) -> None:
         assert history(self.config(), [0.9, 0.9, 0.1, 0.15, 0.3, 0.9]) == [False] + [True] * 3 + [False] * 2
 
+    def test_plausible_down_to_the_lower_level(self) -> None:
+        config = self.config(reject_evidence=2.0)
+        assert history(config, [0.9, 0.9, 0.2, 0.5, 0.2, 0.9]) == [False, True, True, True, False, True]
+
     def test_what_five_frames_confirm_is_confirmed(self) -> None:
         config = TrackerConfig(confirmation="evidence")
         assert history(config, [0.51] * 6) == [False] * 4 + [True] * 2

@@ -84,12 +84,22 @@ def test_focus_is_last_of_equals_and_none_while_the_oldest_is_young() -> None:
     assert tracker.focus is tracker.objects[1]
 
 
-def test_a_collapsed_size_becomes_one_pixel_and_a_collapsed_box_ends() -> None:
-    """The size is moved by 0.6 of the innovation: from 100 to 1 px it comes to 40.6, past the edge to nothing."""
-    tracker = PublishedTracker(TrackerConfig(alpha_size=0.6))
+def test_an_object_whose_box_collapses_is_gone() -> None:
+    """With a gain of 1 the size moves by twice the innovation: from 100 to below 0 px."""
+    tracker = PublishedTracker(TrackerConfig(alpha_size=1.0))
     tracker.follow(lights((100, 100, 200, 200, 0.9)), LIMITS_PX, 0.0)
-    tracker.follow(lights((149, 149, 151, 151, 0.9)), LIMITS_PX, 0.0)  # 100 - 1.2 * 98 is below 0
+    tracker.follow(lights((135, 135, 165, 165, 0.9)), LIMITS_PX, 0.0)
     assert tracker.objects == ()
+
+
+def test_a_lost_object_outlives_three_frames() -> None:
+    tracker = PublishedTracker(TrackerConfig())
+    tracker.follow(lights((100, 100, 120, 120, 0.9)), LIMITS_PX, 0.0)
+    alive = []
+    for _ in range(4):
+        tracker.follow([], LIMITS_PX, 0.0)
+        alive.append(len(tracker.objects))
+    assert alive == [1, 1, 1, 0]
 
 
 def test_ranges_without_sigma_and_none_at_zero() -> None:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import inf, isnan, nan
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
 
 from foreglow.config import OUR_TRACKER, TrackerConfig
-from foreglow.tracking import AlphaBetaTracker
+from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Tracks, TrackState
 from tests.tracking.made_up import FRAME_S, detections_of, frame_at, ranges_of
 
 CONFIRMED, COASTING, TENTATIVE = TrackState.CONFIRMED, TrackState.COASTING, TrackState.TENTATIVE
+Rows: TypeAlias = Sequence[Sequence[float]]
 LAMP = (600, 480, 620, 496, 0.9)
 
 
@@ -33,7 +34,7 @@ def moved(box: Sequence[float], dx: float = 0, dy: float = 0, score: float | Non
 
 def run(
     tracker: AlphaBetaTracker,
-    frames: Iterable[Sequence[Sequence[float]]],
+    frames: Iterable[Rows],
     start_s: float = 0.0,
     step_s: float = FRAME_S,
 ) -> list[Tracks]:
@@ -80,7 +81,7 @@ class TestPaper:
 
     def test_enlarged_boxes_meet_where_plain_ones_do_not(self) -> None:
         """A box of 20 px that jumps by 21 px: the boxes of 30 px overlap by 9, an IoU of 0.18."""
-        frames = [[LAMP], [moved(LAMP, dx=21)]]
+        frames: list[Rows] = [[LAMP], [moved(LAMP, dx=21)]]
         assert run(paper(), frames)[-1].ids.tolist() == [0]
         assert run(paper(enlargement=1.0), frames)[-1].ids.tolist() == [0, 1]
         assert run(paper(min_iou=0.2), frames)[-1].ids.tolist() == [0, 1]
@@ -122,14 +123,14 @@ class TestPaper:
 class TestTime:
     def test_half_the_frames_halve_the_misses(self) -> None:
         """At 9 frames a second, three frames of 18 are over with the second miss."""
-        frames: list[Sequence[Sequence[float]]] = [[LAMP]] * 5 + [[]] * 4
+        frames: list[Rows] = [*[[LAMP]] * 5, *[[]] * 4]
         alive = [len(one) for one in run(ours(max_misses=3), frames, step_s=2 * FRAME_S)[5:]]
         assert alive == [1, 0, 0, 0]
         counted = [len(one) for one in run(ours(max_misses=3, clock="frames"), frames, step_s=2 * FRAME_S)[5:]]
         assert counted == [1, 1, 1, 0]
 
     def test_frames_that_come_late_do_not_end_a_track_early(self) -> None:
-        frames: list[Sequence[Sequence[float]]] = [[LAMP]] * 5 + [[]] * 3
+        frames: list[Rows] = [*[[LAMP]] * 5, *[[]] * 3]
         assert len(run(ours(max_misses=3), frames, step_s=1.1 * FRAME_S)[-1]) == 1
 
     def test_a_gap_ends_no_track_and_confirms_none(self) -> None:
@@ -220,21 +221,19 @@ class TestRanges:
 
 class TestBoxes:
     def test_a_track_that_leaves_the_image_ends(self) -> None:
-        frames: list[Sequence[Sequence[float]]] = [[(1200 + 9 * k, 400, 1220 + 9 * k, 420, 0.9)] for k in range(7)]
+        frames: list[Rows] = [[moved((1200, 400, 1220, 420, 0.9), dx=9 * k)] for k in range(7)]
         last = run(ours(), [*frames, []])[-1]
         assert len(last) == 1
         assert len(run(ours(), [*frames, [], [], []])[-1]) == 0
 
     def test_a_box_that_shrinks_stays_a_box(self) -> None:
-        frames: list[Sequence[Sequence[float]]] = [
-            [(600 + k, 400 + k, 640 - k, 440 - k, 0.9)] for k in (0, 5, 10, 15, 19)
-        ]
+        frames: list[Rows] = [[(600 + k, 400 + k, 640 - k, 440 - k, 0.9)] for k in (0, 5, 10, 15, 19)]
         for tracks in run(ours(), frames + [[]] * 6):
             assert (tracks.boxes_xyxy_px[:, 2:] - tracks.boxes_xyxy_px[:, :2] >= 1.0 - 1e-9).all()
 
     def test_one_track_an_object(self) -> None:
         """A light is lost by a jump and found again beside its old track, which coasts into the new one."""
-        frames: list[Sequence[Sequence[float]]] = [[LAMP]] * 5 + [[moved(LAMP, dx=14)]]
+        frames: list[Rows] = [[LAMP]] * 5 + [[moved(LAMP, dx=14)]]
         assert run(paper(min_iou=0.5), frames)[-1].ids.tolist() == [0, 1]
         assert run(paper(min_iou=0.5, merge_iou=0.1), frames)[-1].ids.tolist() == [0]
 

@@ -91,7 +91,7 @@ class EvidenceRule:
 
     A detection with the calibrated score s says logit(s) - logit(neutral); a miss says log(1 - P_d), as if what is no
     light were missed for sure. The sum does not fall below 0, since light may appear where there was none before; a
-    track that became plausible by it stays so until it is back at 0. What five frames would confirm is confirmed as
+    track that became plausible by it stays so down to `reject_evidence`. What five frames would confirm is confirmed as
     well: scores of one light err alike from frame to frame, so that many middling ones are worth more than their sum.
 
     Source: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
@@ -103,7 +103,7 @@ class EvidenceRule:
         self._frames = FramesRule(config)
         self._neutral = float(np.log(config.neutral_score / (1.0 - config.neutral_score)))
         self._miss = float(np.log1p(-config.detection_probability))
-        self._confirm = config.confirm_evidence
+        self._confirm, self._reject = config.confirm_evidence, config.reject_evidence
 
     def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
         """As `ConfirmationRule.look`."""
@@ -111,7 +111,7 @@ class EvidenceRule:
             logits = np.log(looks.scores) - np.log1p(-looks.scores)
         hits = np.clip(logits, -MAX_LOOK_EVIDENCE, MAX_LOOK_EVIDENCE) - self._neutral
         evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)
-        is_plausible = (evidence > self._confirm) | (looks.was_plausible & (evidence > 0.0))
+        is_plausible = (evidence > self._confirm) | (looks.was_plausible & (evidence > self._reject))
         return evidence[:, None], is_plausible | self._frames.look(memory, looks)[1]
 
 
