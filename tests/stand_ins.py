@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, ProposalConfig
-from foreglow.types import Detections, Frame, FrameResult, Image, Proposals
+from foreglow.types import Detections, Frame, FrameResult, Image, Proposals, Tracks, TrackState
 
 REFERENCE = PipelineConfig(proposals=ProposalConfig(backend="reference", reference_width_px=128))
 """The paper's preset for the width of `night_image`, on the back end that needs no native core."""
@@ -59,3 +59,28 @@ def result_of(
     proposals = Proposals(array)
     detections = None if scores is None else Detections(proposals, np.array(scores, np.float32), threshold)
     return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, {"proposals": 0.25})
+
+
+def tracks_of(
+    boxes: Sequence[Sequence[float]],
+    states: Sequence[TrackState] | None = None,
+    ids: Sequence[int] | None = None,
+    ranges_m: Sequence[float] | None = None,
+    detections: Sequence[int] | None = None,
+) -> Tracks:
+    """Tracks with these boxes: confirmed, numbered from 0, each following the detection in its place."""
+    count = len(boxes)
+    ranges = np.full(count, np.nan) if ranges_m is None else np.array(ranges_m, np.float64)
+    followed = range(count) if detections is None else detections
+    return Tracks(
+        ids=np.array(range(count) if ids is None else ids, np.int64),
+        states=np.array([TrackState.CONFIRMED] * count if states is None else states, np.int64),
+        boxes_xyxy_px=np.array(boxes, np.float64).reshape(-1, 4),
+        confidences=np.full(count, 0.75),
+        num_hits=np.full(count, 6),
+        num_misses=np.array([int(place < 0) for place in followed], np.int64),
+        ages_s=np.full(count, 0.25),
+        ranges_m=ranges,
+        sigmas_m=np.where(np.isnan(ranges), np.inf, 0.1 * ranges),
+        detections=np.array(followed, np.int64),
+    )

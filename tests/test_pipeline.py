@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from foreglow.config import PipelineConfig
+from foreglow.config import DistanceConfig, PipelineConfig, TrackerConfig, preset
+from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import BACKENDS
 from foreglow.types import Frame, FrameResult
@@ -18,7 +20,10 @@ def identity(result: FrameResult) -> tuple[object, ...]:
     """All of a result but its run-times."""
     detections = result.detections
     scored = None if detections is None else (detections.scores.tolist(), detections.is_accepted.tolist())
-    return result.frame, result.timestamp_ns, result.proposals.boxes_xyxy_px.tolist(), scored
+    ranges, tracks = result.ranges, result.tracks
+    ranged = None if ranges is None else (repr(ranges.ranges_m.tolist()), ranges.sigmas_m.tolist())
+    followed = None if tracks is None else repr([getattr(tracks, one.name).tolist() for one in fields(tracks)])
+    return result.frame, result.timestamp_ns, result.proposals.boxes_xyxy_px.tolist(), scored, ranged, followed
 
 
 def test_same_results_twice_and_in_any_company() -> None:
@@ -28,7 +33,7 @@ def test_same_results_twice_and_in_any_company() -> None:
     pipeline.reset()
     assert [identity(result) for result in pipeline.run(frames)] == first
     assert [identity(Pipeline(REFERENCE).step(frame)) for frame in frames] == first
-    assert any(boxes for _, _, boxes, _ in first)
+    assert any(boxes for _, _, boxes, *_ in first)
 
 
 def test_plain_array_equals_its_frame() -> None:
@@ -43,6 +48,49 @@ def test_result_carries_the_frame_and_the_stages() -> None:
     assert list(result.stage_ms) == ["proposals"]
     assert result.detections is None
     assert Pipeline(REFERENCE).dispatch is None
+
+
+def shipped_frames(first: int, count: int) -> list[Frame]:
+    dataset = PVDN(shipped_drive())
+    return [dataset.read(image_id) for image_id in dataset.frame_ids[first : first + count]]
+
+
+def test_the_whole_chain() -> None:
+    frames = shipped_frames(60, 12)
+    pipeline = Pipeline()
+    results = list(pipeline.run(frames))
+    assert list(results[0].stage_ms) == ["proposals", "classifier", "distance", "tracking"]
+    for result in results:
+        assert result.detections is not None
+        assert result.ranges is not None
+        assert result.ranges.detections is result.detections
+        assert result.tracks is not None
+        assert result.tracks.detections.max(initial=-1) < len(result.detections)
+    last = results[-1]
+    assert last.tracks is not None
+    assert last.tracks.is_plausible.any()
+    assert np.isfinite(last.tracks.ranges_m).any()
+    pipeline.reset()
+    assert [identity(result) for result in pipeline.run(frames)] == [identity(result) for result in results]
+
+
+def test_without_a_camera_there_are_tracks_and_no_ranges() -> None:
+    frames = [replace(frame, camera=None, motion=None, road=None) for frame in shipped_frames(60, 3)]
+    last = list(Pipeline().run(frames))[-1]
+    assert last.ranges is None
+    assert "distance" not in last.stage_ms
+    assert last.tracks is not None
+    assert len(last.tracks)
+    assert np.isnan(last.tracks.ranges_m).all()
+
+
+def test_stages_can_be_switched_off() -> None:
+    config = preset("foreglow").model_copy(
+        update={"distance": DistanceConfig(estimator="none"), "tracker": TrackerConfig(method="none")}
+    )
+    result = Pipeline(config).step(shipped_frames(60, 1)[0])
+    assert (result.ranges, result.tracks) == (None, None)
+    assert list(result.stage_ms) == ["proposals", "classifier"]
 
 
 def test_plain_array_of_another_kind_is_refused() -> None:

@@ -118,14 +118,14 @@ class DistanceConfig(FrozenModel):
     """Parameters of the distance stage; `foreglow.distance` describes the estimators.
 
     Attributes:
-        estimator: `gp` (ground plane), `psd_3d`, `psd_3d_plus`, `psd_2d` (predictive street data) or `road_surface`;
-            None estimates no ranges. Those that need a road give no range where the frame has none.
+        estimator: `gp` (ground plane), `psd_3d`, `psd_3d_plus`, `psd_2d` (predictive street data), `road_surface`,
+            or `none` for no ranges. Those that need a road give no range where the frame has none.
         heuristic: Which range stands for a box, of those of its pixels (paper); `road_surface` has its own rule.
         pitch: The body's pitch against the road: `fixed` takes that of the calibration, `motion` adds what
             `Frame.motion` tells, `markings` estimates it from the markings in the image.
     """
 
-    estimator: Literal["gp", "psd_3d", "psd_3d_plus", "psd_2d", "road_surface"] | None = None
+    estimator: Literal["gp", "psd_3d", "psd_3d_plus", "psd_2d", "road_surface", "none"] = "gp"
     heuristic: Literal["centre", "maximum", "minimum", "lowest", "mean", "median"] = "centre"
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig, preset
+from foreglow.distance import make_estimator
 from foreglow.proposals import NativeProposer, make_proposer
-from foreglow.types import Detections, Frame, FrameResult
+from foreglow.tracking import make_tracker
+from foreglow.types import Detections, Frame, FrameResult, Ranges, Tracks
 
 
 class Pipeline:
@@ -32,8 +34,10 @@ class Pipeline:
         """
         self.config = config or preset("foreglow")
         self._proposer = make_proposer(self.config.proposals)
-        model = self.config.classifier.model
+        model, distance, tracker = self.config.classifier.model, self.config.distance, self.config.tracker
         self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
+        self._estimator = make_estimator(distance) if distance.estimator != "none" else None
+        self._tracker = make_tracker(tracker) if tracker.method != "none" else None
 
     @property
     def dispatch(self) -> str | None:
@@ -45,21 +49,29 @@ class Pipeline:
 
         Args:
             frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
+                Without a camera in it nothing has a range.
 
         Raises:
             ValueError: If a plain image is not grey uint8 or uint16.
         """
         if isinstance(frame, np.ndarray):
             frame = Frame(frame, timestamp_ns=0)
-        started = time.perf_counter_ns()
+        clock = _StageClock()
         proposals = self._proposer.propose(frame.image)
-        proposed = time.perf_counter_ns()
-        stage_ms = {"proposals": (proposed - started) / 1e6}
+        clock.took("proposals")
         detections: Detections | None = None
+        ranges: Ranges | None = None
+        tracks: Tracks | None = None
         if self._classifier is not None:
             detections = self._classifier.classify(frame, proposals)
-            stage_ms["classifier"] = (time.perf_counter_ns() - proposed) / 1e6
-        return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, stage_ms)
+            clock.took("classifier")
+            if self._estimator is not None and frame.camera is not None:
+                ranges = self._estimator.estimate(frame, detections)
+                clock.took("distance")
+            if self._tracker is not None:
+                tracks = self._tracker.update(frame, detections, ranges)
+                clock.took("tracking")
+        return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, clock.stage_ms, ranges, tracks)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """The results of `frames`, one by one, in order."""
@@ -68,5 +80,20 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forgets what earlier frames left behind, as at the start of a sequence."""
-        if self._classifier is not None:
-            self._classifier.reset()
+        for stage in (self._classifier, self._estimator, self._tracker):
+            if stage is not None:
+                stage.reset()
+
+
+class _StageClock:
+    """Takes the time that each stage needs, milliseconds."""
+
+    def __init__(self) -> None:
+        self.stage_ms: dict[str, float] = {}
+        self._latest_ns = time.perf_counter_ns()
+
+    def took(self, stage: str) -> None:
+        """The time since the stage before is this one's."""
+        now_ns = time.perf_counter_ns()
+        self.stage_ms[stage] = (now_ns - self._latest_ns) / 1e6
+        self._latest_ns = now_ns

@@ -1,4 +1,4 @@
-"""The commands `export-yolo`, `yolo` and `experiment detector`: what they say, and one line for bad input."""
+"""The commands `export-yolo`, `yolo`, `export-mot` and `experiment`: what they say, and one line for bad input."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
 from tests.experiments.detector_data import make_data, make_model
+from tests.experiments.ranged_drives import make_split
 from tests.learning.yolo.fakes import Calls, fake_libreyolo
 
 
@@ -74,3 +76,54 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     assert "rows: expected some of baseline" in complaint(*experiment, "--rows", "best")
     assert "no such model, given with --our-model" in complaint(*experiment, "--our-model", tmp_path / "absent")
     assert "expected the split" in complaint(*experiment, "--split", "all")
+
+
+def test_time_benefit(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "out"
+    result = foreglow_command("experiment", "time-benefit", shipped_drive(), "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.endswith(f"look in {out / 'report.md'}\n")
+    assert "false confirmed tracks a minute" in result.stdout
+
+
+def test_bad_input_of_time_benefit(tmp_path: Path) -> None:
+    experiment = ("experiment", "time-benefit", shipped_drive(), "--out", tmp_path / "out")
+    assert "classifier.model: expected one" in complaint(*experiment, "--preset", "paper")
+    assert not (tmp_path / "out").exists()
+
+
+def test_export_mot(tmp_path: Path) -> None:
+    run, out = tmp_path / "run", tmp_path / "mot"
+    assert foreglow_command("run", shipped_drive(), "--out", run).exit_code == 0
+    result = foreglow_command("export-mot", run, shipped_drive(), "--out", out, "--name", "ours")
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"look in {out}\n"
+    rows = (out / "trackers/ours/data/S00001.txt").read_text().splitlines()
+    assert len(rows) > 20
+    assert len({row.split(",")[1] for row in rows}) >= 2
+    assert (out / "gt/S00001/gt/gt.txt").exists()
+    assert "frames.jsonl: no such file, expected predictions" in complaint(
+        "export-mot", out, shipped_drive(), "--out", out
+    )
+
+
+def test_distance(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    make_split(tmp_path / "drives", "val")
+    out = tmp_path / "out"
+    arguments = ("experiment", "distance", tmp_path / "drives", "--out", out, "--split", "val")
+    result = foreglow_command(*arguments, "--estimators", "gp,psd_3d", "--seed", 4)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"look in {out / 'report.html'}\n"
+    record = json.loads((out / "results.json").read_text())
+    assert {one["estimator"] for one in record["findings"]} == {"gp", "psd_3d"}
+    assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
+
+
+def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> None:
+    experiment = ("experiment", "distance", data, "--out", tmp_path / "out")
+    assert "estimators: expected some of gp, psd_3d" in complaint(*experiment, "--estimators", "radar")
+    assert "expected the range of each light, a calibration and the road ahead" in complaint(*experiment)
+    assert "expected the split" in complaint(*experiment, "--split", "all")
+    assert not (tmp_path / "out").exists()

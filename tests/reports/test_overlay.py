@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from foreglow.reports.overlay import ACCEPTED_BGR, PROPOSAL_BGR, REJECTED_BGR, Measures, annotate
+from foreglow.reports.overlay import ACCEPTED_BGR, PROPOSAL_BGR, REJECTED_BGR, TRACK_BGR, Measures, annotate
 from foreglow.reports.tone import Tone
-from foreglow.types import Frame
-from tests.stand_ins import night_image, result_of
+from foreglow.types import Frame, TrackState
+from tests.stand_ins import night_image, result_of, tracks_of
 
 SIZES = [(64, 64), (640, 360), (1280, 960), (2872, 1622), (65, 4001), (1001, 67), (1, 1)]
 
@@ -93,3 +95,21 @@ def test_flat_frames_have_a_tone(value: int) -> None:
 def test_tone_is_for_one_depth() -> None:
     with pytest.raises(ValueError, match="one depth"):
         Tone.of(night_image()).apply(night_image(dtype=np.uint16))
+
+
+def test_tracks_lie_around_their_boxes() -> None:
+    frame = frame_of(1280, 960)
+    boxes = [[400, 300, 440, 330], [700, 500, 800, 600], [900, 200, 940, 240]]
+    states = [TrackState.CONFIRMED, TrackState.COASTING, TrackState.TENTATIVE]
+    tracks = tracks_of(boxes, states, ranges_m=[80.0, np.nan, 20.0])
+    result = dataclasses.replace(result_of(frame, boxes, [0.9, 0.2, 0.9]), tracks=tracks)
+    picture, plain = annotate(frame, result), annotate(frame, result_of(frame, boxes, [0.9, 0.2, 0.9]))
+    confirmed, coasting = (
+        int((picture[y1 - 20 : y2 + 20, x1 - 20 : x2 + 20] == TRACK_BGR).all(axis=2).sum())
+        for x1, y1, x2, y2 in boxes[:2]
+    )
+    assert confirmed > 1.5 * 2 * (40 + 30)  # two pixels wide
+    assert 2 * (100 + 100) < coasting < 1.5 * 2 * (100 + 100 + 40)
+    assert (picture[160:280, 860:980] == plain[160:280, 860:980]).all()
+    for x1, y1, x2, y2 in boxes:
+        assert (picture[y1:y2, x1:x2] == plain[y1:y2, x1:x2]).all()

@@ -20,6 +20,7 @@ EXTRAS = {
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     "matplotlib": "plots",
     "ultralytics": "ultralytics",
+    "trackeval": "mot",
 }
 """Optional modules, and the extra that installs each."""
 

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.cli.app import argument, experiments, file, folder
+from foreglow.cli.app import (
+    DEFAULT_PRESET,
+    ModelOption,
+    PresetOption,
+    argument,
+    configuration_of,
+    experiments,
+    file,
+    folder,
+)
 
 if TYPE_CHECKING:
     from foreglow.datasets import SplitName
@@ -32,6 +41,31 @@ def experiment_simulator(
 
     report = write_report(examine(data, real_labels, real_image), out)
     typer.echo(f"look in {report}")
+
+
+@experiments.command("distance")
+def experiment_distance(
+    data: Annotated[Path, argument(metavar="DATA", help="A simulated data set with train, val and test.")],
+    out: Annotated[Path, folder(help="Folder for the report.")],
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    estimators: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Only these estimators (default: all).")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 1,
+) -> None:
+    """Measure every estimator of ranges with every heuristic on lights whose range is known."""
+    from foreglow.distance import ESTIMATORS
+    from foreglow.experiments.distance import DistancePlan, run_experiment
+    from foreglow.reports.distance_page import write_report
+    from foreglow.reports.figures import require_matplotlib
+    from foreglow.reports.progress import StepProgress
+
+    require_matplotlib()
+    names = tuple(ESTIMATORS) if estimators is None else tuple(estimators.split(","))
+    plan = DistancePlan(split=cast("SplitName", split), estimators=names, seed=seed)
+    with contextlib.closing(StepProgress()) as progress:
+        results = run_experiment(data, plan, progress)
+    typer.echo(f"look in {write_report(results, out)}")
 
 
 @experiments.command("detector")
@@ -94,3 +128,29 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
 
         results = run_experiment(data, out, plan, progress=show, training=training)
     return write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)
+
+
+@experiments.command("time-benefit")
+def experiment_time_benefit(
+    data: Annotated[Path, argument(metavar="DATA", help="A split with labels, at its full frame rate.")],
+    out: Annotated[Path, folder(help="Folder for the report.")],
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+    production_category: Annotated[
+        int, typer.Option(min=0, max=7, help="PVDN's image category that marks the production system's report.")
+    ] = 6,
+) -> None:
+    """How long before a production system and a human the first vehicle of each sequence is detected."""
+    from foreglow.datasets import PVDN, CategoryConfig, ImageCategory
+    from foreglow.experiments.time_benefit import run_experiment
+    from foreglow.reports.figures import require_matplotlib
+    from foreglow.reports.progress import StepProgress
+    from foreglow.reports.time_benefit_page import summary_lines, write_report
+
+    require_matplotlib()
+    categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
+    with contextlib.closing(StepProgress()) as progress:
+        results = run_experiment(PVDN(data), configuration_of(preset, config, model), categories, progress)
+    report = write_report(results, out)
+    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

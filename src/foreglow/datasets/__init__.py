@@ -22,6 +22,7 @@ from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
 from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder
+from foreglow.datasets.vehicle_data import Equipped, VehicleData
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "CategoryConfig",
     "Cycle",
     "EnvironmentLighting",
+    "Equipped",
     "FrameCache",
     "FrameSource",
     "ImageCategory",
@@ -44,6 +46,7 @@ __all__ = [
     "Sequence",
     "SplitName",
     "Vehicle",
+    "VehicleData",
     "Video",
     "Weather",
     "download_pvdn",

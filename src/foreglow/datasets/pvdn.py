@@ -29,7 +29,9 @@ from foreglow.datasets.pvdn_schema import (
     Vehicle,
     Weather,
 )
+from foreglow.datasets.simulated_vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame
 
 PVDN_RATE_HZ = 18.0
@@ -75,6 +77,8 @@ class PVDN:
     files are not used, since their units are not documented. Different sequences share no time axis: reset the
     pipeline between them.
 
+    Frames of a simulated split carry what the car knew: calibration, motion, and the road of its street message.
+
     Attributes:
         rate_hz: Frames a second within a sequence.
         root: The split's folder.
@@ -116,6 +120,7 @@ class PVDN:
         self.skipped: list[str] = []
         self._on_error = checked_on_error(on_error)
         self._read = read_image if cache is None else cache.read_image
+        self._vehicle = SimulatedVehicle(self.root)
         self._directory = None if scene is None else folder.resolve().name
         self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
 
@@ -167,7 +172,8 @@ class PVDN:
         sequence = self.sequence(image_id)
         place = self.labels.place_of[image_id]
         timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(place * 1e9 / self.rate_hz)
-        return Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+        frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+        return equip(frame, self._vehicle)
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """The oncoming vehicles in image `image_id`; empty where there is none.

@@ -9,11 +9,19 @@ from __future__ import annotations
 from typing import Protocol
 
 from foreglow.config import DistanceConfig
+from foreglow.distance.ground_plane import GroundPlane
+from foreglow.distance.psd_2d import PSD2D
+from foreglow.distance.psd_3d import PSD3D
+from foreglow.distance.psd_3d_plus import PSD3DPlus
 from foreglow.types import Detections, Frame, Ranges
+
+__all__ = ["ESTIMATORS", "PSD2D", "PSD3D", "GroundPlane", "PSD3DPlus", "RangeEstimator", "make_estimator"]
 
 
 class RangeEstimator(Protocol):
     """Gives every box of a frame a range and its standard deviation."""
+
+    def __init__(self, config: DistanceConfig) -> None: ...
 
     def estimate(self, frame: Frame, detections: Detections) -> Ranges:
         """The ranges of `detections` in `frame`, whose `camera` must be there; NaN and infinity where unknown."""
@@ -24,7 +32,12 @@ class RangeEstimator(Protocol):
         ...
 
 
-ESTIMATORS: dict[str, type[RangeEstimator]] = {}
+ESTIMATORS: dict[str, type[RangeEstimator]] = {
+    "gp": GroundPlane,
+    "psd_3d": PSD3D,
+    "psd_3d_plus": PSD3DPlus,
+    "psd_2d": PSD2D,
+}
 """All estimators by name."""
 
 
@@ -34,4 +47,6 @@ def make_estimator(config: DistanceConfig) -> RangeEstimator:
     Raises:
         ValueError: If it names none.
     """
-    raise ValueError(f"distance.estimator: expected one of {', '.join(ESTIMATORS)}, got {config.estimator!r}")
+    if config.estimator not in ESTIMATORS:
+        raise ValueError(f"distance.estimator: expected one of {', '.join(ESTIMATORS)}, got {config.estimator!r}")
+    return ESTIMATORS[config.estimator](config)

@@ -9,15 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.datasets import PVDN
 from foreglow.evaluation.breakdown import match_lights, read_split_labels
+from foreglow.evaluation.encounters import vehicle_facts
 from foreglow.evaluation.first_found import FirstFound, first_found
 from foreglow.evaluation.lights import Light
 from foreglow.evaluation.predictions import Predictions
-from foreglow.simulation import read_truth
-
-UNKNOWN_VEHICLE = "vehicle"
-"""What a vehicle is called where nothing more is known of it."""
 
 _Lit: TypeAlias = tuple[Light, float]
 """A light, and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
@@ -113,7 +110,7 @@ def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> t
         boxed = [one for time_s, one in its if time_s == times.found_s and one[1] > threshold]
         lamps = [one for time_s, one in its if time_s == times.lamp_s and one[0].is_direct]
         before = [labels.sequence_of[one] == sequence.id and labels.time_s[one] < times.light_s for one in image_ids]
-        vehicle_kind, production_s = _known(dataset, sequence.id, times.vehicle_id)
+        _, vehicle_kind, production_s = vehicle_facts(dataset, sequence.id, times.vehicle_id)
         stories.append(
             Story(
                 sequence=sequence.directory,
@@ -148,18 +145,3 @@ def _moment(time_s: float, lit: _Lit) -> Moment:
 
 def _or_zero(value: float) -> float:
     return 0.0 if math.isnan(value) else value
-
-
-def _known(dataset: PVDN, sequence_id: int, vehicle_id: int) -> tuple[str, float]:
-    """What the vehicle is, and when the production system reports one, seconds from the first image; NaN for never."""
-    place_of, rate_hz = dataset.labels.place_of, dataset.rate_hz
-    if (dataset.root / "simulation" / "info.json").exists():
-        frames = read_truth(dataset.root).sequence(sequence_id).frames
-        kinds = (one.kind for frame in frames for one in frame.vehicles if one.vehicle_id == vehicle_id)
-        reported = next((one.image_id for one in frames if one.is_production_detected), None)
-        kind = next(kinds, UNKNOWN_VEHICLE)
-    else:
-        sequence = next(one for one in dataset.sequences if one.id == sequence_id)
-        reported = dataset.first_with(sequence, CategoryConfig().low_beam_trigger)
-        kind = UNKNOWN_VEHICLE
-    return kind, math.nan if reported is None else place_of[reported] / rate_hz

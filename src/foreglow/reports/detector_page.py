@@ -17,27 +17,12 @@ from foreglow.experiments.detector_plan import ROWS
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import provenance
 from foreglow.reports.detector_table import Table, hidden_table, kind_table, main_table, markdown
+from foreglow.reports.html import STYLE, html_table
 from foreglow.reports.overlay import Measures, Picture, annotate
 
 PICTURE_WIDTH_PX = 900
 JPEG_QUALITY = 82
 FOUND_BGR, MISSED_BGR = (120, 235, 90), (60, 60, 250)
-
-_STYLE = """
-:root { color-scheme: light dark; --ink: #222; --ground: #fff; --line: #ccc; --pale: #f3f4f7; --accent: #b3651a }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #ddd; --ground: #17181b; --line: #3a3c42; --pale: #222428; --accent: #e6a15c } }
-body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--ground);
-  margin: 2rem auto; max-width: 1280px; padding: 0 1rem }
-h1, h2, h3 { line-height: 1.2 } h2 { margin-top: 2.5rem }
-.wide { overflow-x: auto } table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
-th, td { padding: .3rem .6rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap }
-th:first-child, td:first-child, td.why { text-align: left } td.why { color: var(--accent); white-space: normal }
-tbody tr:nth-child(even) { background: var(--pale) }
-.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(400px, 1fr)); gap: 1rem }
-figure { margin: 0 } figure img { width: 100%; border-radius: 4px } figcaption { font-size: 13px }
-.good { color: #2c9c4b } .bad { color: #d3453a }
-"""
 
 
 def write_report(results: DetectorResults, pictures: Iterable[Shown], folder: Path) -> Path:
@@ -85,13 +70,13 @@ def _html_lines(results: DetectorResults, pictures: Iterable[Shown]) -> Iterator
     title = html.escape(f"Detectors on {results.labels.name}")
     yield "<!doctype html>"
     yield f'<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-    yield f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style></head><body>'
+    yield f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
     yield f"<h1>{title}</h1>"
     yield f"<p>{html.escape(' '.join(_preamble(results)))}</p>"
-    yield from _html_table(main_table(results.rows))
+    yield from html_table(main_table(results.rows))
     for heading, remark, table in _further_tables(results):
         yield f"<h2>{heading}</h2><p>{html.escape(remark)}</p>"
-        yield from _html_table(table)
+        yield from html_table(table)
     yield "<h2>Differences of F</h2><ul>"
     yield from (f"<li>{html.escape(line.removeprefix('- '))}</li>" for line in _comparison_lines(results))
     yield "</ul><h2>How each was made</h2><ul>"
@@ -161,18 +146,6 @@ def _version(made_with: dict[str, Any]) -> str:
     changed = ", changed" if made_with["has_local_changes"] else ""
     where = f" ({commit[:10]}{changed})" if commit else ""
     return f"{made_with['version']}{where}"
-
-
-def _html_table(table: Table) -> Iterator[str]:
-    yield '<div class="wide"><table><thead><tr>'
-    yield "".join(f"<th>{html.escape(cell)}</th>" for cell in table.head)
-    yield "</tr></thead><tbody>"
-    for row, reason in zip(table.rows, table.missing, strict=True):
-        cells = [f"<td>{html.escape(cell)}</td>" for cell in (row[:1] if reason else row)]
-        if reason:
-            cells.append(f'<td class="why" colspan="{len(row) - 1}">{html.escape(reason)}</td>')
-        yield f"<tr>{''.join(cells)}</tr>"
-    yield "</tbody></table></div>"
 
 
 def _figure(shown: Shown) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.reports.tone import Tone
-from foreglow.types import Frame, FrameResult
+from foreglow.types import Frame, FrameResult, Tracks, TrackState
 
 Picture: TypeAlias = NDArray[np.uint8]
 """A colour picture, shape (height, width, 3), uint8, blue green red."""
@@ -31,6 +31,7 @@ LARGEST_HEIGHT_PX = 2160
 ACCEPTED_BGR = (120, 235, 90)
 REJECTED_BGR = (180, 160, 145)
 PROPOSAL_BGR = (70, 190, 250)
+TRACK_BGR = (255, 190, 90)
 CAPTION_BGR = (215, 215, 215)
 CAPTION_GROUND_BGR = (26, 22, 20)
 LABEL_GROUND_BGR = (18, 15, 14)
@@ -95,7 +96,8 @@ def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Pic
     """The picture of `frame` with what the pipeline made of it; width and height are even.
 
     Without a classifier every proposal has a thin amber box. With one, accepted boxes are bold and green, rejected
-    ones thin and grey, each with its score. Boxes are drawn just outside their edges.
+    ones thin and grey, each with its score. Around them plausible tracks are blue, with number, range and standard
+    deviation: bold where they are confirmed, thin where they coast. Boxes are drawn just outside their edges.
 
     Args:
         frame: The frame.
@@ -112,6 +114,8 @@ def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Pic
     picture[:] = CAPTION_GROUND_BGR
     picture[:height_px, :width_px] = grey[:, :, None]
     marks = _marks(result, measures, (width_px, height_px))
+    if result.tracks is not None:
+        marks += _track_marks(result.tracks, measures, (width_px, height_px))
     for mark in marks:
         x1, y1, x2, y2 = mark.rectangle
         cv2.rectangle(picture, (x1, y1), (x2 - 1, y2 - 1), mark.colour_bgr, mark.line_px, cv2.LINE_8)
@@ -145,9 +149,29 @@ def _marks(result: FrameResult, measures: Measures, size_px: tuple[int, int]) ->
     return marks
 
 
-def _around(box: Sequence[int], measures: Measures, size_px: tuple[int, int]) -> Rectangle:
+def _track_marks(tracks: Tracks, measures: Measures, size_px: tuple[int, int]) -> list[_Mark]:
+    """The plausible tracks, outside the boxes that they follow."""
+    return [
+        _Mark(
+            _around(np.rint(tracks.boxes_xyxy_px[index]).astype(int).tolist(), measures, size_px, num_margins=2),
+            TRACK_BGR,
+            measures.bold_px if tracks.states[index] == TrackState.CONFIRMED else measures.thin_px,
+            f"#{tracks.ids[index]}{_range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}",
+        )
+        for index in np.flatnonzero(tracks.is_plausible)
+    ]
+
+
+def _range_text(range_m: float, sigma_m: float) -> str:
+    """Such as ` 85+-12 m`; empty where the range is unknown."""
+    if np.isnan(range_m):
+        return ""
+    return f" {range_m:.0f} m" if np.isinf(sigma_m) else f" {range_m:.0f}+-{sigma_m:.0f} m"
+
+
+def _around(box: Sequence[int], measures: Measures, size_px: tuple[int, int], num_margins: int = 1) -> Rectangle:
     """`box` in picture pixels with the margin around it, cut to the picture."""
-    (width_px, height_px), factor, margin_px = size_px, measures.enlargement, measures.margin_px
+    (width_px, height_px), factor, margin_px = size_px, measures.enlargement, num_margins * measures.margin_px
     return (
         max(0, box[0] * factor - margin_px),
         max(0, box[1] * factor - margin_px),
@@ -214,6 +238,9 @@ def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
         num_accepted = int(result.detections.is_accepted.sum())
         words.append((f"{num_accepted} light artifact{'' if num_accepted == 1 else 's'}", ACCEPTED_BGR))
         words.append((f"{count - num_accepted} rejected", REJECTED_BGR))
+    if result.tracks is not None:
+        num_tracks = int(result.tracks.is_plausible.sum())
+        words.append((f"{num_tracks} track{'' if num_tracks == 1 else 's'}", TRACK_BGR))
     if result.stage_ms:
         words.append((f"{sum(result.stage_ms.values()):.2f} ms", CAPTION_BGR))
     return words

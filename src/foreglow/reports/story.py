@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
+from foreglow.evaluation.encounters import UNKNOWN_VEHICLE
 from foreglow.evaluation.first_found import share_found_ahead
-from foreglow.evaluation.story import UNKNOWN_VEHICLE, Moment, Story
+from foreglow.evaluation.story import Moment, Story
 
 PLACES = {
     "lamp": "its lamp",

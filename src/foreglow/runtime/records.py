@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from foreglow.files import naming
-from foreglow.types import Frame, FrameResult
+from foreglow.types import Frame, FrameResult, Tracks, TrackState
 
 
 def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
     """What `frames.jsonl` says about one frame.
 
     Boxes are half-open `[x1, y1, x2, y2]` in full-frame pixels; `scores` goes with the proposals, in their order,
-    each the exact value of the float32 that was compared with the threshold. `scores` and `detections_xyxy_px`
-    are None where no model was given. All but `stage_ms` depend on the frame and the configuration alone.
+    each the exact value of the float32 that was compared with the threshold, and `ranges_m` and `range_sigmas_m`
+    likewise: from the camera along the viewing ray, None for a box where nothing is known. `tracks` has one object a
+    track. Whatever a stage did not make is None as a whole. All but `stage_ms` depend on the frame and the
+    configuration alone.
     """
-    detections = result.detections
+    detections, ranges, tracks = result.detections, result.ranges, result.tracks
     return {
         "frame": result.frame,
         "sequence": frame.sequence,
@@ -26,8 +32,37 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
         "proposals_xyxy_px": result.proposals.boxes_xyxy_px.tolist(),
         "scores": None if detections is None else detections.scores.tolist(),
         "detections_xyxy_px": None if detections is None else detections.accepted_boxes_xyxy_px.tolist(),
+        "ranges_m": None if ranges is None else _numbers(ranges.ranges_m),
+        "range_sigmas_m": None if ranges is None else _numbers(ranges.sigmas_m),
+        "tracks": None if tracks is None else _track_records(tracks),
         "stage_ms": {name: round(value, 4) for name, value in result.stage_ms.items()},
     }
+
+
+def _track_records(tracks: Tracks) -> list[dict[str, Any]]:
+    """One object a track, in the order of ids."""
+    return [
+        {
+            "id": int(tracks.ids[place]),
+            "state": TrackState(tracks.states[place]).name.lower(),
+            "box_xyxy_px": [round(edge, 3) for edge in tracks.boxes_xyxy_px[place].tolist()],
+            "confidence": float(tracks.confidences[place]),
+            "num_hits": int(tracks.num_hits[place]),
+            "num_misses": int(tracks.num_misses[place]),
+            "age_s": round(float(tracks.ages_s[place]), 6),
+            "range_m": range_m,
+            "range_sigma_m": sigma_m,
+            "detection": int(tracks.detections[place]),
+        }
+        for place, (range_m, sigma_m) in enumerate(
+            zip(_numbers(tracks.ranges_m), _numbers(tracks.sigmas_m), strict=True)
+        )
+    ]
+
+
+def _numbers(values: NDArray[np.float64]) -> list[float | None]:
+    """To a millimetre; None for what is not finite, which JSON does not know."""
+    return [round(value, 3) if math.isfinite(value) else None for value in values.tolist()]
 
 
 class FrameRecords:

@@ -26,7 +26,7 @@ from foreglow.simulation.truth import DriveFrame, LampTruth, VehicleTruth
 from foreglow.simulation.world.bodies import BODIES
 from foreglow.simulation.world.mesh import Mesh
 from foreglow.simulation.world.world import build_world
-from foreglow.types import Frame
+from foreglow.types import EgoMotion, Frame
 
 
 def camera_of(spec: CameraSpec) -> Camera:
@@ -173,7 +173,14 @@ class _Run:
         timestamp_ns = round(time_s * 1e9)
         is_detected = bool(self._production.update(timestamp_ns, vehicles))
         return DriveFrame(
-            frame=Frame(image, timestamp_ns, number, f"{scene.name}/{scene.seed}"),
+            frame=Frame(
+                image,
+                timestamp_ns,
+                number,
+                f"{scene.name}/{scene.seed}",
+                camera=self._camera,
+                motion=EgoMotion(ego.speed_mps, ego.yaw_rate_radps),
+            ),
             camera=self._camera,
             ego_pose=ego.pose,
             ego_s_m=ego.s_m,

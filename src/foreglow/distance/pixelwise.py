@@ -1,0 +1,52 @@
+"""What the paper's estimators share: rays through a box's pixels, a range for each, and one range for the box."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from foreglow.config import DistanceConfig
+from foreglow.distance.heuristics import HEURISTICS
+from foreglow.distance.pitch import make_pitch_source
+from foreglow.distance.rays import RayCaster, Rays
+from foreglow.geometry import Floats
+from foreglow.types import Detections, Frame, Ranges
+
+
+class PixelwiseEstimator(ABC):
+    """An estimator that gives every pixel a range; a heuristic chooses among those of a box."""
+
+    def __init__(self, config: DistanceConfig) -> None:
+        """Raises ValueError if there is no source of the pitch that `config` asks for."""
+        self._heuristic = HEURISTICS[config.heuristic]
+        self._pitch = make_pitch_source(config.pitch)
+        self._caster = RayCaster()
+
+    def estimate(self, frame: Frame, detections: Detections) -> Ranges:
+        """The ranges of `detections` in `frame`; NaN and infinity where no pixel of a box has one.
+
+        Raises:
+            ValueError: If the frame has no camera, or one whose distortion cannot be undone.
+        """
+        if frame.camera is None:
+            raise ValueError(f"Frame.camera: expected a calibration to estimate ranges, frame {frame.frame} has none")
+        pixels = self._heuristic.pixels(detections.boxes_xyxy_px)
+        pitch = self._pitch.pitch(frame)
+        rays = self._caster.cast(frame.camera, pixels.reshape(-1, 2), pitch.rad, pitch.sigma_rad)
+        ranges_m, sigmas_m = self.pixel_ranges(frame, rays)
+        shape = pixels.shape[:2]
+        return Ranges(detections, *self._heuristic.reduce(ranges_m.reshape(shape), sigmas_m.reshape(shape)))
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        self._pitch.reset()
+
+    @abstractmethod
+    def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:
+        """Range along each of the M rays, and its standard deviation, shapes (M,); NaN and infinity where it misses."""
+
+
+def no_ranges(num: int) -> tuple[Floats, Floats]:
+    """`num` times nothing known."""
+    return np.full(num, np.nan), np.full(num, np.inf)

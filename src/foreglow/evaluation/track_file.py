@@ -1,0 +1,79 @@
+"""The tracks of a run, read back from its `frames.jsonl`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from foreglow.datasets.json_files import Record, parse_json
+from foreglow.evaluation.predictions import Number
+from foreglow.types import Tracks, TrackState
+
+
+class _TrackRecord(Record):
+    id: int
+    state: Literal["tentative", "confirmed", "coasting"]
+    box_xyxy_px: tuple[Number, Number, Number, Number]
+    confidence: Annotated[Number, Field(ge=0, le=1)]
+    num_hits: Annotated[int, Field(ge=1)]
+    num_misses: Annotated[int, Field(ge=0)]
+    age_s: Annotated[Number, Field(ge=0)]
+    range_m: Number | None
+    range_sigma_m: Annotated[Number, Field(gt=0)] | None
+    detection: Annotated[int, Field(ge=-1)]
+
+
+class _FrameLine(Record):
+    """The part of a line of `frames.jsonl` that matters here."""
+
+    frame: int
+    tracks: tuple[_TrackRecord, ...] | None = None
+
+
+def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
+    """By image id, the tracks in the `frames.jsonl` at `path`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected the frames.jsonl of a run")
+    tracks: dict[int, Tracks] = {}
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        if not line.strip():
+            continue
+        origin = f"{path}: line {number}"
+        parsed = parse_json(line, _FrameLine, origin)
+        if parsed.tracks is None:
+            raise ValueError(f"{origin}: tracks: expected a list, got nothing: the run had no model or no tracker")
+        if parsed.frame in tracks:
+            raise ValueError(f"{origin}: frame: expected each frame once, {parsed.frame} is there twice")
+        try:
+            tracks[parsed.frame] = _tracks(parsed.tracks)
+        except ValueError as error:
+            raise ValueError(f"{origin}: {error}") from error
+    return tracks
+
+
+def _tracks(records: tuple[_TrackRecord, ...]) -> Tracks:
+    return Tracks(
+        ids=np.array([one.id for one in records], np.int64),
+        states=np.array([TrackState[one.state.upper()] for one in records], np.int64),
+        boxes_xyxy_px=np.array([one.box_xyxy_px for one in records], np.float64).reshape(-1, 4),
+        confidences=np.array([one.confidence for one in records], np.float64),
+        num_hits=np.array([one.num_hits for one in records], np.int64),
+        num_misses=np.array([one.num_misses for one in records], np.int64),
+        ages_s=np.array([one.age_s for one in records], np.float64),
+        ranges_m=np.array([math.nan if one.range_m is None else one.range_m for one in records], np.float64),
+        sigmas_m=np.array(
+            [math.inf if one.range_sigma_m is None else one.range_sigma_m for one in records], np.float64
+        ),
+        detections=np.array([one.detection for one in records], np.int64),
+    )
