@@ -42,6 +42,7 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector
 	$(BIN)/python -m benchmarks.classifier
+	$(BIN)/python -m benchmarks.tracking
 	$(BIN)/python -m benchmarks.simulator
 
 # Simulated drives to learn from, 1280x960, 4 frames a second: about 40 minutes on two cores; goes on where it was.

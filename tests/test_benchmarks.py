@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import simulator
+from benchmarks import simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -82,6 +82,13 @@ def test_benchmarks_write_their_figures(tmp_path: Path) -> None:
     for part in ("proposals", "detector", "classifier"):
         assert all(math.isfinite(number) and number >= 0 for number in figures(results[part]))
         assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in results[part])
+
+
+def test_trackers_are_timed(tmp_path: Path) -> None:
+    tracking.main(["--quick", "--out", str(tmp_path / "tracking.json")])
+    rows = json.loads((tmp_path / "tracking.json").read_text())["tracking"]
+    assert {row["tracker"] for row in rows} >= {"published", "paper", "ours"}
+    assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 
 def test_the_simulator_is_timed_by_scenario() -> None:

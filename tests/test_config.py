@@ -14,6 +14,7 @@ from foreglow.config import (
     ClassifierConfig,
     PipelineConfig,
     ProposalConfig,
+    TrackerConfig,
     config_to_toml,
     preset,
     read_config,
@@ -37,7 +38,14 @@ proposal_configs = st.builds(
 )
 paths = st.text("abc/.\\\"' é\n", min_size=1).map(Path)
 classifier_configs = st.builds(ClassifierConfig, model=st.none() | paths, score_threshold=st.floats(0, 1))
-configs = st.builds(PipelineConfig, proposals=proposal_configs, classifier=classifier_configs)
+tracker_configs = st.builds(
+    TrackerConfig,
+    method=st.sampled_from(["alpha_beta", "published", "none"]),
+    clock=st.sampled_from(["frames", "time"]),
+    range_gate=st.just(float("inf")) | st.floats(0.1, 9),
+    compensate_yaw=st.booleans(),
+)
+configs = st.builds(PipelineConfig, proposals=proposal_configs, classifier=classifier_configs, tracker=tracker_configs)
 
 
 def read_text(text: str, base: PipelineConfig | None = None) -> PipelineConfig:
@@ -91,6 +99,11 @@ def test_empty_file_is_the_base() -> None:
         ("[proposals]\nregion_xyxy_px = [1, 2, 3]", r"proposals.region_xyxy_px.3: .*got \[1, 2, 3\]"),
         ("[proposals]\nbackend = 'gpu'", "proposals.backend: .*'native' or 'reference', got 'gpu'"),
         ("[proposals]\nkapa = 1", "proposals.kapa: unknown, expected one of kappa, window_px, "),
+        ("[tracker]\nmin_iou = 1.0", "tracker.min_iou: Input should be less than 1, got 1.0"),
+        ("[tracker]\nmethod = 'best'", "tracker.method: .*'published' or 'none', got 'best'"),
+        ("[tracker]\nconfirmation = 'm_of_n'\nnum_looks = 4", "min_hits: expected at most num_looks, 4, got 5"),
+        ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 3, got 3.5"),
+        ("[tracker]\nrange_gate = nan", "tracker.range_gate: .*got nan"),
         ("[beam]\na = 1", "beam: unknown, expected one of proposals, classifier, distance, tracker"),
         ("proposals = 3", "proposals: .*got 3"),
         ("kappa =", "expected TOML: Invalid value"),

@@ -17,7 +17,7 @@ from foreglow.config import TrackerConfig
 from foreglow.geometry import Floats
 
 MAX_EVIDENCE = 20.0
-"""Sums of evidence stay within this, either way: what was sure may still be unlearnt."""
+"""Sums of evidence stay below this: what was sure may still be unlearnt."""
 
 MAX_LOOK_EVIDENCE = 7.0
 """A single score says no more than 1 in 1100, either way: the calibration knows nothing of rarer cases."""
@@ -29,14 +29,12 @@ class Looks:
 
     Attributes:
         scores: Shape (M,), of the detection that each track took; NaN where it was missed.
-        dt_s: Shape (M,), since the look before; infinite for the first.
         num_hits: Shape (M,), detections so far, this one included.
         confidences: Shape (M,), the filtered score.
         was_plausible: Shape (M,), before this frame.
     """
 
     scores: Floats
-    dt_s: Floats
     num_hits: NDArray[np.int64]
     confidences: Floats
     was_plausible: NDArray[np.bool_]
@@ -89,34 +87,32 @@ class MOfNRule:
 
 
 class EvidenceRule:
-    """Plausible by the sum of the log-likelihood ratios of light against anything else: a sequential test.
+    """Plausible by the sum of the log-likelihood ratios of light against anything else, or by `FramesRule`.
 
-    A detection with the calibrated score s says logit(s) - logit(prior); a miss says log(1 - P_d), as if what is no
-    light were missed for sure. Looks shortly after one another see much the same, so that one counts
-    1 - exp(-dt / tau) after the one before it (`correlation_s` is tau); the first counts 1.
+    A detection with the calibrated score s says logit(s) - logit(neutral); a miss says log(1 - P_d), as if what is no
+    light were missed for sure. The sum does not fall below 0, since light may appear where there was none before; a
+    track that became plausible by it stays so down to `reject_evidence`. What five frames would confirm is confirmed as
+    well: scores of one light err alike from frame to frame, so that many middling ones are worth more than their sum.
 
-    Source: Wald, Sequential analysis, 1947; for tracks: Blackman, Multiple-target tracking, 1986.
+    Source: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
     """
 
     memory_size = 1
 
     def __init__(self, config: TrackerConfig) -> None:
-        self._prior_logit = float(np.log(config.prior / (1.0 - config.prior)))
+        self._frames = FramesRule(config)
+        self._neutral = float(np.log(config.neutral_score / (1.0 - config.neutral_score)))
         self._miss = float(np.log1p(-config.detection_probability))
-        self._correlation_s = config.correlation_s
         self._confirm, self._reject = config.confirm_evidence, config.reject_evidence
 
     def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
         """As `ConfirmationRule.look`."""
         with np.errstate(divide="ignore"):
             logits = np.log(looks.scores) - np.log1p(-looks.scores)
-        hits = np.clip(logits, -MAX_LOOK_EVIDENCE, MAX_LOOK_EVIDENCE) - self._prior_logit
-        news = np.where(np.isnan(hits), self._miss, hits)
-        if self._correlation_s > 0:
-            news *= -np.expm1(-looks.dt_s / self._correlation_s)
-        evidence = np.clip(memory[:, 0] + news, -MAX_EVIDENCE, MAX_EVIDENCE)
-        is_plausible = (evidence > self._confirm) | (looks.was_plausible & (evidence >= self._reject))
-        return evidence[:, None], is_plausible
+        hits = np.clip(logits, -MAX_LOOK_EVIDENCE, MAX_LOOK_EVIDENCE) - self._neutral
+        evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)
+        is_plausible = (evidence > self._confirm) | (looks.was_plausible & (evidence > self._reject))
+        return evidence[:, None], is_plausible | self._frames.look(memory, looks)[1]
 
 
 CONFIRMATIONS: Mapping[str, type[ConfirmationRule]] = MappingProxyType(

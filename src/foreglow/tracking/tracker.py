@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import TrackerConfig
+from foreglow.geometry import Floats
 from foreglow.tracking.alpha_beta import correct, moving_mean, predict, steady_betas
 from foreglow.tracking.association import (
     ASSOCIATIONS,
@@ -122,17 +123,22 @@ class AlphaBetaTracker:
         states, config = self._states, self._config
         if not (len(states) and len(found)):
             return np.full(len(states), UNASSIGNED)
-        overlap = overlaps(corners(states.values, config.enlargement), corners(found.values, config.enlargement))
-        if np.isfinite(config.range_gate):
-            ranges_m = (states.values[:, RANGE], found.values[:, RANGE])
-            overlap[is_range_apart(ranges_m, (states.sigmas_m, found.sigmas_m), config.range_gate)] = 0.0
+        overlap = self._overlaps(found.values, found.sigmas_m, config.enlargement)
         return self._assign(overlap, config.min_iou)
+
+    def _overlaps(self, values: Floats, sigmas_m: Floats, enlargement: float = 1.0) -> Floats:
+        """Of each track with each of the boxes `values`; 0 where their ranges are too far apart."""
+        states, gate = self._states, self._config.range_gate
+        overlap = overlaps(corners(states.values, enlargement), corners(values, enlargement))
+        if np.isfinite(gate):
+            ranges_m = (states.values[:, RANGE], values[:, RANGE])
+            overlap[is_range_apart(ranges_m, (states.sigmas_m, sigmas_m), gate)] = 0.0
+        return overlap
 
     def _correct(self, taken: Measurements, step_s: float) -> None:
         """Puts in what each track was measured to be, and looks whether it is plausible."""
         states = self._states
         is_hit = taken.places != UNASSIGNED
-        look_s = np.where(states.num_hits == 0, np.inf, step_s)
         since_s = self._now_s - states.measured_s
         states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, self._gains)
         states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
@@ -143,7 +149,7 @@ class AlphaBetaTracker:
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
         states.detections = taken.places
         self._correct_sigmas(taken, step_s)
-        looks = Looks(taken.scores, look_s, states.num_hits, states.confidences, states.is_plausible)
+        looks = Looks(taken.scores, states.num_hits, states.confidences, states.is_plausible)
         states.memory, states.is_plausible = self._rule.look(states.memory, looks)
 
     def _correct_sigmas(self, taken: Measurements, step_s: float) -> None:
@@ -164,9 +170,8 @@ class AlphaBetaTracker:
         is_outside = (x < 0) | (y < 0) | (x >= frame.width_px) | (y >= frame.height_px)
         is_over = (states.missing_s > self._max_missing_s) | (is_outside & (states.num_misses > 0))
         if self._config.merge_iou < 1.0 and len(states) > 1:
-            boxes = corners(states.values)
-            is_detected = states.num_misses == 0
-            is_over |= is_duplicate(overlaps(boxes, boxes), is_detected, states.num_hits, self._config.merge_iou)
+            overlap = self._overlaps(states.values, states.sigmas_m)
+            is_over |= is_duplicate(overlap, states.num_misses == 0, states.num_hits, self._config.merge_iou)
         if is_over.any():
             self._states = states.where(~is_over)
 

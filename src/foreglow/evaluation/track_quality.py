@@ -1,0 +1,159 @@
+"""What tracks are worth: false confirmed ones, how soon a vehicle is confirmed, and how many tracks share a light."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN
+from foreglow.datasets.vehicle_data import VehicleData, equip
+from foreglow.evaluation.breakdown import SplitLabels
+from foreglow.evaluation.first_found import FirstFound
+from foreglow.evaluation.matching import lies_in
+from foreglow.evaluation.predictions import Predictions
+from foreglow.tracking import Tracker
+from foreglow.types import Detections, Frame, Proposals, Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequenceTracks:
+    """What the tracks of one sequence are worth.
+
+    A track *has held* a light once one of its detections, so far, had the light in its box, edges included.
+
+    Attributes:
+        sequence_id: The sequence.
+        duration_s: Its images over their rate.
+        num_plausible: Tracks that were plausible at some time.
+        num_false: Those of them that never held a light, neither labelled nor doubtful, as long as they lived.
+        vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the first
+            track that has held a light of it is plausible.
+        ids_of_light: By vehicle and instance id, the ids of the plausible tracks that held it, in the order of time;
+            empty where there was none.
+    """
+
+    sequence_id: int
+    duration_s: float
+    num_plausible: int
+    num_false: int
+    vehicles: tuple[FirstFound, ...]
+    ids_of_light: Mapping[tuple[int, int], tuple[int, ...]]
+
+
+def false_per_minute(sequences: Sequence[SequenceTracks]) -> float:
+    """False confirmed tracks in a minute of driving; NaN without any time."""
+    duration_s = sum(one.duration_s for one in sequences)
+    return 60.0 * sum(one.num_false for one in sequences) / duration_s if duration_s else math.nan
+
+
+def match_tracks(
+    labels: SplitLabels, tracks: Mapping[int, Tracks], boxes_xyxy_px: Mapping[int, NDArray[np.floating]]
+) -> tuple[SequenceTracks, ...]:
+    """What the tracks are worth, sequence by sequence.
+
+    Args:
+        labels: Of the split.
+        tracks: By image id, for every image of the labels; ids are unique within a sequence.
+        boxes_xyxy_px: By image id, shape (N, 4), the boxes that `Tracks.detections` counts.
+    """
+    image_ids = sorted(labels.sequence_of, key=lambda one: (labels.sequence_of[one], labels.time_s[one]))
+    groups = itertools.groupby(image_ids, key=lambda one: labels.sequence_of[one])
+    return tuple(_match_sequence(labels, list(group), tracks, boxes_xyxy_px) for _, group in groups)
+
+
+def track_predictions(
+    tracker: Tracker, dataset: PVDN, labels: SplitLabels, predictions: Predictions, data: VehicleData | None = None
+) -> dict[int, Tracks]:
+    """The tracks by image id that `tracker` makes of stored predictions, without images and without ranges.
+
+    Args:
+        tracker: It is reset at the start of each sequence.
+        dataset: The split, for the size of its images.
+        labels: Of the same split, for sequences and times.
+        predictions: Boxes and scores.
+        data: What the car knew; None for nothing.
+    """
+    tracks: dict[int, Tracks] = {}
+    sequence_id: int | None = None
+    for image_id in dataset.frame_ids:
+        if labels.sequence_of[image_id] != sequence_id:
+            tracker.reset()
+        sequence_id = labels.sequence_of[image_id]
+        record = dataset.image(image_id)
+        blank = np.broadcast_to(np.uint8(0), (record.height_px, record.width_px))
+        frame = Frame(blank, round(labels.time_s[image_id] * 1e9), image_id, dataset.sequence(image_id).directory)
+        boxes = np.rint(predictions.boxes_xyxy_px.get(image_id, np.zeros((0, 4)))).astype(np.int32)
+        scores = predictions.scores.get(image_id, np.zeros(0)).astype(np.float32)
+        detections = Detections(Proposals(boxes), scores, score_threshold=0.5)
+        tracks[image_id] = tracker.update(frame if data is None else equip(frame, data), detections, None)
+    return tracks
+
+
+def _match_sequence(
+    labels: SplitLabels,
+    image_ids: Sequence[int],
+    tracks: Mapping[int, Tracks],
+    boxes_xyxy_px: Mapping[int, NDArray[np.floating]],
+) -> SequenceTracks:
+    """What the tracks of one sequence, with its images in the order of time, are worth."""
+    plausible: set[int] = set()
+    lit: set[int] = set()  # have held any light
+    vehicles_of: dict[int, set[int]] = {}
+    firsts: dict[int, dict[str, float]] = {}
+    ids_of_light: dict[tuple[int, int], list[int]] = {}
+    for place, image_id in enumerate(image_ids):
+        its, now_s = tracks[image_id], labels.time_s[image_id]
+        plausible_now = set(its.ids[its.is_plausible].tolist())
+        plausible |= plausible_now
+        detected = its.detections >= 0
+        ids = its.ids[detected].tolist()
+        boxes = boxes_xyxy_px[image_id][its.detections[detected]]
+        lit |= {ids[index] for _, index in _held(labels.doubtful_px[image_id], boxes)}
+        lights = labels.lights[image_id]
+        points_px = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
+        for light in lights:
+            ids_of_light.setdefault((light.vehicle_id, light.instance_id), [])
+            if not light.is_rear:
+                first = firsts.setdefault(light.vehicle_id, {"light": now_s, "place": place})
+                if light.is_direct:
+                    first.setdefault("lamp", now_s)
+        for which, index in _held(points_px, boxes):
+            light, track_id = lights[which], ids[index]
+            lit.add(track_id)
+            if not light.is_rear:
+                vehicles_of.setdefault(track_id, set()).add(light.vehicle_id)
+            its_ids = ids_of_light[light.vehicle_id, light.instance_id]
+            if track_id in plausible_now and track_id not in its_ids:
+                its_ids.append(track_id)
+        for vehicle_id in {vehicle for one in plausible_now for vehicle in vehicles_of.get(one, ())}:
+            firsts[vehicle_id].setdefault("found", now_s)
+            firsts[vehicle_id].setdefault("found_place", place)
+    sequence_id = labels.sequence_of[image_ids[0]]
+    return SequenceTracks(
+        sequence_id=sequence_id,
+        duration_s=len(image_ids) / labels.rate_hz,
+        num_plausible=len(plausible),
+        num_false=len(plausible - lit),
+        vehicles=tuple(
+            FirstFound(
+                sequence_id,
+                vehicle_id,
+                first["light"],
+                first.get("found", math.nan),
+                first.get("lamp", math.nan),
+                first.get("found_place", math.nan) - first["place"],
+            )
+            for vehicle_id, first in sorted(firsts.items())
+        ),
+        ids_of_light={key: tuple(ids) for key, ids in sorted(ids_of_light.items())},
+    )
+
+
+def _held(points_px: NDArray[np.float64], boxes_xyxy_px: NDArray[np.floating]) -> list[tuple[int, int]]:
+    """All pairs of a point and a box that holds it, by their indices."""
+    return [(int(point), int(box)) for point, box in np.argwhere(lies_in(points_px[:, None], boxes_xyxy_px))]

@@ -1,0 +1,152 @@
+"""When tracks become plausible, rule by rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import log, nan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.config import TrackerConfig
+from foreglow.tracking.alpha_beta import moving_mean
+from foreglow.tracking.confirmation import CONFIRMATIONS, MAX_EVIDENCE, MAX_LOOK_EVIDENCE, Looks
+
+
+def history(config: TrackerConfig, scores: Sequence[float]) -> list[bool]:
+    """Whether a track is plausible after each of its `scores`, NaN for a miss."""
+    return [bool(plausible) for plausible, _ in looked(config, scores)]
+
+
+def looked(config: TrackerConfig, scores: Sequence[float]) -> list[tuple[bool, np.ndarray]]:
+    rule = CONFIRMATIONS[config.confirmation](config)
+    memory, plausible = np.zeros((1, rule.memory_size)), np.zeros(1, np.bool_)
+    confidences, num_hits = np.array([nan]), np.zeros(1, np.int64)
+    outcome = []
+    for score in scores:
+        newest = np.array([score])
+        num_hits = num_hits + ~np.isnan(newest)
+        confidences = moving_mean(confidences, newest, config.alpha_confidence)
+        memory, plausible = rule.look(memory, Looks(newest, num_hits, confidences, plausible))
+        assert memory.shape == (1, rule.memory_size)
+        assert plausible.dtype == np.bool_
+        outcome.append((bool(plausible[0]), memory))
+    return outcome
+
+
+class TestFrames:
+    config = TrackerConfig()
+
+    def test_fifth_detection(self) -> None:
+        assert history(self.config, [0.9] * 6) == [False] * 4 + [True] * 2
+
+    def test_a_miss_does_not_undo_detections(self) -> None:
+        assert history(self.config, [0.9, 0.9, nan, 0.9, nan, 0.9, 0.9]) == [False] * 6 + [True]
+
+    def test_confidence_must_be_above(self) -> None:
+        assert history(self.config, [0.5] * 9) == [False] * 9
+        assert history(self.config, [0.51] * 5)[-1]
+
+    def test_is_undone_by_low_scores(self) -> None:
+        assert history(self.config, [0.9] * 5 + [0.1] * 2) == [False] * 4 + [True] * 2 + [False]
+
+
+class TestMOfN:
+    config = TrackerConfig(confirmation="m_of_n", min_hits=3, num_looks=4, min_confidence=0.5)
+
+    @pytest.mark.parametrize(
+        ("scores", "first"),
+        [
+            ([0.9, 0.9, 0.9], 2),
+            ([0.9, nan, 0.9, 0.9], 3),
+            ([0.9, nan, nan, 0.9, 0.9], None),
+            ([0.9, nan, nan, 0.9, 0.9, 0.9], 5),
+            ([0.4, 0.4, 0.4, 0.4], None),
+        ],
+    )
+    def test_detections_among_the_last_looks(self, scores: list[float], first: int | None) -> None:
+        outcome = history(self.config, scores)
+        assert (outcome.index(True) if any(outcome) else None) == first
+
+    def test_stays(self) -> None:
+        assert history(self.config, [0.9] * 3 + [0.1] * 4 + [nan] * 3)[-1]
+
+
+class TestEvidence:
+    @staticmethod
+    def config(**fields: float) -> TrackerConfig:
+        """Without what five frames would confirm, but for `fields`."""
+        return TrackerConfig.model_validate({"confirmation": "evidence", "min_hits": 1000} | fields)
+
+    def test_sum_of_log_odds_by_hand(self) -> None:
+        outcome = looked(self.config(neutral_score=0.2, detection_probability=0.75), [0.8, nan, 0.5])
+        expected = [2 * log(4), log(4), 2 * log(4)]
+        assert [memory[0, 0] for _, memory in outcome] == pytest.approx(expected)
+
+    def test_sure_scores_confirm_sooner(self) -> None:
+        assert history(self.config(), [0.9] * 3) == [False, True, True]
+        assert history(self.config(), [0.7] * 5) == [False] * 3 + [True] * 2
+        assert not any(history(self.config(), [0.5] * 40))
+
+    def test_the_threshold_itself_is_not_enough(self) -> None:
+        assert not history(self.config(confirm_evidence=log(4) + 1e-9), [0.8])[0]
+        assert history(self.config(confirm_evidence=log(4) - 1e-9), [0.8])[0]
+
+    def test_evidence_against_does_not_pile_up(self) -> None:
+        assert looked(self.config(), [0.1, nan, 0.1])[-1][1][0, 0] == 0.0
+        assert history(self.config(), [0.1, 0.1, 0.1, 0.9, 0.9])[-1]
+
+    def test_plausible_until_nothing_is_left(self) -> None:
+        assert history(self.config(), [0.9, 0.9, 0.1, 0.15, 0.3, 0.9]) == [False] + [True] * 3 + [False] * 2
+
+    def test_plausible_down_to_the_lower_level(self) -> None:
+        config = self.config(reject_evidence=2.0)
+        assert history(config, [0.9, 0.9, 0.2, 0.5, 0.2, 0.9]) == [False, True, True, True, False, True]
+
+    def test_what_five_frames_confirm_is_confirmed(self) -> None:
+        config = TrackerConfig(confirmation="evidence")
+        assert history(config, [0.51] * 6) == [False] * 4 + [True] * 2
+
+    def test_no_score_is_certain(self) -> None:
+        assert looked(self.config(), [1.0])[0][1][0, 0] == MAX_LOOK_EVIDENCE
+        assert looked(self.config(), [1.0] * 9)[-1][1][0, 0] == MAX_EVIDENCE
+        assert looked(self.config(), [1.0, 0.0, 0.0, 1.0])[-1][1][0, 0] == MAX_LOOK_EVIDENCE
+
+    @given(st.lists(st.floats(0, 1) | st.just(nan), min_size=1, max_size=12), st.floats(0, 1))
+    def test_a_higher_score_never_confirms_later(self, scores: list[float], raised: float) -> None:
+        config = TrackerConfig(confirmation="evidence")
+        better = [max(score, raised) if score == score else score for score in scores]
+        for plain, more in zip(history(config, [0.5, *scores]), history(config, [0.5, *better]), strict=True):
+            assert more >= plain
+
+
+@pytest.mark.parametrize("rule", CONFIRMATIONS)
+def test_tracks_do_not_know_of_each_other(rule: str) -> None:
+    config = TrackerConfig.model_validate({"confirmation": rule})
+    made = CONFIRMATIONS[rule](config)
+    rng = np.random.default_rng(3)
+    memory = rng.integers(0, 2, (6, made.memory_size)).astype(np.float64)
+    looks = Looks(
+        np.where(rng.random(6) < 0.3, nan, rng.random(6)),
+        rng.integers(1, 9, 6),
+        rng.random(6),
+        rng.random(6) < 0.5,
+    )
+    together = made.look(memory, looks)
+    for one in range(6):
+        alone = Looks(*(getattr(looks, name)[one : one + 1] for name in Looks.__dataclass_fields__))
+        its_memory, its_plausible = made.look(memory[one : one + 1], alone)
+        np.testing.assert_array_equal(its_memory[0], together[0][one])
+        assert its_plausible[0] == together[1][one]
+
+
+@pytest.mark.parametrize("rule", CONFIRMATIONS)
+def test_no_tracks(rule: str) -> None:
+    made = CONFIRMATIONS[rule](TrackerConfig.model_validate({"confirmation": rule}))
+    none = np.zeros(0)
+    looks = Looks(none, none.astype(np.int64), none, none.astype(np.bool_))
+    memory, plausible = made.look(np.zeros((0, made.memory_size)), looks)
+    assert memory.shape == (0, made.memory_size)
+    assert plausible.shape == (0,)
