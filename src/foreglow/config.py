@@ -153,13 +153,15 @@ class TrackerConfig(FrozenModel):
         max_misses: Frames in a row without a detection that a track outlives (p); the time of so many with `time`.
         max_gap_s: After a longer gap between two frames all tracks are forgotten.
         confirmation: `frames` (paper), `m_of_n` or `evidence`.
-        min_hits: Detections that make a track plausible (p): in all (`frames`, `evidence`) or of the last (`m_of_n`).
+        min_hits: Detections that make a track plausible (p): in all (`frames`) or of the last (`m_of_n`).
         min_confidence: And its confidence must be above this (p; as `min_hits`).
         num_looks: Frames that `m_of_n` looks back on.
         neutral_score: Score that speaks neither for nor against light (`evidence`).
         detection_probability: That light is detected in a frame while its track lives (`evidence`).
         confirm_evidence: Log-likelihood ratio above which a track becomes plausible (`evidence`).
         reject_evidence: Log-likelihood ratio down to which it stays so (`evidence`).
+        company_evidence: How much more a track needs beside one that is or just was plausible (`evidence`).
+        company_s: How long ago that may have been (`evidence`).
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
@@ -185,10 +187,12 @@ class TrackerConfig(FrozenModel):
     min_hits: Annotated[int, Field(ge=1, le=1000)] = 5
     min_confidence: Annotated[float, Field(ge=0, lt=1)] = 0.5
     num_looks: Annotated[int, Field(ge=1, le=64)] = 7
-    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 3.0
+    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.38
+    detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.0
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
+    company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
+    company_s: Annotated[float, Field(ge=0)] = 2.0
 
     @model_validator(mode="after")
     def _check(self) -> TrackerConfig:
@@ -214,7 +218,7 @@ OUR_TRACKER = TrackerConfig(
     max_misses=6,
     confirmation="evidence",
 )
-"""Chosen on 16 validation drives at 18 frames a second; `docs/tracking.md` has the figures."""
+"""Chosen on 24 validation drives at 18 frames a second; `docs/tracking.md` has the figures."""
 
 
 class PipelineConfig(FrozenModel):
@@ -254,6 +258,7 @@ PRESETS: dict[str, PipelineConfig] = {
         ),
         # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
         classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.34),
+        tracker=OUR_TRACKER,
     ),
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import log, nan
+from math import inf, log, nan
 
 import numpy as np
 import pytest
@@ -20,7 +20,9 @@ def history(config: TrackerConfig, scores: Sequence[float]) -> list[bool]:
     return [bool(plausible) for plausible, _ in looked(config, scores)]
 
 
-def looked(config: TrackerConfig, scores: Sequence[float]) -> list[tuple[bool, np.ndarray]]:
+def looked(
+    config: TrackerConfig, scores: Sequence[float], since_plausible_s: float = inf
+) -> list[tuple[bool, np.ndarray]]:
     rule = CONFIRMATIONS[config.confirmation](config)
     memory, plausible = np.zeros((1, rule.memory_size)), np.zeros(1, np.bool_)
     confidences, num_hits = np.array([nan]), np.zeros(1, np.int64)
@@ -29,7 +31,7 @@ def looked(config: TrackerConfig, scores: Sequence[float]) -> list[tuple[bool, n
         newest = np.array([score])
         num_hits = num_hits + ~np.isnan(newest)
         confidences = moving_mean(confidences, newest, config.alpha_confidence)
-        memory, plausible = rule.look(memory, Looks(newest, num_hits, confidences, plausible))
+        memory, plausible = rule.look(memory, Looks(newest, num_hits, confidences, plausible, since_plausible_s))
         assert memory.shape == (1, rule.memory_size)
         assert plausible.dtype == np.bool_
         outcome.append((bool(plausible[0]), memory))
@@ -77,8 +79,9 @@ class TestMOfN:
 class TestEvidence:
     @staticmethod
     def config(**fields: float) -> TrackerConfig:
-        """Without what five frames would confirm, but for `fields`."""
-        return TrackerConfig.model_validate({"confirmation": "evidence", "min_hits": 1000} | fields)
+        """Round numbers, but for `fields`."""
+        rounded = {"neutral_score": 0.5, "detection_probability": 0.5, "confirm_evidence": 3.0, "company_evidence": 2.0}
+        return TrackerConfig.model_validate({"confirmation": "evidence"} | rounded | fields)
 
     def test_sum_of_log_odds_by_hand(self) -> None:
         outcome = looked(self.config(neutral_score=0.2, detection_probability=0.75), [0.8, nan, 0.5])
@@ -105,9 +108,16 @@ class TestEvidence:
         config = self.config(reject_evidence=2.0)
         assert history(config, [0.9, 0.9, 0.2, 0.5, 0.2, 0.9]) == [False, True, True, True, False, True]
 
-    def test_what_five_frames_confirm_is_confirmed(self) -> None:
-        config = TrackerConfig(confirmation="evidence")
-        assert history(config, [0.51] * 6) == [False] * 4 + [True] * 2
+    def test_company_asks_for_more(self) -> None:
+        config = self.config(company_s=2.0)
+        alone, beside = ([one for one, _ in looked(config, [0.9] * 4, since_s)] for since_s in (2.01, 2.0))
+        assert alone == [False, True, True, True]  # 4.4 of 3
+        assert beside == [False, False, True, True]  # 6.6 of 5
+
+    def test_company_undoes_nothing(self) -> None:
+        rule = CONFIRMATIONS["evidence"](self.config())
+        looks = Looks(np.array([0.5]), np.array([9]), np.array([0.5]), np.array([True]), 0.05)
+        assert rule.look(np.array([[3.5]]), looks)[1].tolist() == [True]
 
     def test_no_score_is_certain(self) -> None:
         assert looked(self.config(), [1.0])[0][1][0, 0] == MAX_LOOK_EVIDENCE
@@ -116,7 +126,7 @@ class TestEvidence:
 
     @given(st.lists(st.floats(0, 1) | st.just(nan), min_size=1, max_size=12), st.floats(0, 1))
     def test_a_higher_score_never_confirms_later(self, scores: list[float], raised: float) -> None:
-        config = TrackerConfig(confirmation="evidence")
+        config = self.config()
         better = [max(score, raised) if score == score else score for score in scores]
         for plain, more in zip(history(config, [0.5, *scores]), history(config, [0.5, *better]), strict=True):
             assert more >= plain
@@ -133,10 +143,12 @@ def test_tracks_do_not_know_of_each_other(rule: str) -> None:
         rng.integers(1, 9, 6),
         rng.random(6),
         rng.random(6) < 0.5,
+        0.5,
     )
     together = made.look(memory, looks)
     for one in range(6):
-        alone = Looks(*(getattr(looks, name)[one : one + 1] for name in Looks.__dataclass_fields__))
+        its = slice(one, one + 1)
+        alone = Looks(looks.scores[its], looks.num_hits[its], looks.confidences[its], looks.was_plausible[its], 0.5)
         its_memory, its_plausible = made.look(memory[one : one + 1], alone)
         np.testing.assert_array_equal(its_memory[0], together[0][one])
         assert its_plausible[0] == together[1][one]
@@ -146,7 +158,7 @@ def test_tracks_do_not_know_of_each_other(rule: str) -> None:
 def test_no_tracks(rule: str) -> None:
     made = CONFIRMATIONS[rule](TrackerConfig.model_validate({"confirmation": rule}))
     none = np.zeros(0)
-    looks = Looks(none, none.astype(np.int64), none, none.astype(np.bool_))
+    looks = Looks(none, none.astype(np.int64), none, none.astype(np.bool_), inf)
     memory, plausible = made.look(np.zeros((0, made.memory_size)), looks)
     assert memory.shape == (0, made.memory_size)
     assert plausible.shape == (0,)

@@ -57,7 +57,7 @@ RULES: Mapping[str, Mapping[str, TrackerConfig]] = MappingProxyType(
                 confirm_evidence=level,
                 reject_evidence=min(level, OUR_TRACKER.reject_evidence),
             )
-            for level in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0)
+            for level in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
         },
     }
 )

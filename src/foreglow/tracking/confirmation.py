@@ -32,12 +32,14 @@ class Looks:
         num_hits: Shape (M,), detections so far, this one included.
         confidences: Shape (M,), the filtered score.
         was_plausible: Shape (M,), before this frame.
+        since_plausible_s: Since any track was plausible, up to the frame before; infinite for never.
     """
 
     scores: Floats
     num_hits: NDArray[np.int64]
     confidences: Floats
     was_plausible: NDArray[np.bool_]
+    since_plausible_s: float
 
 
 class ConfirmationRule(Protocol):
@@ -87,12 +89,14 @@ class MOfNRule:
 
 
 class EvidenceRule:
-    """Plausible by the sum of the log-likelihood ratios of light against anything else, or by `FramesRule`.
+    """Plausible by the sum of the log-likelihood ratios of light against anything else: a sequential test.
 
     A detection with the calibrated score s says logit(s) - logit(neutral); a miss says log(1 - P_d), as if what is no
     light were missed for sure. The sum does not fall below 0, since light may appear where there was none before; a
-    track that became plausible by it stays so down to `reject_evidence`. What five frames would confirm is confirmed as
-    well: scores of one light err alike from frame to frame, so that many middling ones are worth more than their sum.
+    track that became plausible stays so down to `reject_evidence`.
+
+    Beside a track that is plausible, or was a moment ago, another one needs more: most of what is bright around a
+    vehicle is lit by it, and what is to be done about the vehicle is under way. See decision 8.
 
     Source: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
     """
@@ -100,10 +104,10 @@ class EvidenceRule:
     memory_size = 1
 
     def __init__(self, config: TrackerConfig) -> None:
-        self._frames = FramesRule(config)
         self._neutral = float(np.log(config.neutral_score / (1.0 - config.neutral_score)))
         self._miss = float(np.log1p(-config.detection_probability))
         self._confirm, self._reject = config.confirm_evidence, config.reject_evidence
+        self._company, self._company_s = config.company_evidence, config.company_s
 
     def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
         """As `ConfirmationRule.look`."""
@@ -111,8 +115,9 @@ class EvidenceRule:
             logits = np.log(looks.scores) - np.log1p(-looks.scores)
         hits = np.clip(logits, -MAX_LOOK_EVIDENCE, MAX_LOOK_EVIDENCE) - self._neutral
         evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)
-        is_plausible = (evidence > self._confirm) | (looks.was_plausible & (evidence > self._reject))
-        return evidence[:, None], is_plausible | self._frames.look(memory, looks)[1]
+        has_company = looks.since_plausible_s <= self._company_s
+        needed = self._confirm + (self._company if has_company else 0.0)
+        return evidence[:, None], (evidence > needed) | (looks.was_plausible & (evidence > self._reject))
 
 
 CONFIRMATIONS: Mapping[str, type[ConfirmationRule]] = MappingProxyType(

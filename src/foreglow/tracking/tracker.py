@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,6 +62,7 @@ class AlphaBetaTracker:
     def reset(self) -> None:
         """Forgets all tracks, as at the start of a sequence; ids begin again."""
         self._now_s = 0.0
+        self._plausible_s = -math.inf
         self._timestamp_ns: int | None = None
         self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
         self._next_id = 0
@@ -149,8 +152,11 @@ class AlphaBetaTracker:
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
         states.detections = taken.places
         self._correct_sigmas(taken, step_s)
-        looks = Looks(taken.scores, states.num_hits, states.confidences, states.is_plausible)
+        since_plausible_s = self._now_s - self._plausible_s
+        looks = Looks(taken.scores, states.num_hits, states.confidences, states.is_plausible, since_plausible_s)
         states.memory, states.is_plausible = self._rule.look(states.memory, looks)
+        if states.is_plausible.any():
+            self._plausible_s = self._now_s
 
     def _correct_sigmas(self, taken: Measurements, step_s: float) -> None:
         """How well the ranges are known now; remembers them where the latest ones are averaged."""
