@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import av
 
 import foreglow
+from foreglow.datasets import shipped_drive
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.shared_data import shared_file
 
@@ -102,3 +104,38 @@ def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None
     record = json.loads((tmp_path / "out" / "frames.jsonl").read_text())
     assert len(record["proposals_xyxy_px"]) == 7
     assert [706, 482, 738, 508] in record["proposals_xyxy_px"]
+
+
+def plain_drive(folder: Path) -> tuple[Path, Path]:
+    """Some images of the drive that ships, as a user's own without labels, and their calibration."""
+    folder.mkdir()
+    for image in sorted((shipped_drive() / "images/S00001").iterdir())[60:72]:
+        shutil.copy(image, folder)
+    return folder, shipped_drive() / "simulation/S00001/camera.toml"
+
+
+def test_a_calibration_gives_ranges(tmp_path: Path) -> None:
+    images, calibration = plain_drive(tmp_path / "images")
+    without, out = tmp_path / "without", tmp_path / "out"
+    result = foreglow_command("run", images, "--out", without)
+    assert "nothing has a range: the camera's calibration is not known (--calibration FILE)" in result.stdout
+    result = foreglow_command("run", images, "--out", out, "--calibration", calibration)
+    assert result.exit_code == 0, result.output
+    assert "nothing has a range" not in result.stdout
+    last = [json.loads((folder / "frames.jsonl").read_text().splitlines()[-1]) for folder in (without, out)]
+    assert last[0]["ranges_m"] is None
+    assert all(track["range_m"] is None for track in last[0]["tracks"])
+    assert any(range_m is not None for range_m in last[1]["ranges_m"])
+    assert any(track["range_m"] is not None for track in last[1]["tracks"])
+
+
+def test_bad_vehicle_data(tmp_path: Path) -> None:
+    images, calibration = plain_drive(tmp_path / "images")
+    run = ("run", images, "--out", tmp_path / "out")
+    assert "camera.toml: no such" in complaint(*run, "--calibration", tmp_path / "camera.toml")
+    assert "expected poses on it, got none" in complaint(*run, "--map", tmp_path / "road.geojson")
+    broken = tmp_path / "broken.toml"
+    broken.write_text(calibration.read_text().replace("width_px = 1280", "width_px = 640"))
+    line = complaint(*run, "--calibration", broken)
+    assert "broken.toml: image: expected the frames' size or its multiple, 1280x960 px, got 640x960 px" in line
+    assert not (tmp_path / "out").exists()

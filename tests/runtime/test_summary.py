@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 from pathlib import Path
 
@@ -9,9 +10,14 @@ import numpy as np
 import pytest
 
 from foreglow import provenance
+from foreglow.config import preset
+from foreglow.pipeline import Pipeline
 from foreglow.runtime import summary
 from foreglow.runtime.records import frame_record
-from tests.stand_ins import night_frames, result_of
+from foreglow.types import Ranges, TrackState
+from tests.stand_ins import night_frames, result_of, tracks_of
+
+STATES = [TrackState.CONFIRMED, TrackState.TENTATIVE]
 
 
 def test_run_time_of_a_hundred_values() -> None:
@@ -23,9 +29,25 @@ def test_scored_boxes_are_counted() -> None:
     tally = summary.Tally()
     tally.add(frame, result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1]))
     tally.add(frame, result_of(frame, [], []))
-    counted = tally.summary("here", [], is_complete=True, is_classified=True, dispatch="avx2")
+    counted = tally.summary("here", [], Pipeline(), is_complete=True)
+    assert (counted.num_ranged, counted.num_tracks) == (0, None)
     assert (counted.num_frames, counted.num_proposals, counted.num_scored, counted.num_accepted) == (2, 2, 2, 1)
     assert counted.run_time_ms["total"] == {"median": 0.25, "p95": 0.25, "p99": 0.25}
+
+
+def test_ranges_and_tracks_are_counted() -> None:
+    frames = night_frames(2)
+    tally = summary.Tally()
+    for frame, followed in zip(frames, (tracks_of([[0, 0, 4, 4], [8, 8, 9, 9]], STATES), tracks_of([])), strict=True):
+        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1])
+        assert result.detections is not None
+        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
+        tally.add(frame, dataclasses.replace(result, ranges=ranges, tracks=followed))
+    tally.add(night_frames(1, "S00002")[0], dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]])))
+    counted = tally.summary("here", [], Pipeline(), is_complete=True)
+    assert (counted.num_ranged, counted.num_tracks) == (2, 2)  # the tentative track does not count
+    without = tally.summary("here", [], Pipeline(preset("foreglow").detector_only), is_complete=True)
+    assert without.num_ranged is None
 
 
 def test_record_keeps_scores_exactly_and_lists_accepted_boxes() -> None:

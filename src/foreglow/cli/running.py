@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,15 +36,34 @@ def run(
     preset: PresetOption = DEFAULT_PRESET,
     model: ModelOption = None,
     config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+    calibration: Annotated[Path | None, file(help="The camera's TOML, so that boxes and tracks get ranges.")] = None,
+    can_log: Annotated[Path | None, file(help="CAN log of the drive: motion and street messages.")] = None,
+    dbc: Annotated[Path | None, file(help="What is in the log's frames (default: our own).")] = None,
+    mapping: Annotated[Path | None, file(help="TOML: what the DBC's signals mean.")] = None,
+    road_map: Annotated[Path | None, file("--map", help="GeoJSON, OpenDRIVE or Lanelet2; with --poses.")] = None,
+    poses: Annotated[Path | None, file(help="Where the car was on the map, over time: CSV or TUM.")] = None,
+    time_offset: Annotated[
+        float, typer.Option(metavar="S", help="Added to the times of log and poses to have the frames'.")
+    ] = 0.0,
+    pose_error: Annotated[
+        float, typer.Option(metavar="M", help="How far the poses may be off along the road.")
+    ] = math.inf,
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,
     limit: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")] = None,
     on_error: Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")] = "stop",
 ) -> None:
-    """Find the light artifacts in SOURCE and write them to a folder."""
+    """Find the light artifacts in SOURCE, follow them, and write them to a folder."""
     configuration = configuration_of(preset, config, model)
     frames = opened(source, out, on_error)
+    files = (calibration, can_log, dbc, mapping, road_map, poses)
+    if any(one is not None for one in files):
+        from foreglow.datasets import Equipped
+        from foreglow.datasets.vehicle_logs import open_vehicle_data
+
+        data = open_vehicle_data(*files, time_offset_s=time_offset, pose_error_m=pose_error)
+        frames = Equipped(frames, data)
     finish(run_frames(frames, str(source), out, configuration, has_video=video, limit=limit), out)
 
 

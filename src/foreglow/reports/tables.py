@@ -22,12 +22,16 @@ def run_lines(summary: RunSummary, folder: Path) -> list[str]:
     found = f"{_counted(summary.num_frames, 'frame')}, {_counted(summary.num_proposals, 'proposal')}"
     if summary.num_accepted is not None:
         found += f", {_counted(summary.num_accepted, 'light artifact')}"
+    if summary.num_tracks is not None:
+        found += f", {_counted(summary.num_tracks, 'track')}"
     total_ms = summary.run_time_ms["total"]
     if total_ms["median"] is not None:
         found += f"; {total_ms['median']:.2f} ms a frame (median), {total_ms['p99']:.2f} ms (p99)"
     lines = [found]
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
+    if summary.num_ranged == 0:
+        lines.append("nothing has a range: the camera's calibration is not known (--calibration FILE)")
     if summary.num_skipped:
         lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, listed in summary.json")
     if not summary.is_complete:

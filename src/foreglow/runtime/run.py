@@ -111,13 +111,7 @@ def run(
                 raise ValueError(f"{source_name or source.name}: expected a readable frame; {source.skipped[0]}")
             for taker in takers:
                 taker.close()
-        summary = tally.summary(
-            source_name or source.name,
-            source.skipped,
-            is_complete=not interrupt.is_set,
-            is_classified=pipeline.config.classifier.model is not None,
-            dispatch=pipeline.dispatch,
-        )
+        summary = tally.summary(source_name or source.name, source.skipped, pipeline, is_complete=not interrupt.is_set)
         folder.write_text("config.toml", config_to_toml(pipeline.config))
         folder.write_text("summary.json", summary.to_json())
         folder.publish()

@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from foreglow.pipeline import Pipeline
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.types import Frame, FrameResult
 
@@ -30,6 +31,8 @@ class RunSummary:
         num_proposals: Boxes proposed, over all frames.
         num_scored: Boxes that the model scored; None without a model.
         num_accepted: Boxes scored above the threshold; None without a model.
+        num_ranged: Scored boxes that have a range; None where nothing estimates ranges.
+        num_tracks: Tracks that were plausible at some time; None without a tracker.
         num_skipped: Files that could not be read and were passed over.
         skipped: One line a skipped file: its path and why.
         frame_sizes_px: The (width, height) that occurred, in order of their first frame.
@@ -48,6 +51,8 @@ class RunSummary:
     num_proposals: int
     num_scored: int | None
     num_accepted: int | None
+    num_ranged: int | None
+    num_tracks: int | None
     num_skipped: int
     skipped: Sequence[str]
     frame_sizes_px: Sequence[tuple[int, int]]
@@ -70,6 +75,8 @@ class Tally:
         self.num_frames = 0
         self._num_proposals = 0
         self._num_accepted = 0
+        self._num_ranged = 0
+        self._tracks: set[tuple[str, int]] | None = None
         self._sizes_px: dict[tuple[int, int], None] = {}
         self._stage_ms: defaultdict[str, list[float]] = defaultdict(list)
 
@@ -79,15 +86,20 @@ class Tally:
         self._num_proposals += len(result.proposals)
         if result.detections is not None:
             self._num_accepted += int(result.detections.is_accepted.sum())
+        if result.ranges is not None:
+            self._num_ranged += int(np.isfinite(result.ranges.ranges_m).sum())
+        if result.tracks is not None:
+            plausible = result.tracks.ids[result.tracks.is_plausible].tolist()
+            self._tracks = (self._tracks or set()) | {(frame.sequence, number) for number in plausible}
         self._sizes_px[frame.width_px, frame.height_px] = None
         for name, value in result.stage_ms.items():
             self._stage_ms[name].append(value)
         self._stage_ms["total"].append(sum(result.stage_ms.values()))
 
-    def summary(
-        self, source: str, skipped: Sequence[str], *, is_complete: bool, is_classified: bool, dispatch: str | None
-    ) -> RunSummary:
+    def summary(self, source: str, skipped: Sequence[str], pipeline: Pipeline, *, is_complete: bool) -> RunSummary:
         """The summary of all frames so far, with what is known about this machine and this Foreglow."""
+        is_classified = pipeline.config.classifier.model is not None
+        is_ranging = is_classified and pipeline.config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
         return RunSummary(
             source=source,
@@ -97,6 +109,8 @@ class Tally:
             num_proposals=self._num_proposals,
             num_scored=self._num_proposals if is_classified else None,
             num_accepted=self._num_accepted if is_classified else None,
+            num_ranged=self._num_ranged if is_ranging else None,
+            num_tracks=None if self._tracks is None else len(self._tracks),
             num_skipped=len(skipped),
             skipped=tuple(skipped),
             frame_sizes_px=tuple(self._sizes_px),
@@ -105,7 +119,7 @@ class Tally:
             commit=commit,
             has_local_changes=has_local_changes,
             processor=processor_name(),
-            dispatch=dispatch,
+            dispatch=pipeline.dispatch,
         )
 
 
