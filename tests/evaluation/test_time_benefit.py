@@ -82,6 +82,7 @@ def test_the_benefit_worked_by_hand() -> None:
     result = time_benefit("tracker", encounters, [1.5, 3.5, NAN, 3.0])
     assert (result.delays_s.num, result.delays_s.mean, result.delays_s.median) == (3, 1.0, 0.5)
     assert (result.before_production_s.num, result.before_production_s.mean) == (3, (2.5 + 0.5 + 2.0) / 3)
+    assert (result.occluded_before_production_s.num, result.occluded_before_production_s.mean) == (2, 2.25)
     assert result.before_human_s.mean == pytest.approx((0.3 + 0.3 - 1.2) / 3)
     assert (result.before_sight_s.num, result.before_sight_s.mean) == (1, 0.5)  # of the first alone
     # Of three occluded ones the first and the last, which never comes into sight.

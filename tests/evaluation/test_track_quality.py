@@ -118,3 +118,17 @@ def test_trackers_begin_again_with_each_sequence(tmp_path: Path) -> None:
         assert its.ids.tolist() == [0]
         assert its.num_hits.tolist() == [1 + round(labels.time_s[image_id] * dataset.rate_hz)]
     assert len(match_tracks(labels, tracks, predictions.boxes_xyxy_px)) == len(dataset.sequences) > 1
+
+
+def test_false_tracks_where_nobody_is() -> None:
+    """Track 1 comes up in an image without light, track 2 in one with light; both stay and hold none."""
+    (one,) = matched(
+        {0: [], 1: [light(1, 5, 5)], 2: []},
+        {
+            0: tracks_of((1, CONFIRMED, 1)),
+            1: tracks_of((1, CONFIRMED, 1), (2, CONFIRMED, 1)),
+            2: tracks_of((1, COASTING, -1), (2, COASTING, -1)),
+        },
+        empty=[0, 2],
+    )
+    assert (one.num_false, one.num_false_empty, one.empty_s) == (2, 1, 1.0)

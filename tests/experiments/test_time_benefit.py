@@ -71,7 +71,7 @@ def test_more_frames_confirm_later_and_less(results: TimeBenefitResults) -> None
 
 
 def method(name: str, num_false: int, delay_s: float) -> Method:
-    return Method(time_benefit(name, [], []), FalseTracks(num_false, 9, 2.0, math.nan), delay_s)
+    return Method(time_benefit(name, [], []), FalseTracks(num_false, 9, 2.0, math.nan, 0, 0.5), delay_s)
 
 
 def test_the_least_delay_at_a_rate() -> None:

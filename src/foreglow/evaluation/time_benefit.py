@@ -66,6 +66,7 @@ class TimeBenefit:
         detected_s: One time an encounter, in their order; NaN for never.
         delays_s: From the first annotated artifact.
         before_production_s: By how much it is before the production system; of sequences where both detect.
+        occluded_before_production_s: The same of occluded vehicles alone.
         before_human_s: By how much it is before a human.
         before_sight_s: By how much it is before the first annotated lamp; of occluded vehicles.
         provident_share: Share of the occluded vehicles that are detected before their first annotated lamp; those that
@@ -77,6 +78,7 @@ class TimeBenefit:
     detected_s: tuple[float, ...]
     delays_s: Spread
     before_production_s: Spread
+    occluded_before_production_s: Spread
     before_human_s: Spread
     before_sight_s: Spread
     provident_share: float
@@ -84,7 +86,9 @@ class TimeBenefit:
 
     def to_json(self) -> dict[str, Any]:
         """All fields by name, for JSON: null instead of NaN."""
-        spreads = ("delays_s", "before_production_s", "before_human_s", "before_sight_s")
+        spreads = (
+            "delays_s", "before_production_s", "occluded_before_production_s", "before_human_s", "before_sight_s",
+        )  # fmt: skip
         return {
             "name": self.name,
             "detected_s": [plain(value) for value in self.detected_s],
@@ -112,6 +116,7 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
         detected_s=tuple(detected.tolist()),
         delays_s=Spread.of(detected - light_s),
         before_production_s=Spread.of(production_s - detected),
+        occluded_before_production_s=Spread.of((production_s - detected)[is_occluded]),
         before_human_s=Spread.of(human_s - detected),
         before_sight_s=Spread.of((sight_s - detected)[is_occluded]),
         provident_share=float(is_provident[is_occluded].mean()) if is_occluded.any() else math.nan,

@@ -31,6 +31,8 @@ class SequenceTracks:
         duration_s: Its images over their rate.
         num_plausible: Tracks that were plausible at some time.
         num_false: Those of them that never held a light, neither labelled nor doubtful, as long as they lived.
+        empty_s: Time in images without any vehicle's light, labelled or doubtful.
+        num_false_empty: Those false ones that first were plausible in such an image: nobody was there at all.
         vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the first
             track that has held a light of it is plausible.
         ids_of_light: By vehicle and instance id, the ids of the plausible tracks that held it, in the order of time;
@@ -41,6 +43,8 @@ class SequenceTracks:
     duration_s: float
     num_plausible: int
     num_false: int
+    empty_s: float
+    num_false_empty: int
     vehicles: tuple[FirstFound, ...]
     ids_of_light: Mapping[tuple[int, int], tuple[int, ...]]
 
@@ -101,7 +105,7 @@ def _match_sequence(
     boxes_xyxy_px: Mapping[int, NDArray[np.floating]],
 ) -> SequenceTracks:
     """What the tracks of one sequence, with its images in the order of time, are worth."""
-    plausible: set[int] = set()
+    plausible: dict[int, int] = {}  # and the image in which it first was
     lit: set[int] = set()  # have held any light
     vehicles_of: dict[int, set[int]] = {}
     firsts: dict[int, dict[str, float]] = {}
@@ -109,7 +113,7 @@ def _match_sequence(
     for place, image_id in enumerate(image_ids):
         its, now_s = tracks[image_id], labels.time_s[image_id]
         plausible_now = set(its.ids[its.is_plausible].tolist())
-        plausible |= plausible_now
+        plausible = dict.fromkeys(plausible_now, image_id) | plausible
         detected = its.detections >= 0
         ids = its.ids[detected].tolist()
         boxes = boxes_xyxy_px[image_id][its.detections[detected]]
@@ -138,7 +142,9 @@ def _match_sequence(
         sequence_id=sequence_id,
         duration_s=len(image_ids) / labels.rate_hz,
         num_plausible=len(plausible),
-        num_false=len(plausible - lit),
+        num_false=len(plausible.keys() - lit),
+        empty_s=sum(one in labels.empty_images for one in image_ids) / labels.rate_hz,
+        num_false_empty=sum(plausible[one] in labels.empty_images for one in plausible.keys() - lit),
         vehicles=tuple(
             FirstFound(
                 sequence_id,

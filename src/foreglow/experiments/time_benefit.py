@@ -76,12 +76,16 @@ class FalseTracks:
         num_plausible: Of so many confirmed tracks.
         minutes: In so much time.
         km: On such a way; NaN where the speed is unknown.
+        num_empty: Those that came up in an image without any vehicle's light.
+        empty_minutes: Time of such images.
     """
 
     num: int
     num_plausible: int
     minutes: float
     km: float
+    num_empty: int
+    empty_minutes: float
 
     @property
     def per_minute(self) -> float:
@@ -93,9 +97,15 @@ class FalseTracks:
         """Rate along the way; NaN where that is unknown or nothing."""
         return self.num / self.km if self.km > 0 else math.nan
 
+    @property
+    def per_empty_minute(self) -> float:
+        """Rate where nobody is; NaN without such time."""
+        return self.num_empty / self.empty_minutes if self.empty_minutes else math.nan
+
     def to_json(self) -> dict[str, Any]:
-        """All fields and both rates by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self) | {"per_minute": self.per_minute, "per_km": self.per_km}
+        """All fields and rates by name, for JSON: null instead of NaN."""
+        rates = ("per_minute", "per_km", "per_empty_minute")
+        values = dataclasses.asdict(self) | {name: getattr(self, name) for name in rates}
         return {name: plain(value) for name, value in values.items()}
 
 
@@ -254,6 +264,8 @@ def _false_tracks(quality: Sequence[SequenceTracks], km: float) -> FalseTracks:
         num_plausible=sum(one.num_plausible for one in quality),
         minutes=sum(one.duration_s for one in quality) / 60.0,
         km=km,
+        num_empty=sum(one.num_false_empty for one in quality),
+        empty_minutes=sum(one.empty_s for one in quality) / 60.0,
     )
 
 
