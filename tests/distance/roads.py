@@ -41,7 +41,7 @@ def straight(length_m: int = 450) -> RoadAhead:
 
 
 def lights(camera: Camera, points_m: ArrayLike, radius_px: int = 3, pitch_rad: float = 0.0) -> tuple[Image, Detections]:
-    """An image with a bright disc at each point of the vehicle's frame, and their boxes; the nose is up by the pitch."""
+    """An image with a bright disc at each point before a car whose nose is up by the pitch, and their boxes."""
     image = np.full((camera.height_px, camera.width_px), 8, np.uint8)
     points = np.asarray(points_m, np.float64) @ rotation(pitch_rad=pitch_rad)
     pixels = camera.project(camera.vehicle_from_camera.to_body(points))

@@ -75,7 +75,8 @@ def test_the_rail_of_a_banked_bend_is_where_geometry_has_it() -> None:
     angle = PLACES_M / radius_m
     reach_m = radius_m + HALF_WIDTH_M + 0.8
     level = np.stack(
-        [reach_m * np.sin(angle), radius_m - reach_m * np.cos(angle), np.full(len(angle), SLOPE * HALF_WIDTH_M + 0.6)], -1
+        [reach_m * np.sin(angle), radius_m - reach_m * np.cos(angle), np.full(len(angle), SLOPE * HALF_WIDTH_M + 0.6)],
+        -1,
     )
     car_m = np.array([0.0, -HALF_WIDTH_M / 2, SLOPE * HALF_WIDTH_M / 2])
     points = (level - car_m) @ rotation(roll_rad=-math.atan(SLOPE))
@@ -111,7 +112,9 @@ def test_a_bend_that_may_be_elsewhere_is_less_sharp() -> None:
     np.testing.assert_allclose(growth[PLACES_M < 50.0], 0.0, atol=1e-6)
 
 
-def evidence(directions_rad: Floats, features: Floats | None = None, pair_log_ranges: Floats | None = None) -> BoxEvidence:
+def evidence(
+    directions_rad: Floats, features: Floats | None = None, pair_log_ranges: Floats | None = None
+) -> BoxEvidence:
     count = len(directions_rad)
     return BoxEvidence(
         directions_rad,

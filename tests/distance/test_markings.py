@@ -15,7 +15,11 @@ NOTHING = np.full((960, 1280), 10, np.uint8)
 
 
 def marked(
-    yaw_rad: float = 0.0, left_m: float = 0.0, pitch_rad: float = 0.0, curvature: float = 0.0, lanes_m: tuple[float, ...] = ()
+    yaw_rad: float = 0.0,
+    left_m: float = 0.0,
+    pitch_rad: float = 0.0,
+    curvature: float = 0.0,
+    lanes_m: tuple[float, ...] = (),
 ) -> Image:
     """The road as the camera sees it from a car that heads to the left, stands to the left and has its nose up."""
     seen_by = camera()
@@ -26,7 +30,10 @@ def marked(
     with np.errstate(divide="ignore"):
         reach = np.where(rays[..., 2] < -1e-3, -origin[2] / np.minimum(rays[..., 2], -1e-3), np.nan)
     x, y = origin[0] + reach * rays[..., 0], origin[1] + reach * rays[..., 1]
-    along, across = math.cos(yaw_rad) * x - math.sin(yaw_rad) * y, math.sin(yaw_rad) * x + math.cos(yaw_rad) * y + left_m
+    along, across = (
+        math.cos(yaw_rad) * x - math.sin(yaw_rad) * y,
+        math.sin(yaw_rad) * x + math.cos(yaw_rad) * y + left_m,
+    )
     image = NOTHING.copy()
     for lane_m in lanes_m or (HALF_WIDTH_M / 2, -HALF_WIDTH_M / 2):
         image[np.abs(across - lane_m - curvature * along**2 / 2) < 0.07] = 120

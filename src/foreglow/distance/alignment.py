@@ -31,14 +31,17 @@ CURVATURE_SIGMA_PER_M = 4e-4
 """Of the curvature driven against that of the road: a driver's corrections in the lane."""
 
 YAW_RATE_SIGMA_RADPS = 0.003
-LOOK_M = 10.0
+LOOK_M = 5.0
 """Way after which another look at the curvature tells something new."""
 
-WANDER_M = 150.0
+WANDER_M = 300.0
 """Way over which the shift is forgotten, e-fold."""
 
 WANDER_SHARE = 0.01
 """Standard deviation of how the shift moves in a metre, in terms of the bound."""
+
+OUTLIER_LIKELIHOOD = 0.02
+"""Of any curvature, of the greatest: a driver may also avoid something."""
 
 STEP_M = 1.0
 MIN_BOUND_M = 6.0
@@ -90,9 +93,7 @@ class RoadAligner:
         lane = self._markings.find(frame)
         self._yaw.update(gap_s, lane.yaw_rad, lane.yaw_sigma_rad)
         self._left.update(gap_s, lane.left_m, lane.left_sigma_m)
-        return Alignment(
-            self._yaw.mean, self._left.mean, shift_m, self._yaw.sigma, self._left.sigma, shift_sigma_m
-        )
+        return Alignment(self._yaw.mean, self._left.mean, shift_m, self._yaw.sigma, self._left.sigma, shift_sigma_m)
 
     def _shift(self, frame: Frame, gap_s: float) -> tuple[float, float]:
         """Mean and standard deviation of the shift; `gap_s` is NaN in the first frame."""
@@ -110,7 +111,9 @@ class RoadAligner:
         if math.isnan(way_m):
             self._shares, weight = prior, 1.0
         else:
-            mapped[~is_ahead] = np.interp(shifts_m[~is_ahead] + way_m, shifts_m, self._mapped)
+            # Nearer than the reach of a curvature the map told better when that was still further ahead.
+            is_past = shifts_m < CURVATURE_REACH_M
+            mapped[is_past] = np.interp(shifts_m[is_past] + way_m, shifts_m, self._mapped)
             self._shares, weight = _moved(self._shares, prior, way_m, bound_m), min(way_m / LOOK_M, 1.0)
         self._mapped, self._bound_m = mapped, bound_m
         if motion.speed_mps >= MIN_SPEED_MPS:
@@ -157,8 +160,12 @@ def _moved(shares: Floats, prior: Floats, way_m: float, bound_m: float) -> Float
 
 
 def _likelihoods(mapped: Floats, driven: float, noise: float) -> Floats:
-    """How well the mapped curvatures explain the driven one; where none is known, as well as all of them do."""
-    likelihoods = np.exp(-0.5 * ((mapped - driven) / noise) ** 2) + 0.05
+    """How well the mapped curvatures explain the driven one; where none is known, as well as all of them do.
+
+    Where a bend begins the mapped one is a mean over some metres, and speaks against less.
+    """
+    noises = np.hypot(noise, np.gradient(mapped) * (CURVATURE_REACH_M / STEP_M))
+    likelihoods = np.exp(-0.5 * ((mapped - driven) / noises) ** 2) + OUTLIER_LIKELIHOOD
     is_known = ~np.isnan(likelihoods)
     likelihoods[~is_known] = likelihoods[is_known].mean()
     return likelihoods

@@ -162,7 +162,11 @@ def parameters_of(model: Hypotheses) -> Parameters:
         if name not in ("name", "size_slope")
     }
     slopes = np.array([[kind.size_slope, *model.feature_slopes] for kind in model.kinds])
-    shared = {name: np.array(getattr(model, name)) for name in Parameters._fields if name not in columns | {"feature_slopes": 0}}
+    shared = {
+        name: np.array(getattr(model, name))
+        for name in Parameters._fields
+        if name not in columns | {"feature_slopes": 0}
+    }
     return Parameters(**columns, feature_slopes=slopes, **shared)
 
 
@@ -239,7 +243,9 @@ def cells_along(
     pixel, height = parameters.pixel_sigma_rad**2, (parameters.height_sigma_m / level) ** 2
     tilt = ((pitch_sigma_rad * forward) ** 2 + (ROLL_SIGMA_RAD * left) ** 2) / (level * level)
     offs = (log_ranges - parameters.log_range) / parameters.range_log_sigma
-    log_priors = parameters.log_share - 0.5 * offs * offs + xp.where(lines.is_known, xp.asarray(_LOG_CELLS), _IMPOSSIBLE)
+    log_priors = (
+        parameters.log_share - 0.5 * offs * offs + xp.where(lines.is_known, xp.asarray(_LOG_CELLS), _IMPOSSIBLE)
+    )
     cells = (
         xp.arctan2(left, forward),
         xp.arctan2(up, level),

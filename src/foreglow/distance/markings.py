@@ -163,8 +163,10 @@ def _places(ridges: Floats, lines_m: Floats, bends_m: Floats) -> tuple[Floats, N
 
 def _fitted(places_m: Floats, is_ridge: NDArray[np.bool_], lines_m: Floats, height_m: float) -> LaneView:
     """Least squares over all markings, without what lies off: first off the markings' medians, then off the fit's."""
-    medians_m = np.ma.median(np.ma.masked_array(places_m, ~is_ridge), axis=1).filled(np.inf)
-    fitted_m = np.repeat(medians_m[:, None], len(STRIPS_M), axis=1)
+    medians_m = [
+        np.median(places[is_one]) if is_one.any() else np.inf for places, is_one in zip(places_m, is_ridge, strict=True)
+    ]
+    fitted_m = np.repeat(np.array(medians_m)[:, None], len(STRIPS_M), axis=1)
     fit: _Fit | None = None
     for tolerance_m in TOLERANCES_M:
         is_used = is_ridge & (np.abs(places_m - fitted_m) < tolerance_m)
@@ -207,7 +209,9 @@ def _fit(places_m: Floats, is_used: NDArray[np.bool_], lines_m: Floats, height_m
     rows[np.arange(len(line)), line] = 1.0
     rows[:, -3] = STRIPS_M[strip] ** 2 / 2
     rows[:, -2], rows[:, -1] = -STRIPS_M[strip], -STRIPS_M[strip] * lines_m[line] / height_m
-    prior = np.diag(np.concatenate([1e-6 + ~is_used.any(axis=1), [CURVATURE_SIGMA_PER_M**-2.0], PRIOR_SIGMAS_RAD**-2.0]))
+    prior = np.diag(
+        np.concatenate([1e-6 + ~is_used.any(axis=1), [CURVATURE_SIGMA_PER_M**-2.0], PRIOR_SIGMAS_RAD**-2.0])
+    )
     precision = rows.T @ rows / PLACE_SIGMA_M**2 + prior
     covariance = np.linalg.inv(precision)
     solved = covariance @ (rows.T @ places_m[is_used]) / PLACE_SIGMA_M**2

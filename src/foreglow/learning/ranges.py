@@ -6,6 +6,7 @@ true ranges is maximised. Offsets, heights and their spreads stay as they are as
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import tomli_w
 
-from foreglow.config import DistanceConfig, PipelineConfig, preset
+from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN, split_folder
 from foreglow.distance.hypotheses import Hypotheses, Parameters, cells_along, log_weights, parameters_of
 from foreglow.distance.road_surface import BELOW_ONE_SIGMA, RoadSurface, View, weighted_quantiles
@@ -55,10 +56,11 @@ BATCH = 64
 EPOCHS = 12
 LEARNING_RATE = 0.03
 NUM_RANGE_BINS = 8
-MAX_BALANCE = 3.0
+MAX_BALANCE = 6.0
 """Lights of rare ranges count for up to so many: where encounters happen differs from drive to drive."""
 
-COVERAGE = 1.0 - 2.0 * BELOW_ONE_SIGMA
+COVERAGES = (0.68, 0.94)
+"""Shares within one and two sigmas; tails are heavier than those of a Gaussian."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +71,7 @@ class RangedView:
     truth_m: Floats
 
 
-def fit_ranges(
-    data: Path, config: PipelineConfig = preset("foreglow"), *, seed: int = 0, progress: Progress | None = None
-) -> Hypotheses:
+def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: Progress | None = None) -> Hypotheses:
     """The model fitted on the train split of `data`, with sigmas scaled on its val split.
 
     Args:
@@ -159,7 +159,7 @@ def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Pro
                 likelihoods = _log_likelihoods(parameters, tensors[place], torch.as_tensor(views[place].truth_m))
                 loss = loss - (torch.as_tensor(balance[place]) * likelihoods).sum()
             optimiser.zero_grad()
-            (loss / len(batch)).backward()  # type: ignore[no-untyped-call]
+            (loss / len(batch)).backward()
             optimiser.step()
             schedule.step()
         if progress is not None:
@@ -222,14 +222,12 @@ def _as_tensors(numbers: Parameters) -> Parameters:
 
 def _tensor_view(view: View) -> View:
     """The view with arrays as tensors."""
-    import dataclasses
-
     import torch
 
     boxes = type(view.boxes)(*(torch.as_tensor(one) for one in view.boxes))
     road = view.road
     if road is not None:
-        arrays = {
+        arrays: dict[str, Any] = {
             field.name: torch.as_tensor(value)
             for field in dataclasses.fields(road)
             if isinstance(value := getattr(road, field.name), np.ndarray)
@@ -247,7 +245,10 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
     kinds = [
         {
             **kind.model_dump(),
-            **{name: plain(getattr(numbers, name)[place]) for name in ("log_share", "log_range", "features", "pair_logit")},
+            **{
+                name: plain(getattr(numbers, name)[place])
+                for name in ("log_share", "log_range", "features", "pair_logit")
+            },
             "size_slope": plain(numbers.feature_slopes[place, 0]),
         }
         for place, kind in enumerate(start.kinds)
@@ -258,7 +259,7 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
 
 
 def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
-    """The factor on the sigmas with which as many ranges are within one as of a Gaussian."""
+    """The factor on the sigmas: between those with which one, and two, hold `COVERAGES`."""
     parameters = parameters_of(model)
     ratios = []
     for one in views:
@@ -268,4 +269,5 @@ def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
         shares = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
         near_m, range_m, far_m = np.exp(weighted_quantiles(cells.log_ranges, weights, shares))
         ratios.append(np.abs(range_m - one.truth_m) / (0.5 * (far_m - near_m)))
-    return float(np.quantile(np.concatenate(ratios), COVERAGE).round(3))
+    one_sigma, two_sigmas = np.quantile(np.concatenate(ratios), COVERAGES)
+    return round(math.sqrt(one_sigma * two_sigmas / 2.0), 3)
