@@ -9,7 +9,7 @@ import pytest
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import shipped_drive
 from foreglow.distance.hypotheses import parameters_of, read_hypotheses
-from foreglow.learning.ranges import FITTED, fit_ranges, ranged_views, write_hypotheses
+from foreglow.learning.ranges import FITTED, PRIOR, fit_ranges, ranged_views, write_hypotheses
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_views_hold_every_light_with_a_box_and_a_range(data: Path) -> None:
 
 def test_fitting_moves_what_is_fitted_and_nothing_else(data: Path) -> None:
     told: list[str] = []
-    start = read_hypotheses()
+    start = read_hypotheses(PRIOR)
     model = fit_ranges(data, CONFIG, seed=1, progress=lambda step, done, total: told.append(f"{step} {done}/{total}"))
     before, after = parameters_of(start), parameters_of(model)
     for name in before._fields:

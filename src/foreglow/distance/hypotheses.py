@@ -69,8 +69,8 @@ class Kind(FrozenModel):
         side: Where its line runs: 1 the left edge of the carriageway, -1 the right one, 0 the centre line.
         offset_m: And further to the left of that.
         height_m: Above the carriageway.
-        offset_sigma_m: Standard deviation of the offset.
-        height_sigma_m: Of the height.
+        offset_sigma_m: Standard deviation of the offset (fitted).
+        height_sigma_m: Of the height (fitted).
         is_lamp: Whether it may be one of a pair.
         is_anywhere: Whether it is tied to no line: at its height above the plane that we stand on.
         log_share: Log of how often it is seen, to a constant (fitted).

@@ -1,7 +1,7 @@
 """Fits the model of `road_surface` to lights whose ranges are known, such as those of simulated drives.
 
 What is lit need not be known: each light's range is explained by the mixture of all kinds, and the likelihood of the
-true ranges is maximised. Offsets, heights and their spreads stay as they are assumed.
+true ranges is maximised. Offsets and heights of the kinds stay as they are assumed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ import tomli_w
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN, split_folder
-from foreglow.distance.hypotheses import Hypotheses, Parameters, cells_along, log_weights, parameters_of
+from foreglow.distance.hypotheses import (
+    Hypotheses,
+    Parameters,
+    cells_along,
+    log_weights,
+    parameters_of,
+    read_hypotheses,
+)
 from foreglow.distance.road_surface import BELOW_ONE_SIGMA, RoadSurface, View, weighted_quantiles
 from foreglow.evaluation.matching import lies_in
 from foreglow.files import write_atomic
@@ -30,17 +37,20 @@ from foreglow.types import Boxes, Detections
 if TYPE_CHECKING:
     import torch
 
+PRIOR = Path(__file__).with_name("road_surface_prior.toml")
+"""The kinds of light as they are assumed: what every fit starts from."""
+
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Told the step, how much of it is done, and of how much."""
 
-FITTED = (
-    *("log_share", "log_range", "features", "feature_slopes", "pair_logit"),
-    *("range_log_sigma", "feature_sigmas", "pixel_sigma_rad", "slope_sigma", "box_shares"),
-)
-"""Fields of `Parameters` that are fitted."""
+SIGNED_OF_KINDS = ("log_share", "log_range", "features", "pair_logit")
+SPREADS_OF_KINDS = ("offset_sigma_m", "height_sigma_m")
+SHARED_SPREADS = ("range_log_sigma", "feature_sigmas", "pixel_sigma_rad", "slope_sigma", "box_shares")
+POSITIVE = (*SPREADS_OF_KINDS, *SHARED_SPREADS)
+"""These are fitted by their logarithms."""
 
-POSITIVE = ("range_log_sigma", "feature_sigmas", "pixel_sigma_rad", "slope_sigma", "box_shares")
-"""Of those, the ones that are fitted by their logarithms."""
+FITTED = (*SIGNED_OF_KINDS, "feature_slopes", *POSITIVE)
+"""Fields of `Parameters` that are fitted."""
 
 PRIOR_SIGMAS = {"log_share": 2.0, "log_range": 1.0, "features": 3.0, "feature_slopes": 0.7, "pair_logit": 2.0}
 POSITIVE_PRIOR_SIGMA = 0.5
@@ -56,7 +66,7 @@ BATCH = 64
 EPOCHS = 12
 LEARNING_RATE = 0.03
 NUM_RANGE_BINS = 8
-MAX_BALANCE = 6.0
+MAX_BALANCE = 4.0
 """Lights of rare ranges count for up to so many: where encounters happen differs from drive to drive."""
 
 COVERAGES = (0.68, 0.94)
@@ -76,7 +86,7 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
 
     Args:
         data: A data set of simulated drives.
-        config: Its proposals are the boxes, its distance the model to start from and the source of the pitch.
+        config: Its proposals are the boxes, its distance says where pitch and our place come from.
         seed: Of the order in which images are shown.
         progress: Told how many images and epochs are done.
 
@@ -87,8 +97,7 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
     train, val = (list(ranged_views(split_folder(data, name), config, progress)) for name in ("train", "val"))
     if not train or not val:
         raise ValueError(f"{data}: expected lights with a box and a known range in train and val, found none")
-    start = RoadSurface(config.distance).model
-    fitted = _fitted(start, train, seed, progress)
+    fitted = _fitted(read_hypotheses(PRIOR), train, seed, progress)
     scaled = fitted.model_copy(update={"sigma_scale": _sigma_scale(fitted, val)})
     return scaled.model_copy(update={"origin": f"{sum(len(one.truth_m) for one in train)} lights of {data.name}/train"})
 
@@ -245,15 +254,12 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
     kinds = [
         {
             **kind.model_dump(),
-            **{
-                name: plain(getattr(numbers, name)[place])
-                for name in ("log_share", "log_range", "features", "pair_logit")
-            },
+            **{name: plain(getattr(numbers, name)[place]) for name in SIGNED_OF_KINDS + SPREADS_OF_KINDS},
             "size_slope": plain(numbers.feature_slopes[place, 0]),
         }
         for place, kind in enumerate(start.kinds)
     ]
-    shared = {name: plain(getattr(numbers, name)) for name in POSITIVE}
+    shared = {name: plain(getattr(numbers, name)) for name in SHARED_SPREADS}
     fields = {**shared, "feature_slopes": plain(numbers.feature_slopes[0, 1:]), "kinds": kinds}
     return Hypotheses.model_validate({**start.model_dump(), **fields})
 
