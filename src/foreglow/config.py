@@ -123,11 +123,16 @@ class DistanceConfig(FrozenModel):
         heuristic: Which range stands for a box, of those of its pixels (paper); `road_surface` has its own rule.
         pitch: The body's pitch against the road: `fixed` takes that of the calibration, `motion` adds what
             `Frame.motion` tells, `markings` estimates it from the markings in the image.
+        align: Whether `road_surface` corrects how we stand on the road: yaw and offset by the markings in the image,
+            the place along it by how we turn; else it takes the map's word, and a driver who keeps the lane.
+        model: TOML file of the model of `road_surface`, as `fit-ranges` writes it; None for the one that ships.
     """
 
     estimator: Literal["gp", "psd_3d", "psd_3d_plus", "psd_2d", "road_surface", "none"] = "gp"
     heuristic: Literal["centre", "maximum", "minimum", "lowest", "mean", "median"] = "centre"
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
+    align: bool = False
+    model: Annotated[Path, Field(strict=False)] | None = None
 
 
 class TrackerConfig(FrozenModel):
@@ -258,6 +263,7 @@ PRESETS: dict[str, PipelineConfig] = {
         ),
         # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
         classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.34),
+        distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),
 }

@@ -8,8 +8,8 @@ from foreglow.distance.pitch import make_pitch_source
 
 
 def test_unknown_names_list_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"distance.estimator: expected one of gp, psd_3d, .*, got None"):
-        make_estimator(DistanceConfig())
+    with pytest.raises(ValueError, match=r"distance.estimator: expected one of gp, psd_3d, .*, got 'none'"):
+        make_estimator(DistanceConfig(estimator="none"))
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

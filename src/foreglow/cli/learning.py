@@ -1,4 +1,4 @@
-"""`annotate`, `tune`, `train`, `import-weights` and the YOLO commands: what makes a model."""
+"""`annotate`, `tune`, `train`, `fit-ranges`, `import-weights` and the YOLO commands: what makes a model."""
 
 from __future__ import annotations
 
@@ -123,6 +123,23 @@ def train(
     finally:  # also of a training that was interrupted
         draw_training(out)
     typer.echo("\n".join(training_lines(trained)))
+
+
+@app.command("fit-ranges")
+def fit_ranges(
+    data: Annotated[Path, argument(metavar="DATA", help="Simulated drives, with train and val.")],
+    out: Annotated[Path, file(help="The model to write, TOML for `distance.model`.")],
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset foreglow.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the order of the images.")] = 0,
+) -> None:
+    """Fit the model of the road-surface ranges to lights whose ranges are known."""
+    from foreglow.learning.ranges import fit_ranges, write_hypotheses
+    from foreglow.reports.progress import StepProgress
+
+    with contextlib.closing(StepProgress()) as progress:
+        model = fit_ranges(data, configuration_of("foreglow", config, None), seed=seed, progress=progress)
+    write_hypotheses(out, model)
+    typer.echo(f"wrote {out}: fitted to {model.origin}")
 
 
 @app.command("import-weights")

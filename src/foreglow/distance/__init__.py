@@ -13,9 +13,19 @@ from foreglow.distance.ground_plane import GroundPlane
 from foreglow.distance.psd_2d import PSD2D
 from foreglow.distance.psd_3d import PSD3D
 from foreglow.distance.psd_3d_plus import PSD3DPlus
+from foreglow.distance.road_surface import RoadSurface
 from foreglow.types import Detections, Frame, Ranges
 
-__all__ = ["ESTIMATORS", "PSD2D", "PSD3D", "GroundPlane", "PSD3DPlus", "RangeEstimator", "make_estimator"]
+__all__ = [
+    "ESTIMATORS",
+    "PSD2D",
+    "PSD3D",
+    "GroundPlane",
+    "PSD3DPlus",
+    "RangeEstimator",
+    "RoadSurface",
+    "make_estimator",
+]
 
 
 class RangeEstimator(Protocol):
@@ -37,6 +47,7 @@ ESTIMATORS: dict[str, type[RangeEstimator]] = {
     "psd_3d": PSD3D,
     "psd_3d_plus": PSD3DPlus,
     "psd_2d": PSD2D,
+    "road_surface": RoadSurface,
 }
 """All estimators by name."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
+from foreglow.distance.markings import MarkingFinder
 from foreglow.types import Frame
 
 REST_SIGMA_RAD = math.radians(0.12)
@@ -57,7 +58,26 @@ class MotionPitch:
         """There is nothing to forget."""
 
 
-PITCH_SOURCES: dict[str, type[PitchSource]] = {"fixed": FixedPitch, "motion": MotionPitch}
+class MarkingsPitch:
+    """What the lane markings tell, weighted with the body at rest; at rest where they tell nothing.
+
+    Every frame stands for itself: a body sways once a second, too fast to be followed at a few frames a second.
+    """
+
+    def __init__(self) -> None:
+        self.finder = MarkingFinder()
+
+    def pitch(self, frame: Frame) -> Pitch:
+        """The pitch in `frame`."""
+        lane = self.finder.find(frame)
+        trust = REST_SIGMA_RAD**2 / (REST_SIGMA_RAD**2 + lane.pitch_sigma_rad**2)
+        return Pitch(trust * lane.pitch_rad, REST_SIGMA_RAD * math.sqrt(1.0 - trust))
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+
+PITCH_SOURCES: dict[str, type[PitchSource]] = {"fixed": FixedPitch, "motion": MotionPitch, "markings": MarkingsPitch}
 """All sources by the name that `DistanceConfig.pitch` has for them."""
 
 

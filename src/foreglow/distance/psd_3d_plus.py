@@ -5,9 +5,10 @@ Source: Ewecker et al., arXiv 2107.11302, distance estimation, method PSD-3D+.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from foreglow.config import DistanceConfig
+from foreglow.distance.alignment import RoadAligner
 from foreglow.distance.psd_3d import PSD3D
 from foreglow.geometry import Floats, rotation
 from foreglow.types import Frame
@@ -39,29 +40,13 @@ class Aligner(Protocol):
         ...
 
 
-class _Standing(NamedTuple):
-    yaw_rad: float
-    left_m: float
-
-
-class Unaligned:
-    """Takes the map's word: no correction, with which PSD-3D+ is PSD-3D."""
-
-    def align(self, frame: Frame) -> YawAndOffset:  # noqa: ARG002
-        """As the map believes."""
-        return _Standing(0.0, 0.0)
-
-    def reset(self) -> None:
-        """There is nothing to forget."""
-
-
 class PSD3DPlus(PSD3D):
     """PSD-3D on the corrected road."""
 
     def __init__(self, config: DistanceConfig, aligner: Aligner | None = None) -> None:
-        """As PSD-3D; without an aligner nothing is corrected."""
+        """As PSD-3D; by default the lane markings in the image tell how we stand."""
         super().__init__(config)
-        self._aligner = aligner or Unaligned()
+        self._aligner = aligner or RoadAligner()
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
