@@ -92,8 +92,8 @@ def test_boxes_do_not_know_each_other(name: str) -> None:
     together = make(name).estimate(seen, boxes)
     for place in range(len(boxes)):
         alone = make(name).estimate(seen, detections([boxes.boxes_xyxy_px[place].tolist()]))
-        assert alone.ranges_m[0] == pytest.approx(together.ranges_m[place], rel=1e-6, nan_ok=True)
-        assert alone.sigmas_m[0] == pytest.approx(together.sigmas_m[place], rel=1e-6)
+        assert alone.ranges_m[0] == pytest.approx(together.ranges_m[place], rel=1e-5, nan_ok=True)
+        assert alone.sigmas_m[0] == pytest.approx(together.sigmas_m[place], rel=1e-5)
 
 
 def test_the_image_may_have_another_size(name: str) -> None:

@@ -12,7 +12,6 @@ from foreglow.distance import ESTIMATORS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.experiments.distance import OWN_RULE, TILTS_DEG, DistancePlan, DistanceResults, Method, run_experiment
 from foreglow.experiments.distance_findings import Finding, find
-from foreglow.experiments.distance_lights import smallest_box
 from foreglow.types import Detections, Frame, Ranges
 from tests.experiments.ranged_drives import known_range_m, make_split
 
@@ -149,12 +148,3 @@ def test_a_set_without_truth_is_an_error(data: Path, tmp_path: Path) -> None:
         (tmp_path / "night" / "test" / name).symlink_to(data / "night" / "test" / name)
     with pytest.raises(ValueError, match=r"test: expected the range of each light, .* found none"):
         run_experiment(tmp_path, DistancePlan())
-
-
-def test_the_smallest_box_counts() -> None:
-    boxes = np.array([[0, 0, 100, 100], [40, 40, 60, 50], [40, 40, 50, 60], [70, 70, 80, 80]], np.int32)
-    assert smallest_box((45.0, 45.0), boxes) == 1
-    assert smallest_box((80.0, 75.0), boxes) == 3  # all edges belong to a box
-    assert smallest_box((10.0, 10.0), boxes) == 0
-    assert smallest_box((101.0, 10.0), boxes) is None
-    assert smallest_box((1.0, 1.0), boxes[:0]) is None

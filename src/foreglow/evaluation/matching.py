@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,6 +97,19 @@ def lies_in(points_px: NDArray[Any], boxes_xyxy_px: NDArray[Any]) -> NDArray[np.
     x, y = points_px[..., 0], points_px[..., 1]
     x1, y1, x2, y2 = (boxes_xyxy_px[..., column] for column in range(4))
     return np.asarray((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2))
+
+
+def smallest_box(position_px: Sequence[float] | NDArray[Any], boxes_xyxy_px: NDArray[Any]) -> int | None:
+    """Place of the smallest of the boxes that hold the point, the first one of equals; None if none does.
+
+    >>> smallest_box((5.0, 5.0), np.array([[0, 0, 9, 9], [4, 4, 6, 6]], np.int32))
+    1
+    """
+    holding = np.flatnonzero(lies_in(np.array(position_px), boxes_xyxy_px))
+    if not len(holding):
+        return None
+    sizes_px = boxes_xyxy_px[holding, 2:] - boxes_xyxy_px[holding, :2]
+    return int(holding[sizes_px.prod(axis=1).argmin()])
 
 
 def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions) -> Matches:

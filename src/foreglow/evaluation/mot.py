@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN, Sequence
-from foreglow.evaluation.matching import lies_in
+from foreglow.evaluation.matching import lies_in, smallest_box
 from foreglow.evaluation.predictions import Predictions
 from foreglow.files import write_atomic
 from foreglow.types import Tracks
@@ -164,12 +164,11 @@ def _track_rows(dataset: PVDN, image_ids: Iterable[int], tracks: Mapping[int, Tr
 
 def _box_around(point_px: _Boxes, boxes: _Boxes) -> tuple[float, ...]:
     """The smallest box that contains the point; a square around it where there is none."""
-    around = boxes[lies_in(point_px, boxes)]
-    if not len(around):
-        half = FALLBACK_SIDE_PX / 2
-        return tuple(np.concatenate([point_px - half, point_px + half]).tolist())
-    areas = (around[:, 2] - around[:, 0]) * (around[:, 3] - around[:, 1])
-    return tuple(around[int(np.argmin(areas))].tolist())
+    place = smallest_box(point_px, boxes)
+    if place is not None:
+        return tuple(boxes[place].tolist())
+    half = FALLBACK_SIDE_PX / 2
+    return tuple(np.concatenate([point_px - half, point_px + half]).tolist())
 
 
 def _holds(boxes: _Boxes, points_px: NDArray[np.int32] | list[tuple[int, int]]) -> NDArray[np.bool_]:

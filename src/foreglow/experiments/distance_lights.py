@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foreglow.evaluation.matching import lies_in
+from foreglow.evaluation.matching import smallest_box
 from foreglow.geometry import Pose, rotation
 from foreglow.simulation.recording.truth_files import SequenceTruth
 from foreglow.simulation.truth import Artifact, VehicleTruth
@@ -85,19 +85,6 @@ def ranged_lights(
                 )
             )
     return tuple(lights)
-
-
-def smallest_box(position_px: tuple[float, float], boxes_xyxy_px: Boxes) -> int | None:
-    """Place of the smallest of the boxes that hold the point, the first one of equals; None if none does.
-
-    >>> smallest_box((5.0, 5.0), np.array([[0, 0, 9, 9], [4, 4, 6, 6]], np.int32))
-    1
-    """
-    holding = np.flatnonzero(lies_in(np.array(position_px), boxes_xyxy_px))
-    if not len(holding):
-        return None
-    sizes_px = boxes_xyxy_px[holding, 2:] - boxes_xyxy_px[holding, :2]
-    return int(holding[sizes_px.prod(axis=1).argmin()])
 
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:

@@ -27,12 +27,12 @@ from foreglow.distance.hypotheses import (
     read_hypotheses,
 )
 from foreglow.distance.road_surface import BELOW_ONE_SIGMA, RoadSurface, View, weighted_quantiles
-from foreglow.evaluation.matching import lies_in
+from foreglow.evaluation.matching import smallest_box
 from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.proposals import make_proposer
 from foreglow.simulation import read_truth
-from foreglow.types import Boxes, Detections
+from foreglow.types import Detections
 
 if TYPE_CHECKING:
     import torch
@@ -128,7 +128,7 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
                 (place, light.depth_m)
                 for light in lights
                 if not (light.is_doubtful or math.isnan(light.depth_m))
-                and (place := _smallest_box(light.position_px, proposals.boxes_xyxy_px)) is not None
+                and (place := smallest_box(light.position_px, proposals.boxes_xyxy_px)) is not None
             ]
             if found:
                 places, truth_m = zip(*found, strict=True)
@@ -137,15 +137,6 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
             num_done += 1
             if progress is not None:
                 progress(f"images of {root.name}", num_done, len(dataset))
-
-
-def _smallest_box(position_px: tuple[float, float], boxes_xyxy_px: Boxes) -> int | None:
-    """Place of the smallest of the boxes that hold the point; None if none does."""
-    is_holding = lies_in(np.array(position_px), boxes_xyxy_px)
-    if not is_holding.any():
-        return None
-    areas_px = np.prod(boxes_xyxy_px[:, 2:] - boxes_xyxy_px[:, :2], axis=1, dtype=np.float64)
-    return int(np.where(is_holding, areas_px, np.inf).argmin())
 
 
 def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Progress | None) -> Hypotheses:
