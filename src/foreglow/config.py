@@ -149,6 +149,8 @@ class TrackerConfig(FrozenModel):
         alpha_range: Gain of the range (p).
         alpha_confidence: Weight of the newest score in the moving mean (p).
         range_filter: `alpha_beta` (paper), or `mean` or `median` of the last five ranges.
+        use_looming: Whether growing boxes speak for the range, too, where our speed is known; off in every preset, since
+            glare does not grow as lamps do.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
         enlargement: Boxes are this many times as wide and high when they are compared (p).
         min_iou: A detection may take a track when the IoU of their enlarged boxes is above this (p).
@@ -180,6 +182,7 @@ class TrackerConfig(FrozenModel):
     alpha_range: Annotated[float, Field(gt=0, le=1)] = 0.8
     alpha_confidence: Annotated[float, Field(gt=0, le=1)] = 0.33
     range_filter: Literal["alpha_beta", "mean", "median"] = "alpha_beta"
+    use_looming: bool = False
     association: Literal["greatest_iou", "optimal"] = "greatest_iou"
     enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5
     min_iou: Annotated[float, Field(ge=0, lt=1)] = 0.1

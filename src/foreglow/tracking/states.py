@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from foreglow.geometry import Floats
 
 NUM_CHANNELS = 5
+SIZES = slice(2, 4)
 RANGE = 4
 """Channels of the filter: centre x, y, width, height in pixels, range in metres."""
 

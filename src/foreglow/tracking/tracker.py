@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -21,8 +22,9 @@ from foreglow.tracking.association import (
 )
 from foreglow.tracking.confirmation import CONFIRMATIONS, Looks
 from foreglow.tracking.ego_motion import turn_shift_px
+from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
-from foreglow.tracking.states import RANGE, TrackStates, unmeasured
+from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
 from foreglow.tracking.track_range import (
     NUM_RANGES,
     RANGE_RATE_SIGMA_MPS,
@@ -89,7 +91,7 @@ class AlphaBetaTracker:
             beginning = np.flatnonzero(is_free)
             self._states = self._states.joined(self._born(len(beginning)))
             assigned = np.concatenate([assigned, beginning])
-        self._correct(found.taken(assigned), step_s)
+        self._correct(self._with_looming(found.taken(assigned), frame), step_s)
         self._end(frame)
         self._tracks = self._as_tracks(self._states)
         return self._tracks
@@ -137,6 +139,21 @@ class AlphaBetaTracker:
             ranges_m = (states.values[:, RANGE], values[:, RANGE])
             overlap[is_range_apart(ranges_m, (states.sigmas_m, sigmas_m), gate)] = 0.0
         return overlap
+
+    def _with_looming(self, taken: Measurements, frame: Frame) -> Measurements:
+        """The measurements with the ranges that growth tells beside the measured ones, weighted by their variances."""
+        if not self._config.use_looming or frame.motion is None:
+            return taken
+        sizes, rates = self._states.values[:, SIZES], self._states.rates[:, SIZES]
+        areas_px = sizes.prod(axis=1)
+        rates_px_per_s = 0.5 * np.sqrt(areas_px) * (rates / sizes).sum(axis=1)
+        noise = rate_noise(self._config.alpha_size, float(self._gains[1][RANGE - 1]), 1.0 / self._config.rate_hz)
+        looming = looming_ranges(np.sqrt(areas_px), rates_px_per_s, frame.motion.speed_mps, noise)
+        ranges_m, sigmas_m = fused((taken.values[:, RANGE], taken.sigmas_m), looming)
+        is_taken = taken.places != UNASSIGNED
+        values = taken.values.copy()
+        values[is_taken, RANGE] = ranges_m[is_taken]
+        return dataclasses.replace(taken, values=values, sigmas_m=np.where(is_taken, sigmas_m, taken.sigmas_m))
 
     def _correct(self, taken: Measurements, step_s: float) -> None:
         """Puts in what each track was measured to be, and looks whether it is plausible."""
