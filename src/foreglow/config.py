@@ -149,7 +149,7 @@ class TrackerConfig(FrozenModel):
         alpha_range: Gain of the range (p).
         alpha_confidence: Weight of the newest score in the moving mean (p).
         range_filter: `alpha_beta` (paper), or `mean` or `median` of the last five ranges.
-        use_looming: Whether growing boxes speak for the range, too, where our speed is known; off in every preset, since
+        use_looming: Whether growing boxes speak for the range, too, where our speed is known; off in all presets, since
             glare does not grow as lamps do.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
         enlargement: Boxes are this many times as wide and high when they are compared (p).

@@ -12,8 +12,10 @@ from foreglow.datasets import PVDN, shipped_drive
 from foreglow.evaluation import Predictions
 from foreglow.evaluation.lights import read_lights
 from foreglow.evaluation.story import best_story, has_labels, tell_stories
+from foreglow.types import TrackState
 from tests.datasets.tiny_pvdn import make_pvdn, write
 from tests.evaluation.scored_boxes import predictions_of
+from tests.stand_ins import tracks_of
 
 
 def vehicle(oid: int, *instances: tuple[int, int, bool], is_rear: bool = False) -> dict[str, Any]:
@@ -54,6 +56,7 @@ def test_a_story_worked_by_hand(dataset: PVDN) -> None:
     assert story.sight is not None
     assert (story.sight.time_s, story.sight.light.position_px) == (2 / 18, (30.0, 28.0))
     assert story.is_hidden_first
+    assert math.isnan(story.confirmed_s)
     assert [moment.light.image_id for moment in story.moments] == [11, 12, 13]
     assert (story.production_s, story.duration_s) == (2 / 18, 2 / 18)  # image 13 is of the category for low beam
     assert math.isclose(story.times.lead_s, 1 / 18)
@@ -125,3 +128,15 @@ def test_the_truth_of_the_shipped_drive_is_told() -> None:
     assert story.found is not None
     assert story.found.light.image_id == late[0]
     assert story.times.light_s < story.found.time_s < story.times.lamp_s < story.production_s < story.duration_s
+
+
+def test_a_story_with_tracks(dataset: PVDN) -> None:
+    """The track holds the light from the first image on, and is plausible in the second."""
+    box = (15, 25, 25, 35, 0.6)
+    boxes = predictions_of({5: [], 7: [], 11: [box], 12: [box], 13: [box]})
+    tracks = {
+        image_id: tracks_of([box[:4]] if image_id > 10 else [], [TrackState(image_id > 11)] * (image_id > 10))
+        for image_id in PVDN(dataset.root).frame_ids
+    }
+    (story,) = tell_stories(PVDN(dataset.root), boxes, 0.5, tracks)
+    assert (story.times.found_s, story.confirmed_s) == (0.0, 1 / 18)

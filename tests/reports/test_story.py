@@ -17,7 +17,14 @@ from tests.evaluation.scored_boxes import light
 NEVER = math.nan
 
 
-def story_of(light_s: float, found_s: float, lamp_s: float, production_s: float = NEVER, score: float = 0.83) -> Story:
+def story_of(
+    light_s: float,
+    found_s: float,
+    lamp_s: float,
+    production_s: float = NEVER,
+    score: float = 0.83,
+    confirmed_s: float = NEVER,
+) -> Story:
     lamp = light(9, 30, 20)
     rail = light(1, 10, 10, kind="rail", is_hidden=True)
     return Story(
@@ -27,6 +34,7 @@ def story_of(light_s: float, found_s: float, lamp_s: float, production_s: float 
         light=Moment(light_s, rail if light_s < lamp_s or math.isnan(lamp_s) else lamp, NEVER),
         found=None if math.isnan(found_s) else Moment(found_s, light(5, 12, 10, kind="rail"), score),
         sight=None if math.isnan(lamp_s) else Moment(lamp_s, lamp, NEVER),
+        confirmed_s=confirmed_s,
         production_s=production_s,
         duration_s=5.0,
         num_images_before=round(18 * light_s) if light_s > 2 else 0,
@@ -43,6 +51,11 @@ def test_a_story_line_by_line() -> None:
         "=> detected 1.20 s before it was there",
         "   false boxes before its first light: 19 in 38 images (0.5 an image)",
     ]
+
+
+def test_what_the_tracker_says() -> None:
+    lines = story_lines(story_of(2.1, 2.3, 3.5, confirmed_s=2.35), is_classified=True)
+    assert lines[2].split() == ["confirmed", "by", "the", "tracker", "2.35", "s"]
 
 
 def test_without_a_model_it_is_only_proposed() -> None:

@@ -102,12 +102,14 @@ def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> t
     from foreglow.datasets import PVDN
     from foreglow.evaluation import read_predictions
     from foreglow.evaluation.story import best_story, has_labels, tell_stories
+    from foreglow.evaluation.track_file import read_tracks
     from foreglow.reports.moments import write_moments
 
     if not isinstance(frames, PVDN) or not has_labels(frames):
         return ()
     predictions, threshold = read_predictions(out / "frames.jsonl"), configuration.classifier.score_threshold
-    stories = tell_stories(frames, predictions, threshold)
+    tracks = read_tracks(out / "frames.jsonl") if configuration.classifier.model is not None else None
+    stories = tell_stories(frames, predictions, threshold, tracks)
     best = best_story(stories)
     if best is not None:
         images = [frames.read(moment.light.image_id) for moment in best.moments]

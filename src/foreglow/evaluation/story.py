@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from foreglow.datasets import PVDN
-from foreglow.evaluation.breakdown import match_lights, read_split_labels
+from foreglow.evaluation.breakdown import SplitLabels, match_lights, read_split_labels
 from foreglow.evaluation.encounters import vehicle_facts
 from foreglow.evaluation.first_found import FirstFound, first_found
 from foreglow.evaluation.lights import Light
 from foreglow.evaluation.predictions import Predictions
+from foreglow.evaluation.track_quality import match_tracks
+from foreglow.types import Tracks
 
 _Lit: TypeAlias = tuple[Light, float]
 """A light, and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
@@ -46,6 +48,8 @@ class Story:
         light: Its first light; the strongest one where there are several.
         found: Its light in the first accepted box, that with the highest score; None if there is never one.
         sight: Its first lamp; None if it never comes into sight.
+        confirmed_s: When the first track that has held its light is plausible; NaN if none ever is, or nothing was
+            tracked.
         production_s: When the production system first reports a vehicle; NaN if it never does.
         duration_s: From the first image of the sequence to the last.
         num_images_before: Images of the sequence before the first light.
@@ -58,6 +62,7 @@ class Story:
     light: Moment
     found: Moment | None
     sight: Moment | None
+    confirmed_s: float
     production_s: float
     duration_s: float
     num_images_before: int
@@ -74,19 +79,23 @@ class Story:
         return tuple(one for one in (self.light, self.found, self.sight) if one is not None)
 
 
-def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> tuple[Story, ...]:
+def tell_stories(
+    dataset: PVDN, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
+) -> tuple[Story, ...]:
     """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
 
     Args:
         dataset: Images with labels.
         predictions: What a run made of them; without scores every box counts as accepted.
         threshold: Boxes with a score above this are accepted.
+        tracks: By image id, what the same run followed; None for nothing.
 
     Raises:
         FileNotFoundError: If a label file is missing.
         ValueError: If one is broken.
     """
     labels = read_split_labels(dataset)
+    confirmed_s = {} if tracks is None else _confirmations_s(labels, tracks, predictions)
     matched = match_lights(labels, predictions)
     image_ids = matched.matches.image_ids
     is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
@@ -119,6 +128,7 @@ def tell_stories(dataset: PVDN, predictions: Predictions, threshold: float) -> t
                 light=_moment(times.light_s, min(visible, key=lambda one: one[0].rank)),
                 found=_moment(times.found_s, max(boxed, key=lambda one: one[1])) if boxed else None,
                 sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
+                confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
                 production_s=production_s,
                 duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
                 num_images_before=sum(before),
@@ -136,6 +146,14 @@ def best_story(stories: Iterable[Story]) -> Story | None:
 def has_labels(dataset: PVDN) -> bool:
     """Whether `dataset` has key points, so that its stories can be told."""
     return (dataset.root / "labels" / "keypoints").is_dir()
+
+
+def _confirmations_s(
+    labels: SplitLabels, tracks: Mapping[int, Tracks], predictions: Predictions
+) -> dict[tuple[int, int], float]:
+    """By sequence and vehicle, when it is first confirmed."""
+    quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
+    return {(one.sequence_id, one.vehicle_id): one.found_s for its in quality for one in its.vehicles}
 
 
 def _moment(time_s: float, lit: _Lit) -> Moment:

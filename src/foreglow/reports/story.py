@@ -40,6 +40,8 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
     rows = [(first_words(story), story.light.time_s, on_what(story.light))]
     if story.found is not None:
         rows.append((found_word(is_classified), story.found.time_s, _on_what_and_how_sure(story.found)))
+    if not math.isnan(story.confirmed_s):
+        rows.append(("confirmed by the tracker", story.confirmed_s, ""))
     if story.sight is not None:
         rows.append((f"{story.vehicle} in sight", story.sight.time_s, ""))
     if not math.isnan(story.production_s):
@@ -87,14 +89,17 @@ def conclusion(story: Story, *, is_classified: bool) -> str:
 
 def story_table(stories: Sequence[Story], *, is_classified: bool) -> Table:
     """The stories of several sequences, a row each; a caption says how many were found ahead, and by how much."""
-    table = Table("", "vehicle", "first light", "on", found_word(is_classified), "in sight", "production", "ahead")
+    table = Table("", "vehicle", "first light", "on", found_word(is_classified), "confirmed")
+    for name in ("in sight", "production", "ahead"):
+        table.add_column(name)
     for column in table.columns[2:]:
         column.justify = "left" if column.header == "on" else "right"
     for one in stories[:MAX_ROWS]:
         table.add_row(
             *(one.sequence, "" if one.vehicle == UNKNOWN_VEHICLE else one.vehicle),
             *(_seconds(one.light.time_s), on_what(one.light)),
-            *(_seconds(time) for time in (one.times.found_s, one.times.lamp_s, one.production_s, one.times.lead_s)),
+            *(_seconds(time_s) for time_s in (one.times.found_s, one.confirmed_s, one.times.lamp_s)),
+            *(_seconds(time_s) for time_s in (one.production_s, one.times.lead_s)),
         )
     table.caption = "\n".join(_table_notes(stories, is_classified))
     table.caption_justify = "left"
