@@ -1,6 +1,5 @@
 # make demo [SOURCE=path], make test, make check, make bench, make data [DATA=folder], make drives,
-# make model,
-# make simulator-pictures, make simulator-report, make drive.
+# make model, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
 PYTHON ?= python3
@@ -53,10 +52,10 @@ data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
 	$(BIN)/foreglow simulate --out $(DATA) --split test --scenes 24 --seed 7 --fps 4
 
-# Drives at the camera's full rate, for tracks and the time benefit: about an hour on two cores; goes on where it was.
+# Drives at the camera's full rate, for tracks and the time benefit: about 80 minutes on two cores; goes on where it was.
 drives: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/18hz --split val --scenes 24 --seed 11
-	$(BIN)/foreglow simulate --out $(DATA)/18hz --split test --scenes 24 --seed 11
+	$(BIN)/foreglow simulate --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
 # The model that ships, trained on these drives, in ten minutes of one core: one thread, for the same bits each time.
 model: $(VENV)/.dev
