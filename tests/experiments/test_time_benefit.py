@@ -114,3 +114,21 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     assert len(stored["curves"]["evidence"]) == len(RULES["evidence"])
     assert stored["made_with"]["version"]
     assert "1 vehicles, 1 of them occluded" in summary_lines(results)[0]
+
+
+def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
+    """PVDN's layout alone: nobody knows the speed, and the production system is a category of the images."""
+    root = make_pvdn(tmp_path)
+    lamp = {"pos": [20, 30], "iid": 0, "direct": True, "rear": False}
+    vehicle = {"pos": [20, 30], "oid": 7, "direct": True, "instances": [lamp]}
+    for image_id in (11, 12, 13):
+        write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
+    results = run_experiment(PVDN(root), preset("foreglow"))
+    one = next(one for one in results.encounters if one.sequence == "S00003")
+    assert (one.vehicle, one.scenario, one.production_s) == ("vehicle", "", 2 / 18)
+    false = results.method("tracker, ours").false
+    assert false is not None
+    assert math.isnan(false.per_km)
+    record = results.to_json()
+    assert record["methods"][3]["false"]["per_km"] is None
+    write_report(results, tmp_path / "report")

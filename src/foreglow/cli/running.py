@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,9 +44,7 @@ def run(
     time_offset: Annotated[
         float, typer.Option(metavar="S", help="Added to the times of log and poses to have the frames'.")
     ] = 0.0,
-    pose_error: Annotated[
-        float, typer.Option(metavar="M", help="How far the poses may be off along the road.")
-    ] = math.inf,
+    pose_error: Annotated[float, typer.Option(metavar="M", help="How far the poses may be off along the road.")] = 5.0,
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,

@@ -104,7 +104,8 @@ def test_the_road_of_a_map(tmp_path: Path, road_map: Path) -> None:
 
 
 def test_the_map_goes_before_the_log(tmp_path: Path, road_map: Path, can_log: Path) -> None:
-    data = open_vehicle_data(can_log=can_log, road_map=road_map, poses=poses_at(tmp_path))
+    poses = poses_at(tmp_path)
+    data = open_vehicle_data(can_log=can_log, road_map=road_map, poses=poses, pose_error_m=np.inf)
     by_map, by_log = data.road(frame(5.0)), data.road(frame(10.4))
     assert by_map is not None
     assert by_map.error_bound_m == np.inf

@@ -16,6 +16,9 @@ from foreglow.types import EgoMotion, Frame, RoadAhead
 MAX_CLOCK_GAP_S = 3600.0
 """A frame that is this far from all data is of another clock, and not merely before or after them."""
 
+POSE_ERROR_M = 5.0
+"""How far ordinary satellite positioning in the open may be off."""
+
 NUM_PLACES = 100
 """So many poses along the drive are tried on the map when it is opened."""
 
@@ -31,7 +34,7 @@ class VehicleFiles:
         road_map: RoadMap | None = None,
         poses: PoseTrack | None = None,
         time_offset_s: float = 0.0,
-        pose_error_m: float = math.inf,
+        pose_error_m: float = POSE_ERROR_M,
         names: Sequence[str] = ("calibration", "CAN log", "poses"),
     ) -> None:
         """Takes what the files hold; `open_vehicle_data` says what the arguments are.
@@ -121,7 +124,7 @@ def open_vehicle_data(
     poses: Path | str | None = None,
     *,
     time_offset_s: float = 0.0,
-    pose_error_m: float = math.inf,
+    pose_error_m: float = POSE_ERROR_M,
 ) -> VehicleFiles:
     """What the car knew at each frame of a drive, from files; each may be left out, but not all.
 
@@ -133,7 +136,8 @@ def open_vehicle_data(
         road_map: GeoJSON, OpenDRIVE (.xodr) or Lanelet2 (.osm); goes with `poses`. Where it tells no road, the log may.
         poses: Where the vehicle was: CSV, or TUM's format.
         time_offset_s: What is added to the times of log and poses to have the frames'.
-        pose_error_m: How far a pose may be off along the road; infinite where unknown.
+        pose_error_m: How far a pose may be off along the road; infinite where nobody can say: then `road_surface`
+            does without the road.
 
     Raises:
         FileNotFoundError: If one of the files is missing.
