@@ -1,17 +1,23 @@
 // The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL, returns arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <cstring>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <vector>
 
+#include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
+#include "foreglow/hypotheses.hpp"
 #include "foreglow/proposals.hpp"
 
 namespace nb = nanobind;
@@ -21,6 +27,13 @@ namespace {
 
 using PixelArray = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
 using BoxArray = nb::ndarray<const std::int32_t, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
+static_assert(sizeof(foreglow::Box) == 4 * sizeof(std::int32_t));
+using Column = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <std::size_t width>
+using Columns = nb::ndarray<const double, nb::shape<-1, static_cast<nb::ssize_t>(width)>, nb::c_contig, nb::device::cpu>;
+// As foreglow.distance.hypotheses.Cells and BoxEvidence have them.
+using CellArrays = std::array<Column, 7>;
+using EvidenceArrays = std::tuple<Columns<2>, Columns<2>, Columns<foreglow::num_features>, Column>;
 
 foreglow::ImageView view_of(const PixelArray& pixels) {
     foreglow::ImageView view;
@@ -40,10 +53,10 @@ foreglow::ImageView view_of(const PixelArray& pixels) {
     return view;
 }
 
-template <std::size_t num_axes>
-auto owned(float* values, const std::size_t (&shape)[num_axes]) {
-    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<float*>(pointer); });
-    return nb::ndarray<nb::numpy, float, nb::ndim<num_axes>>(values, num_axes, shape, owner);
+template <typename Value, std::size_t num_axes>
+auto owned(Value* values, const std::size_t (&shape)[num_axes]) {
+    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<Value*>(pointer); });
+    return nb::ndarray<nb::numpy, Value, nb::ndim<num_axes>>(values, num_axes, shape, owner);
 }
 
 nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t support, std::int32_t size_px,
@@ -60,11 +73,10 @@ nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int
     }
     const std::size_t num_boxes = boxes.shape(0), size = static_cast<std::size_t>(size_px);
     const std::size_t num_channels = earlier ? 2 : 1;
-    auto crops = owned<4>(new float[num_boxes * num_channels * size * size], {num_boxes, num_channels, size, size});
-    auto levels = owned<2>(new float[num_boxes * 2], {num_boxes, 2});
+    auto crops = owned(new float[num_boxes * num_channels * size * size], {num_boxes, num_channels, size, size});
+    auto levels = owned(new float[num_boxes * 2], {num_boxes, 2});
     {
         nb::gil_scoped_release released;
-        static_assert(sizeof(foreglow::Box) == 4 * sizeof(std::int32_t));
         foreglow::extract_crops(view, earlier ? &earlier_view : nullptr,
                                 reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, {support, size_px},
                                 crops.data(), levels.data());
@@ -119,14 +131,67 @@ auto propose(foreglow::ProposalGenerator& generator, const PixelArray& image) {
     }
     auto* values = new std::int32_t[boxes->size() * 4];
     if (!boxes->empty()) std::memcpy(values, boxes->data(), boxes->size() * sizeof(foreglow::Box));
-    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<std::int32_t*>(pointer); });
-    return nb::ndarray<nb::numpy, std::int32_t, nb::ndim<2>>(values, {boxes->size(), 4}, owner);
+    return owned(values, {boxes->size(), 4});
+}
+
+nb::tuple light_of_boxes(const PixelArray& image, const BoxArray& boxes) {
+    const foreglow::ImageView view = view_of(image);
+    if (view.width_px < 1 || view.height_px < 1) throw nb::value_error("image: expected at least one pixel");
+    const std::size_t num_boxes = boxes.shape(0);
+    auto pixels = owned(new double[num_boxes * 2], {num_boxes, 2});
+    auto peaks = owned(new double[num_boxes], {num_boxes});
+    foreglow::light_of_boxes(view, reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, pixels.data(),
+                             peaks.data());
+    return nb::make_tuple(pixels, peaks);
+}
+
+foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
+    using Features = std::vector<std::array<double, foreglow::num_features>>;
+    const auto features = nb::cast<Features>(fields["features"]), slopes = nb::cast<Features>(fields["feature_slopes"]);
+    const auto pair_logits = nb::cast<std::vector<double>>(fields["pair_logit"]);
+    const auto is_lamp = nb::cast<std::vector<bool>>(fields["is_lamp"]);
+    if (slopes.size() != features.size() || pair_logits.size() != features.size() ||
+        is_lamp.size() != features.size()) {
+        throw nb::value_error("parameters: expected as many of every kind");
+    }
+    foreglow::WeighingParameters p;
+    for (std::size_t i = 0; i < features.size(); ++i) {
+        p.kinds.push_back({features[i], slopes[i], pair_logits[i], is_lamp[i]});
+    }
+    const auto read = [&](const char* name, auto& value) {
+        value = nb::cast<std::remove_reference_t<decltype(value)>>(fields[name]);
+    };
+    read("feature_sigmas", p.feature_sigmas);
+    read("box_shares", p.box_shares);
+    read("reference_log_range", p.reference_log_range);
+    read("spacing_log_sigma", p.spacing_log_sigma);
+    read("pair_share", p.pair_share);
+    read("pair_log_sigma", p.pair_log_sigma);
+    read("pair_log_mean", p.pair_log_mean);
+    return foreglow::HypothesisWeigher(p);
+}
+
+auto quantiles(foreglow::HypothesisWeigher& weigher, const CellArrays& cells, const EvidenceArrays& boxes,
+               const std::vector<double>& shares) {
+    const auto& [directions, sizes, features, pairs] = boxes;
+    const std::size_t num_boxes = pairs.shape(0);
+    for (const Column& column : cells) {
+        if (column.shape(0) != cells[0].shape(0)) throw nb::value_error("cells: expected arrays of one length");
+    }
+    if (directions.shape(0) != num_boxes || sizes.shape(0) != num_boxes || features.shape(0) != num_boxes) {
+        throw nb::value_error("boxes: expected arrays of one length");
+    }
+    auto found = owned(new double[shares.size() * num_boxes], {shares.size(), num_boxes});
+    weigher.quantiles({cells[0].shape(0), cells[0].data(), cells[1].data(), cells[2].data(), cells[3].data(),
+                       cells[4].data(), cells[5].data(), cells[6].data()},
+                      {num_boxes, directions.data(), sizes.data(), features.data(), pairs.data()}, shares, found.data());
+    return found;
 }
 
 }  // namespace
 
 NB_MODULE(_native, module) {
-    module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals and foreglow.classifier.";
+    module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals, foreglow.classifier and foreglow.distance.";
     module.def("extract_crops", &extract_crops, "image"_a, "boxes_xyxy_px"_a, "support"_a, "size_px"_a,
                "earlier"_a = nb::none(),
                "Crops of `boxes_xyxy_px` (N, 4) int32 as float32 (N, C, size_px, size_px) in [0, 1], and their levels.");
@@ -136,6 +201,13 @@ NB_MODULE(_native, module) {
         .def_prop_ro("dispatch", [](const foreglow::ProposalGenerator& g) { return foreglow::name_of(g.dispatch()); })
         .def_prop_ro("num_doubtful", &foreglow::ProposalGenerator::num_doubtful,
                      "Pixels of the last frame that double precision had to decide.");
+    module.def("light_of_boxes", &light_of_boxes, "image"_a, "boxes_xyxy_px"_a,
+               "Where the light of each box is, pixels (N, 2), and its peak over the surroundings (N,) of full scale.");
+    nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
+                                            "Weighs hypotheses of ranges; one object a thread.")
+        .def(nb::new_(&make_weigher), "parameters"_a)
+        .def("quantiles", &quantiles, "cells"_a, "boxes"_a, "shares"_a,
+             "Weighted quantiles (S, N) of the cells' log ranges, for each of `shares` and each box.");
     module.def("available_dispatch", [] {
         std::vector<std::string> names;
         for (const auto dispatch : foreglow::available_dispatch()) names.emplace_back(foreglow::name_of(dispatch));

@@ -1,0 +1,87 @@
+"""All hypotheses of a frame weighed for each box: the quantiles of its range, in NumPy as specified, and in C++."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow import _native
+from foreglow.distance.hypotheses import (
+    PAIR_LOG_MEAN,
+    PAIR_LOG_SIGMA,
+    PAIR_SHARE,
+    REFERENCE_LOG_RANGE,
+    BoxEvidence,
+    Cells,
+    Parameters,
+    log_weights,
+)
+from foreglow.distance.lamp_pairs import SPACING_LOG_SIGMA
+from foreglow.geometry import Floats
+
+BELOW_ONE_SIGMA = 0.1587
+"""Share of a Gaussian."""
+
+SHARES = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
+"""Of the weight that lies nearer than what `weighed_ranges` gives."""
+
+
+class Weigher:
+    """`weighed_ranges` in C++, for inference.
+
+    Scratch memory is kept between frames, so use one object a thread.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        names = ("features", "feature_slopes", "pair_logit", "is_lamp", "feature_sigmas", "box_shares")
+        self._weigher = _native.HypothesisWeigher(
+            {name: getattr(parameters, name).tolist() for name in names}
+            | {
+                "reference_log_range": REFERENCE_LOG_RANGE,
+                "spacing_log_sigma": SPACING_LOG_SIGMA,
+                "pair_share": PAIR_SHARE,
+                "pair_log_sigma": PAIR_LOG_SIGMA,
+                "pair_log_mean": PAIR_LOG_MEAN,
+            }
+        )
+
+    def ranges(self, cells: Cells, boxes: BoxEvidence) -> Floats:
+        """The same as `weighed_ranges` to rounding."""
+        return np.exp(self._weigher.quantiles(cells, boxes, SHARES))
+
+
+def weighed_ranges(parameters: Parameters, cells: Cells, boxes: BoxEvidence) -> Floats:
+    """Near end, median and far end of each box's range in metres, shape (3, N): one sigma to either side."""
+    weights = log_weights(parameters, cells, boxes)
+    return np.asarray(np.exp(weighted_quantiles(cells.log_ranges, weights, SHARES)))
+
+
+def weighted_quantiles(values: Floats, log_weights: NDArray[np.floating], shares: Sequence[float]) -> Floats:
+    """For each share, the value that so much of the weight lies below, shape (len(shares), N).
+
+    Every value stands for the middle of its weight; between two of them it is linear. Equal values keep their order.
+
+    Args:
+        values: Shape (C,).
+        log_weights: Shape (N, C), to a constant in each row.
+        shares: Between 0 and 1.
+
+    >>> weighted_quantiles(np.array([3.0, 1.0, 2.0]), np.zeros((1, 3)), [0.5, 1 / 3]).round(6).tolist()
+    [[2.0], [1.5]]
+    """
+    order = np.argsort(values, kind="stable")
+    values = values[order]
+    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))[:, order]
+    weights /= weights.sum(axis=1, keepdims=True)
+    # One after another the rows make one rising line, on which all is looked up at once: row i goes from i to i + 1.
+    ends = weights.ravel().cumsum(dtype=np.float64)
+    middles = ends - 0.5 * weights.ravel()
+    wanted = np.arange(len(weights)) + np.asarray(shares)[:, None]
+    firsts = np.arange(len(weights)) * len(values)
+    after = np.minimum(np.maximum(middles.searchsorted(wanted), firsts + 1), firsts + len(values) - 1)
+    low, high = middles[after - 1], middles[after]
+    between = np.minimum(np.maximum((wanted - low) / np.maximum(high - low, 1e-30), 0.0), 1.0)
+    after -= firsts
+    return np.asarray(values[after - 1] + between * (values[after] - values[after - 1]))
