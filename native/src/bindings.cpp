@@ -18,6 +18,7 @@
 #include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
 #include "foreglow/hypotheses.hpp"
+#include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
 namespace nb = nanobind;
@@ -145,6 +146,14 @@ nb::tuple light_of_boxes(const PixelArray& image, const BoxArray& boxes) {
     return nb::make_tuple(pixels, peaks);
 }
 
+auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Column& contrasts) {
+    const std::size_t num = contrasts.shape(0);
+    if (centres.shape(0) != num || sizes.shape(0) != num) throw nb::value_error("boxes: expected arrays of one length");
+    auto spacings = owned(new double[num], {num});
+    foreglow::pair_spacings(centres.data(), sizes.data(), contrasts.data(), num, spacings.data());
+    return spacings;
+}
+
 foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
     using Features = std::vector<std::array<double, foreglow::num_features>>;
     const auto features = nb::cast<Features>(fields["features"]), slopes = nb::cast<Features>(fields["feature_slopes"]);
@@ -203,6 +212,8 @@ NB_MODULE(_native, module) {
                      "Pixels of the last frame that double precision had to decide.");
     module.def("light_of_boxes", &light_of_boxes, "image"_a, "boxes_xyxy_px"_a,
                "Where the light of each box is, pixels (N, 2), and its peak over the surroundings (N,) of full scale.");
+    module.def("pair_spacings", &pair_spacings, "centres_rad"_a, "sizes_rad"_a, "contrasts"_a,
+               "How far each box is from its partner (N,), radians; NaN without one.");
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")
         .def(nb::new_(&make_weigher), "parameters"_a)

@@ -25,29 +25,34 @@ void light_of(const ImageView& image, const Box& box, double* pixel, double* pea
         around[i] = image.row<Pixel>(index_of(box.y1 + height * rim[i][1], image.height_px))
                         [index_of(box.x1 + width * rim[i][0], image.width_px)];
     }
-    // Other lights may be beside the box: half of the rim is dark.
-    std::nth_element(around, around + num_rim / 2, around + num_rim);
-    const double surroundings = around[num_rim / 2];
-    double x[num_samples];
+    double x[num_samples], y[num_samples];
     std::int32_t columns[num_samples];
     for (int i = 0; i < num_samples; ++i) {
         x[i] = box.x1 + width * ((i + 0.5) / num_samples);
         columns[i] = index_of(x[i], image.width_px);
     }
+    // All is read before anything is done with it, so that one place does not wait for the memory of another.
+    Pixel inside[num_samples][num_samples];
+    for (int j = 0; j < num_samples; ++j) {
+        y[j] = box.y1 + height * ((j + 0.5) / num_samples);
+        const Pixel* row = image.row<Pixel>(index_of(y[j], image.height_px));
+        for (int i = 0; i < num_samples; ++i) inside[j][i] = row[columns[i]];
+    }
+    // Other lights may be beside the box: half of the rim is dark.
+    std::nth_element(around, around + num_rim / 2, around + num_rim);
+    const double surroundings = around[num_rim / 2];
     double total = 0.0, sum_x = 0.0, sum_y = 0.0, most = 0.0;
     for (int j = 0; j < num_samples; ++j) {
-        const double y = box.y1 + height * ((j + 0.5) / num_samples);
-        const Pixel* row = image.row<Pixel>(index_of(y, image.height_px));
         double row_total = 0.0;
         for (int i = 0; i < num_samples; ++i) {
-            const double above = std::max(row[columns[i]] - surroundings, 0.0);
+            const double above = std::max(inside[j][i] - surroundings, 0.0);
             const double weight = above * above + 1e-9;
             most = std::max(most, above);
             row_total += weight;
             sum_x += weight * x[i];
         }
         total += row_total;
-        sum_y += row_total * y;
+        sum_y += row_total * y[j];
     }
     pixel[0] = sum_x / total;
     pixel[1] = sum_y / total;

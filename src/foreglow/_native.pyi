@@ -25,6 +25,10 @@ def light_of_boxes(
     image: NDArray[np.uint8] | NDArray[np.uint16], boxes_xyxy_px: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
+def pair_spacings(
+    centres_rad: NDArray[np.float64], sizes_rad: NDArray[np.float64], contrasts: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+
 class HypothesisWeigher:
     def __init__(self, parameters: dict[str, object]) -> None: ...
     def quantiles(
