@@ -155,21 +155,36 @@ auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Col
 }
 
 foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
-    using Features = std::vector<std::array<double, foreglow::num_features>>;
-    const auto features = nb::cast<Features>(fields["features"]), slopes = nb::cast<Features>(fields["feature_slopes"]);
-    const auto pair_logits = nb::cast<std::vector<double>>(fields["pair_logit"]);
-    const auto is_lamp = nb::cast<std::vector<bool>>(fields["is_lamp"]);
-    if (slopes.size() != features.size() || pair_logits.size() != features.size() ||
-        is_lamp.size() != features.size()) {
-        throw nb::value_error("parameters: expected as many of every kind");
-    }
-    foreglow::WeighingParameters p;
-    for (std::size_t i = 0; i < features.size(); ++i) {
-        p.kinds.push_back({features[i], slopes[i], pair_logits[i], is_lamp[i]});
-    }
-    const auto read = [&](const char* name, auto& value) {
-        value = nb::cast<std::remove_reference_t<decltype(value)>>(fields[name]);
+    const auto read_from = [](const nb::handle& from, const char* name, auto& value) {
+        value = nb::cast<std::remove_reference_t<decltype(value)>>(from[name]);
     };
+    foreglow::HypothesisParameters p;
+    for (const nb::handle kind : fields["kinds"]) {
+        foreglow::LightKind& k = p.kinds.emplace_back();
+        read_from(kind, "side", k.side);
+        read_from(kind, "offset_m", k.offset_m);
+        read_from(kind, "height_m", k.height_m);
+        read_from(kind, "offset_sigma_m", k.offset_sigma_m);
+        read_from(kind, "height_sigma_m", k.height_sigma_m);
+        read_from(kind, "is_lamp", k.is_lamp);
+        read_from(kind, "is_anywhere", k.is_anywhere);
+        read_from(kind, "log_share", k.log_share);
+        read_from(kind, "log_range", k.log_range);
+        read_from(kind, "features", k.features);
+        read_from(kind, "feature_slopes", k.feature_slopes);
+        read_from(kind, "pair_logit", k.pair_logit);
+    }
+    const auto read = [&](const char* name, auto& value) { read_from(fields, name, value); };
+    read("places_m", p.places_m);
+    read("cell_sigmas_m", p.cell_sigmas_m);
+    read("log_cells", p.log_cells);
+    read("range_log_sigma", p.range_log_sigma);
+    read("pixel_sigma_rad", p.pixel_sigma_rad);
+    read("slope_sigma", p.slope_sigma);
+    read("anywhere_sigma_rad", p.anywhere_sigma_rad);
+    read("plane_sigma_rad", p.plane_sigma_rad);
+    read("roll_sigma_rad", p.roll_sigma_rad);
+    read("impossible", p.impossible);
     read("feature_sigmas", p.feature_sigmas);
     read("box_shares", p.box_shares);
     read("reference_log_range", p.reference_log_range);
@@ -178,6 +193,50 @@ foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
     read("pair_log_sigma", p.pair_log_sigma);
     read("pair_log_mean", p.pair_log_mean);
     return foreglow::HypothesisWeigher(p);
+}
+
+auto cells_along(const foreglow::HypothesisWeigher& weigher, const nb::object& road,
+                 const std::array<double, 3>& camera_m, double pitch_sigma_rad) {
+    const foreglow::HypothesisParameters& parameters = weigher.parameters();
+    const std::size_t num_places = parameters.places_m.size();
+    const std::size_t num = num_places * parameters.kinds.size();
+    auto columns = owned(new double[7 * num], {7, num});
+    if (road.is_none()) {
+        foreglow::cells_along(parameters, nullptr, camera_m, pitch_sigma_rad, columns.data());
+        return columns;
+    }
+    foreglow::Ribbon ribbon;
+    std::vector<nb::ndarray<>> kept;  // arrays that had to be converted live as long as their pointers
+    const auto array = [&](const char* name, auto& values) {
+        using Value = std::remove_const_t<std::remove_pointer_t<std::remove_reference_t<decltype(values)>>>;
+        const auto found = nb::cast<nb::ndarray<const Value, nb::shape<-1, 1>, nb::c_contig, nb::device::cpu>>(
+            road.attr(name));
+        if (found.shape(0) != num_places) throw nb::value_error("road: expected an entry for each place");
+        values = found.data();
+        kept.emplace_back(found);
+    };
+    const auto number = [&](const char* name, double& value) { value = nb::cast<double>(road.attr(name)); };
+    array("x_m", ribbon.x_m);
+    array("y_m", ribbon.y_m);
+    array("z_m", ribbon.z_m);
+    array("cos", ribbon.cos);
+    array("sin", ribbon.sin);
+    array("slope", ribbon.slope);
+    array("banking", ribbon.banking);
+    array("crown", ribbon.crown);
+    array("is_known", ribbon.is_known);
+    number("half_width_m", ribbon.half_width_m);
+    number("lean", ribbon.lean);
+    number("rise_m", ribbon.rise_m);
+    number("curvature_per_m", ribbon.curvature_per_m);
+    number("start_cos", ribbon.start_cos);
+    number("start_sin", ribbon.start_sin);
+    number("start_slope", ribbon.start_slope);
+    number("shift_sigma_m", ribbon.shift_sigma_m);
+    number("yaw_sigma_rad", ribbon.yaw_sigma_rad);
+    number("left_sigma_m", ribbon.left_sigma_m);
+    foreglow::cells_along(parameters, &ribbon, camera_m, pitch_sigma_rad, columns.data());
+    return columns;
 }
 
 auto quantiles(foreglow::HypothesisWeigher& weigher, const CellArrays& cells, const EvidenceArrays& boxes,
@@ -217,6 +276,8 @@ NB_MODULE(_native, module) {
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")
         .def(nb::new_(&make_weigher), "parameters"_a)
+        .def("cells_along", &cells_along, "road"_a.none(), "camera_m"_a, "pitch_sigma_rad"_a,
+             "The hypotheses along a ribbon, or without one: the seven columns of Cells (7, C).")
         .def("quantiles", &quantiles, "cells"_a, "boxes"_a, "shares"_a,
              "Weighted quantiles (S, N) of the cells' log ranges, for each of `shares` and each box.");
     module.def("available_dispatch", [] {

@@ -26,7 +26,7 @@ struct SortedCells {
 
 class HypothesisWeigher::Impl {
 public:
-    Impl(const WeighingParameters& parameters, Dispatch dispatch)
+    Impl(const HypothesisParameters& parameters, Dispatch dispatch)
         : parameters_(parameters), kernels_(kernels_for(dispatch)) {
         if (parameters.kinds.empty()) throw std::invalid_argument("kinds: expected at least one");
     }
@@ -46,6 +46,8 @@ public:
             for (std::size_t i = 0; i < shares.size(); ++i) quantiles[i * boxes.num + box] = quantile(shares[i]);
         }
     }
+
+    const HypothesisParameters& parameters() const { return parameters_; }
 
 private:
     // By insertion: along the road the ranges nearly rise. Equal ones keep their order.
@@ -173,7 +175,7 @@ private:
         return from + between * (to - from);
     }
 
-    WeighingParameters parameters_;
+    HypothesisParameters parameters_;
     const Kernels& kernels_;
     std::vector<std::uint32_t> order_;
     std::vector<double> no_partner_;
@@ -181,11 +183,13 @@ private:
     Column weights_, factors_, ends_;
 };
 
-HypothesisWeigher::HypothesisWeigher(const WeighingParameters& parameters, std::optional<Dispatch> dispatch)
+HypothesisWeigher::HypothesisWeigher(const HypothesisParameters& parameters, std::optional<Dispatch> dispatch)
     : impl_(std::make_unique<Impl>(parameters, dispatch.value_or(available_dispatch().back()))) {}
 HypothesisWeigher::~HypothesisWeigher() = default;
 HypothesisWeigher::HypothesisWeigher(HypothesisWeigher&&) noexcept = default;
 HypothesisWeigher& HypothesisWeigher::operator=(HypothesisWeigher&&) noexcept = default;
+
+const HypothesisParameters& HypothesisWeigher::parameters() const { return impl_->parameters(); }
 
 void HypothesisWeigher::quantiles(const Cells& cells, const BoxEvidence& boxes, const std::vector<double>& shares,
                                   double* quantiles) {

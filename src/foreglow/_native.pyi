@@ -24,13 +24,15 @@ class ProposalGenerator:
 def light_of_boxes(
     image: NDArray[np.uint8] | NDArray[np.uint16], boxes_xyxy_px: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-
 def pair_spacings(
     centres_rad: NDArray[np.float64], sizes_rad: NDArray[np.float64], contrasts: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...
 
 class HypothesisWeigher:
     def __init__(self, parameters: dict[str, object]) -> None: ...
+    def cells_along(
+        self, road: object | None, camera_m: Sequence[float], pitch_sigma_rad: float
+    ) -> NDArray[np.float64]: ...
     def quantiles(
         self,
         cells: tuple[NDArray[np.float64], ...],

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -62,10 +64,17 @@ def assert_as_specified(parameters: Parameters, cells: Cells, boxes: BoxEvidence
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 30), st.sampled_from([0.1, 1.0, 3.0]))
 def test_random_boxes_along_a_road(seed: int, count: int, stretch: float) -> None:
-    curvature = np.random.default_rng(seed).uniform(-1 / 60, 1 / 60)
-    ahead = ribbon(road(line(np.full(300, curvature))), Alignment(0.0, 0.0, 0.0, 0.003, 0.2, 10.0))
-    cells = cells_along(SHIPPED, None if seed % 4 == 0 else ahead, CAMERA_M, 0.002)
+    random = np.random.default_rng(seed)
+    bend, cross_slope = np.full(300, random.uniform(-1 / 60, 1 / 60)), random.choice([0.0, 0.04])
+    alignment = Alignment(*random.normal(0.0, [0.02, 0.5, 5.0]), 0.003, 0.2, 10.0)
+    ahead = ribbon(road(line(bend, random.normal(0.0, 1.0, 301).cumsum() * 0.02), cross_slope), alignment)
+    known = None if seed % 4 == 0 else ahead
+    cells = cells_along(SHIPPED, known, CAMERA_M, 0.002)
     assert_as_specified(SHIPPED, cells, some_boxes(count, seed, stretch))
+    for name, found, wanted in zip(
+        Cells._fields, Weigher(SHIPPED).cells_along(known, CAMERA_M, 0.002), cells, strict=True
+    ):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
@@ -121,6 +130,9 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         weigher.ranges(Cells(*(column[:-1] for column in cells)), boxes)
     with pytest.raises(ValueError, match="boxes: expected arrays of one length"):
         weigher.ranges(cells, boxes._replace(sizes_rad=boxes.sizes_rad[:1]))
+    ahead = ribbon(road(line(np.zeros(300))), Alignment(0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match="road: expected an entry for each place"):
+        weigher.cells_along(dataclasses.replace(ahead, sin=ahead.sin[1:]), CAMERA_M, 0.0)
 
 
 @settings(derandomize=True, max_examples=100)

@@ -16,7 +16,6 @@ from foreglow.distance.hypotheses import (
     FEATURE_MEANS,
     FEATURE_SCALES,
     BoxEvidence,
-    cells_along,
     parameters_of,
     read_hypotheses,
 )
@@ -60,8 +59,7 @@ class RoadSurface:
             ValueError: If it is broken, or there is no source of the pitch that `config` asks for.
         """
         self.model = read_hypotheses(config.model)
-        self._parameters = parameters_of(self.model)
-        self._weigher = Weigher(self._parameters)
+        self._weigher = Weigher(parameters_of(self.model))
         self._pitch = make_pitch_source(config.pitch)
         finder = self._pitch.finder if isinstance(self._pitch, MarkingsPitch) else None
         self._aligner = RoadAligner(finder) if config.align else None
@@ -78,7 +76,7 @@ class RoadSurface:
         view = self.view(frame, detections)
         if len(detections) == 0:
             return Ranges(detections, np.zeros(0), np.zeros(0))
-        cells = cells_along(self._parameters, view.road, view.camera_m, view.pitch_sigma_rad)
+        cells = self._weigher.cells_along(view.road, view.camera_m, view.pitch_sigma_rad)
         near_m, ranges_m, far_m = self._weigher.ranges(cells, view.boxes)
         return Ranges(detections, ranges_m, (far_m - near_m) * (0.5 * self.model.sigma_scale))
 

@@ -1,4 +1,4 @@
-"""All hypotheses of a frame weighed for each box: the quantiles of its range, in NumPy as specified, and in C++."""
+"""The hypotheses of a frame and their weights for each box: the quantiles of its range, as specified, and in C++."""
 
 from __future__ import annotations
 
@@ -8,17 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow import _native
-from foreglow.distance.hypotheses import (
-    PAIR_LOG_MEAN,
-    PAIR_LOG_SIGMA,
-    PAIR_SHARE,
-    REFERENCE_LOG_RANGE,
-    BoxEvidence,
-    Cells,
-    Parameters,
-    log_weights,
-)
+from foreglow.distance import hypotheses
+from foreglow.distance.hypotheses import BoxEvidence, Cells, Kind, Parameters, log_weights
 from foreglow.distance.lamp_pairs import SPACING_LOG_SIGMA
+from foreglow.distance.ribbon import PLACES_M, Ribbon
 from foreglow.geometry import Floats
 
 BELOW_ONE_SIGMA = 0.1587
@@ -29,26 +22,37 @@ SHARES = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
 
 
 class Weigher:
-    """`weighed_ranges` in C++, for inference.
+    """`hypotheses.cells_along` and `weighed_ranges` in C++, for inference; the same to rounding.
 
     Scratch memory is kept between frames, so use one object a thread.
     """
 
     def __init__(self, parameters: Parameters) -> None:
-        names = ("features", "feature_slopes", "pair_logit", "is_lamp", "feature_sigmas", "box_shares")
-        self._weigher = _native.HypothesisWeigher(
-            {name: getattr(parameters, name).tolist() for name in names}
-            | {
-                "reference_log_range": REFERENCE_LOG_RANGE,
-                "spacing_log_sigma": SPACING_LOG_SIGMA,
-                "pair_share": PAIR_SHARE,
-                "pair_log_sigma": PAIR_LOG_SIGMA,
-                "pair_log_mean": PAIR_LOG_MEAN,
-            }
-        )
+        numbers = {name: values.tolist() for name, values in parameters._asdict().items()}
+        of_kinds = {name: numbers.pop(name) for name in (*Kind.model_fields, "feature_slopes") if name in numbers}
+        shared = {
+            "kinds": [dict(zip(of_kinds, kind, strict=True)) for kind in zip(*of_kinds.values(), strict=True)],
+            "places_m": PLACES_M.tolist(),
+            "cell_sigmas_m": hypotheses.CELL_SIGMAS_M.tolist(),
+            "log_cells": hypotheses.LOG_CELLS.tolist(),
+            "anywhere_sigma_rad": hypotheses.ANYWHERE_SIGMA_RAD,
+            "plane_sigma_rad": hypotheses.PLANE_SIGMA_RAD,
+            "roll_sigma_rad": hypotheses.ROLL_SIGMA_RAD,
+            "impossible": hypotheses.IMPOSSIBLE,
+            "reference_log_range": hypotheses.REFERENCE_LOG_RANGE,
+            "spacing_log_sigma": SPACING_LOG_SIGMA,
+            "pair_share": hypotheses.PAIR_SHARE,
+            "pair_log_sigma": hypotheses.PAIR_LOG_SIGMA,
+            "pair_log_mean": hypotheses.PAIR_LOG_MEAN,
+        }
+        self._weigher = _native.HypothesisWeigher(numbers | shared)
+
+    def cells_along(self, road: Ribbon | None, camera_m: Floats, pitch_sigma_rad: float) -> Cells:
+        """The hypotheses along `road`, or without one."""
+        return Cells(*self._weigher.cells_along(road, camera_m.tolist(), pitch_sigma_rad))
 
     def ranges(self, cells: Cells, boxes: BoxEvidence) -> Floats:
-        """The same as `weighed_ranges` to rounding."""
+        """Near end, median and far end of each box's range in metres, shape (3, N)."""
         return np.exp(self._weigher.quantiles(cells, boxes, SHARES))
 
 
