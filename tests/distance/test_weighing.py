@@ -66,7 +66,8 @@ def assert_as_specified(parameters: Parameters, cells: Cells, boxes: BoxEvidence
 def test_random_boxes_along_a_road(seed: int, count: int, stretch: float) -> None:
     random = np.random.default_rng(seed)
     bend, cross_slope = np.full(300, random.uniform(-1 / 60, 1 / 60)), random.choice([0.0, 0.04])
-    alignment = Alignment(*random.normal(0.0, [0.02, 0.5, 5.0]), 0.003, 0.2, 10.0)
+    yaw_rad, left_m, shift_m = random.normal(0.0, [0.02, 0.5, 5.0])
+    alignment = Alignment(yaw_rad, left_m, shift_m, 0.003, 0.2, 10.0)
     ahead = ribbon(road(line(bend, random.normal(0.0, 1.0, 301).cumsum() * 0.02), cross_slope), alignment)
     known = None if seed % 4 == 0 else ahead
     cells = cells_along(SHIPPED, known, CAMERA_M, 0.002)
