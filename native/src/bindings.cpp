@@ -1,4 +1,5 @@
-// The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL, returns arrays.
+// The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL where a call takes long,
+// returns arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>

@@ -8,7 +8,7 @@
 #include <optional>
 #include <vector>
 
-#include "foreglow/proposals.hpp"
+#include "foreglow/dispatch.hpp"
 
 namespace foreglow {
 
