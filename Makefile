@@ -42,6 +42,7 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector
 	$(BIN)/python -m benchmarks.classifier
+	$(BIN)/python -m benchmarks.distance
 	$(BIN)/python -m benchmarks.tracking
 	$(BIN)/python -m benchmarks.simulator
 

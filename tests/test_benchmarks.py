@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import simulator, tracking
+from benchmarks import distance, simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -88,6 +88,13 @@ def test_trackers_are_timed(tmp_path: Path) -> None:
     tracking.main(["--quick", "--out", str(tmp_path / "tracking.json")])
     rows = json.loads((tmp_path / "tracking.json").read_text())["tracking"]
     assert {row["tracker"] for row in rows} >= {"published", "paper", "ours"}
+    assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+
+
+def test_estimators_are_timed(tmp_path: Path) -> None:
+    distance.main(["--quick", "--out", str(tmp_path / "distance.json")])
+    rows = json.loads((tmp_path / "distance.json").read_text())["distance"]
+    assert {row["estimator"] for row in rows} >= {*distance.ESTIMATORS, distance.SPECIFICATION, distance.WITH_TRACKER}
     assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 

@@ -1,17 +1,25 @@
-// The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL, returns arrays.
+// The Python face of the core: takes arrays that `foreglow` has checked, releases the GIL where a call takes long,
+// returns arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <cstring>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <vector>
 
+#include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
+#include "foreglow/hypotheses.hpp"
+#include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
 namespace nb = nanobind;
@@ -21,6 +29,13 @@ namespace {
 
 using PixelArray = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
 using BoxArray = nb::ndarray<const std::int32_t, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
+static_assert(sizeof(foreglow::Box) == 4 * sizeof(std::int32_t));
+using Column = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <std::size_t width>
+using Columns = nb::ndarray<const double, nb::shape<-1, static_cast<nb::ssize_t>(width)>, nb::c_contig, nb::device::cpu>;
+// As foreglow.distance.hypotheses.Cells and BoxEvidence have them.
+using CellArrays = std::array<Column, 7>;
+using EvidenceArrays = std::tuple<Columns<2>, Columns<2>, Columns<foreglow::num_features>, Column>;
 
 foreglow::ImageView view_of(const PixelArray& pixels) {
     foreglow::ImageView view;
@@ -40,10 +55,10 @@ foreglow::ImageView view_of(const PixelArray& pixels) {
     return view;
 }
 
-template <std::size_t num_axes>
-auto owned(float* values, const std::size_t (&shape)[num_axes]) {
-    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<float*>(pointer); });
-    return nb::ndarray<nb::numpy, float, nb::ndim<num_axes>>(values, num_axes, shape, owner);
+template <typename Value, std::size_t num_axes>
+auto owned(Value* values, const std::size_t (&shape)[num_axes]) {
+    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<Value*>(pointer); });
+    return nb::ndarray<nb::numpy, Value, nb::ndim<num_axes>>(values, num_axes, shape, owner);
 }
 
 nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t support, std::int32_t size_px,
@@ -60,11 +75,10 @@ nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int
     }
     const std::size_t num_boxes = boxes.shape(0), size = static_cast<std::size_t>(size_px);
     const std::size_t num_channels = earlier ? 2 : 1;
-    auto crops = owned<4>(new float[num_boxes * num_channels * size * size], {num_boxes, num_channels, size, size});
-    auto levels = owned<2>(new float[num_boxes * 2], {num_boxes, 2});
+    auto crops = owned(new float[num_boxes * num_channels * size * size], {num_boxes, num_channels, size, size});
+    auto levels = owned(new float[num_boxes * 2], {num_boxes, 2});
     {
         nb::gil_scoped_release released;
-        static_assert(sizeof(foreglow::Box) == 4 * sizeof(std::int32_t));
         foreglow::extract_crops(view, earlier ? &earlier_view : nullptr,
                                 reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, {support, size_px},
                                 crops.data(), levels.data());
@@ -119,14 +133,134 @@ auto propose(foreglow::ProposalGenerator& generator, const PixelArray& image) {
     }
     auto* values = new std::int32_t[boxes->size() * 4];
     if (!boxes->empty()) std::memcpy(values, boxes->data(), boxes->size() * sizeof(foreglow::Box));
-    nb::capsule owner(values, [](void* pointer) noexcept { delete[] static_cast<std::int32_t*>(pointer); });
-    return nb::ndarray<nb::numpy, std::int32_t, nb::ndim<2>>(values, {boxes->size(), 4}, owner);
+    return owned(values, {boxes->size(), 4});
+}
+
+nb::tuple light_of_boxes(const PixelArray& image, const BoxArray& boxes) {
+    const foreglow::ImageView view = view_of(image);
+    if (view.width_px < 1 || view.height_px < 1) throw nb::value_error("image: expected at least one pixel");
+    const std::size_t num_boxes = boxes.shape(0);
+    auto pixels = owned(new double[num_boxes * 2], {num_boxes, 2});
+    auto peaks = owned(new double[num_boxes], {num_boxes});
+    foreglow::light_of_boxes(view, reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, pixels.data(),
+                             peaks.data());
+    return nb::make_tuple(pixels, peaks);
+}
+
+auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Column& contrasts) {
+    const std::size_t num = contrasts.shape(0);
+    if (centres.shape(0) != num || sizes.shape(0) != num) throw nb::value_error("boxes: expected arrays of one length");
+    auto spacings = owned(new double[num], {num});
+    foreglow::pair_spacings(centres.data(), sizes.data(), contrasts.data(), num, spacings.data());
+    return spacings;
+}
+
+foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
+    const auto read_from = [](const nb::handle& from, const char* name, auto& value) {
+        value = nb::cast<std::remove_reference_t<decltype(value)>>(from[name]);
+    };
+    foreglow::HypothesisParameters p;
+    for (const nb::handle kind : fields["kinds"]) {
+        foreglow::LightKind& k = p.kinds.emplace_back();
+        read_from(kind, "side", k.side);
+        read_from(kind, "offset_m", k.offset_m);
+        read_from(kind, "height_m", k.height_m);
+        read_from(kind, "offset_sigma_m", k.offset_sigma_m);
+        read_from(kind, "height_sigma_m", k.height_sigma_m);
+        read_from(kind, "is_lamp", k.is_lamp);
+        read_from(kind, "is_anywhere", k.is_anywhere);
+        read_from(kind, "log_share", k.log_share);
+        read_from(kind, "log_range", k.log_range);
+        read_from(kind, "features", k.features);
+        read_from(kind, "feature_slopes", k.feature_slopes);
+        read_from(kind, "pair_logit", k.pair_logit);
+    }
+    const auto read = [&](const char* name, auto& value) { read_from(fields, name, value); };
+    read("places_m", p.places_m);
+    read("cell_sigmas_m", p.cell_sigmas_m);
+    read("log_cells", p.log_cells);
+    read("range_log_sigma", p.range_log_sigma);
+    read("pixel_sigma_rad", p.pixel_sigma_rad);
+    read("slope_sigma", p.slope_sigma);
+    read("anywhere_sigma_rad", p.anywhere_sigma_rad);
+    read("plane_sigma_rad", p.plane_sigma_rad);
+    read("roll_sigma_rad", p.roll_sigma_rad);
+    read("impossible", p.impossible);
+    read("feature_sigmas", p.feature_sigmas);
+    read("box_shares", p.box_shares);
+    read("reference_log_range", p.reference_log_range);
+    read("spacing_log_sigma", p.spacing_log_sigma);
+    read("pair_share", p.pair_share);
+    read("pair_log_sigma", p.pair_log_sigma);
+    read("pair_log_mean", p.pair_log_mean);
+    return foreglow::HypothesisWeigher(p);
+}
+
+auto cells_along(const foreglow::HypothesisWeigher& weigher, const nb::object& road,
+                 const std::array<double, 3>& camera_m, double pitch_sigma_rad) {
+    const foreglow::HypothesisParameters& parameters = weigher.parameters();
+    const std::size_t num_places = parameters.places_m.size();
+    const std::size_t num = num_places * parameters.kinds.size();
+    auto columns = owned(new double[7 * num], {7, num});
+    if (road.is_none()) {
+        foreglow::cells_along(parameters, nullptr, camera_m, pitch_sigma_rad, columns.data());
+        return columns;
+    }
+    foreglow::Ribbon ribbon;
+    std::vector<nb::ndarray<>> kept;  // arrays that had to be converted live as long as their pointers
+    const auto array = [&](const char* name, auto& values) {
+        using Value = std::remove_const_t<std::remove_pointer_t<std::remove_reference_t<decltype(values)>>>;
+        const auto found = nb::cast<nb::ndarray<const Value, nb::shape<-1, 1>, nb::c_contig, nb::device::cpu>>(
+            road.attr(name));
+        if (found.shape(0) != num_places) throw nb::value_error("road: expected an entry for each place");
+        values = found.data();
+        kept.emplace_back(found);
+    };
+    const auto number = [&](const char* name, double& value) { value = nb::cast<double>(road.attr(name)); };
+    array("x_m", ribbon.x_m);
+    array("y_m", ribbon.y_m);
+    array("z_m", ribbon.z_m);
+    array("cos", ribbon.cos);
+    array("sin", ribbon.sin);
+    array("slope", ribbon.slope);
+    array("banking", ribbon.banking);
+    array("crown", ribbon.crown);
+    array("is_known", ribbon.is_known);
+    number("half_width_m", ribbon.half_width_m);
+    number("lean", ribbon.lean);
+    number("rise_m", ribbon.rise_m);
+    number("curvature_per_m", ribbon.curvature_per_m);
+    number("start_cos", ribbon.start_cos);
+    number("start_sin", ribbon.start_sin);
+    number("start_slope", ribbon.start_slope);
+    number("shift_sigma_m", ribbon.shift_sigma_m);
+    number("yaw_sigma_rad", ribbon.yaw_sigma_rad);
+    number("left_sigma_m", ribbon.left_sigma_m);
+    foreglow::cells_along(parameters, &ribbon, camera_m, pitch_sigma_rad, columns.data());
+    return columns;
+}
+
+auto quantiles(foreglow::HypothesisWeigher& weigher, const CellArrays& cells, const EvidenceArrays& boxes,
+               const std::vector<double>& shares) {
+    const auto& [directions, sizes, features, pairs] = boxes;
+    const std::size_t num_boxes = pairs.shape(0);
+    for (const Column& column : cells) {
+        if (column.shape(0) != cells[0].shape(0)) throw nb::value_error("cells: expected arrays of one length");
+    }
+    if (directions.shape(0) != num_boxes || sizes.shape(0) != num_boxes || features.shape(0) != num_boxes) {
+        throw nb::value_error("boxes: expected arrays of one length");
+    }
+    auto found = owned(new double[shares.size() * num_boxes], {shares.size(), num_boxes});
+    weigher.quantiles({cells[0].shape(0), cells[0].data(), cells[1].data(), cells[2].data(), cells[3].data(),
+                       cells[4].data(), cells[5].data(), cells[6].data()},
+                      {num_boxes, directions.data(), sizes.data(), features.data(), pairs.data()}, shares, found.data());
+    return found;
 }
 
 }  // namespace
 
 NB_MODULE(_native, module) {
-    module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals and foreglow.classifier.";
+    module.doc() = "The C++ core of Foreglow; use it through foreglow.proposals, foreglow.classifier and foreglow.distance.";
     module.def("extract_crops", &extract_crops, "image"_a, "boxes_xyxy_px"_a, "support"_a, "size_px"_a,
                "earlier"_a = nb::none(),
                "Crops of `boxes_xyxy_px` (N, 4) int32 as float32 (N, C, size_px, size_px) in [0, 1], and their levels.");
@@ -136,6 +270,17 @@ NB_MODULE(_native, module) {
         .def_prop_ro("dispatch", [](const foreglow::ProposalGenerator& g) { return foreglow::name_of(g.dispatch()); })
         .def_prop_ro("num_doubtful", &foreglow::ProposalGenerator::num_doubtful,
                      "Pixels of the last frame that double precision had to decide.");
+    module.def("light_of_boxes", &light_of_boxes, "image"_a, "boxes_xyxy_px"_a,
+               "Where the light of each box is, pixels (N, 2), and its peak over the surroundings (N,) of full scale.");
+    module.def("pair_spacings", &pair_spacings, "centres_rad"_a, "sizes_rad"_a, "contrasts"_a,
+               "How far each box is from its partner (N,), radians; NaN without one.");
+    nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
+                                            "Weighs hypotheses of ranges; one object a thread.")
+        .def(nb::new_(&make_weigher), "parameters"_a)
+        .def("cells_along", &cells_along, "road"_a.none(), "camera_m"_a, "pitch_sigma_rad"_a,
+             "The hypotheses along a ribbon, or without one: the seven columns of Cells (7, C).")
+        .def("quantiles", &quantiles, "cells"_a, "boxes"_a, "shares"_a,
+             "Weighted quantiles (S, N) of the cells' log ranges, for each of `shares` and each box.");
     module.def("available_dispatch", [] {
         std::vector<std::string> names;
         for (const auto dispatch : foreglow::available_dispatch()) names.emplace_back(foreglow::name_of(dispatch));

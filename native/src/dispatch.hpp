@@ -1,7 +1,7 @@
 // Which kernels this processor can run.
 #pragma once
 
-#include "foreglow/proposals.hpp"
+#include "foreglow/dispatch.hpp"
 #include "kernels.hpp"
 
 namespace foreglow {

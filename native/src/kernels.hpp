@@ -1,4 +1,4 @@
-// The inner loops of the proposal stage, one table of them for each instruction set.
+// The inner loops, one table of them for each instruction set: of the proposal stage, and of the ranges (`weigh`).
 //
 // Rows of the working image are kept as two planes, even and odd columns, so that one multiply-add of 16-bit pairs
 // serves the blur and one running sum of pairs serves the window. Column x is element x / 2 of plane x % 2.
@@ -54,6 +54,22 @@ struct ThresholdRow {
     std::uint64_t* doubt;              // bit i: too close for single precision
 };
 
+// Lengths of the arrays of hypotheses are a multiple of this.
+constexpr std::int64_t weighing_quantum = 8;
+
+// All hypotheses against one box. The weight of each is
+//   N(direction) exp(constant + features . means) (1 - share + share * pair_scale * exp(-off^2 / 2)) exp(logit);
+// what has to do with pairs counts where `pair_scale` is not 0.
+struct BoxWeighing {
+    std::int64_t length;
+    const double *azimuths_rad, *elevations_rad, *variances_across, *covariances, *variances_up;
+    const double *log_ranges, *constants, *feature_means[3];
+    const double *pair_shares, *pair_logits;
+    double azimuth_rad, elevation_rad, blur_across, blur_up, features[3];
+    double pair_log_range, inverse_spacing_sigma, pair_scale;
+    double *weights, *factors;  // out: the weights, to a common factor; and scratch memory
+};
+
 struct Kernels {
     // sums[x] = 2 x 2 block sum; widens extremes[0] and extremes[1], the smallest and largest sum so far.
     void (*halve)(const std::uint8_t* upper, const std::uint8_t* lower, std::int64_t num_sums, std::uint16_t* sums,
@@ -63,6 +79,7 @@ struct Kernels {
     void (*step_window)(const WindowStep& step);
     // Returns whether any pixel is in doubt.
     bool (*exceed)(const ThresholdRow& row);
+    void (*weigh)(const BoxWeighing& box);
 };
 
 extern const Kernels kernels_baseline;

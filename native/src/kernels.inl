@@ -2,6 +2,7 @@
 
 #include "kernels.hpp"
 #include "simd.hpp"
+#include "weighing.inl"
 
 namespace foreglow {
 namespace {
@@ -143,6 +144,6 @@ bool exceed(const ThresholdRow& row) {
 }  // namespace
 
 extern const Kernels FOREGLOW_KERNELS;
-const Kernels FOREGLOW_KERNELS = {halve, blur_across, step_window, exceed};
+const Kernels FOREGLOW_KERNELS = {halve, blur_across, step_window, exceed, weigh};
 
 }  // namespace foreglow

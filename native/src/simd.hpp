@@ -24,6 +24,8 @@ constexpr int vector_bytes = num_lanes * 4;
 using Floats = float __attribute__((vector_size(vector_bytes)));
 using Ints = std::int32_t __attribute__((vector_size(vector_bytes)));
 using Words = std::uint32_t __attribute__((vector_size(vector_bytes)));
+using Doubles = double __attribute__((vector_size(vector_bytes)));  // half as many
+using Longs = std::int64_t __attribute__((vector_size(vector_bytes)));
 using Shorts = std::int16_t __attribute__((vector_size(vector_bytes)));  // twice as many lanes
 
 template <typename Vector, typename Scalar>
@@ -57,6 +59,7 @@ inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
 }
 inline std::uint64_t greater_mask(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
 inline Floats magnitude(Floats values) { return _mm512_abs_ps(values); }
+inline Doubles square_root(Doubles values) { return _mm512_sqrt_pd(values); }
 inline Words running_sum(Words values) {
     const __m512i zero = _mm512_setzero_si512();
     auto v = reinterpret_cast<__m512i>(values);
@@ -86,6 +89,7 @@ inline std::uint64_t greater_mask(Floats a, Floats b) {
 inline Floats magnitude(Floats values) {
     return _mm256_andnot_ps(_mm256_set1_ps(-0.0F), values);
 }
+inline Doubles square_root(Doubles values) { return _mm256_sqrt_pd(values); }
 inline Words running_sum(Words values) {
     auto v = reinterpret_cast<__m256i>(values);
     v = _mm256_add_epi32(v, _mm256_slli_si256(v, 4));
@@ -120,6 +124,7 @@ inline Ints add_dot_pairs(Ints sum, Shorts a, Shorts b) {
 inline std::uint64_t greater_mask(Floats a, Floats b) {
     return static_cast<std::uint64_t>(_mm_movemask_ps(_mm_cmpgt_ps(a, b)));
 }
+inline Doubles square_root(Doubles values) { return _mm_sqrt_pd(values); }
 inline Words running_sum(Words values) {
     auto v = reinterpret_cast<__m128i>(values);
     v = _mm_add_epi32(v, _mm_slli_si128(v, 4));
@@ -140,6 +145,7 @@ inline std::uint64_t greater_mask(Floats a, Floats b) {
     const Ints bits = (a > b) & Ints{1, 2, 4, 8};
     return static_cast<std::uint64_t>(bits[0] | bits[1] | bits[2] | bits[3]);
 }
+inline Doubles square_root(Doubles values) { return Doubles{__builtin_sqrt(values[0]), __builtin_sqrt(values[1])}; }
 inline Words running_sum(Words values) {
     for (int i = 1; i < num_lanes; ++i) values[i] += values[i - 1];
     return values;

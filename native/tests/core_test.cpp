@@ -10,7 +10,10 @@
 
 #include "../src/blobs.hpp"
 #include "../src/taps.hpp"
+#include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
+#include "foreglow/hypotheses.hpp"
+#include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
 namespace {
@@ -207,6 +210,89 @@ void test_crops_at_every_border() {
            "crops are written whole and lie in [0, 1]");
 }
 
+template <typename Pixel>
+void test_light_at_every_border() {
+    const Scene<Pixel> scene(70, 41, 2, 3);
+    std::vector<Box> boxes;
+    for (std::int32_t x = -100; x < 170; x += 13) {
+        for (std::int32_t y = -60; y < 110; y += 7) boxes.push_back({x, y, x + 1 + (x & 15), y + 1 + (y & 31)});
+    }
+    std::vector<double> pixels(2 * boxes.size()), peaks(boxes.size());
+    foreglow::light_of_boxes(scene.view, boxes.data(), boxes.size(), pixels.data(), peaks.data());
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        expect(pixels[2 * i] > boxes[i].x1 && pixels[2 * i] < boxes[i].x2 && pixels[2 * i + 1] > boxes[i].y1 &&
+                   pixels[2 * i + 1] < boxes[i].y2 && peaks[i] >= 0.0 && peaks[i] <= 1.0,
+               "the light of a box is in the box");
+    }
+}
+
+void test_lamp_pairs() {
+    const std::vector<double> centres = {0.013, 0.0, 0.4, 0.0, -0.013, 0.0005}, sizes(6, 0.006), contrasts(3, 200.0);
+    std::vector<double> spacings(3);
+    foreglow::pair_spacings(centres.data(), sizes.data(), contrasts.data(), 3, spacings.data());
+    expect(std::abs(spacings[0] - 0.026) < 1e-12 && spacings[0] == spacings[2], "two like lamps are a pair");
+    expect(std::isnan(spacings[1]), "a third lamp far away is alone");
+    foreglow::pair_spacings(nullptr, nullptr, nullptr, 0, nullptr);
+}
+
+// Any number of kinds and places without a road, boxes of all sorts.
+void test_weighing_at_all_dispatch_levels() {
+    std::mt19937 random(4);
+    const auto between = [&](double low, double high) {
+        return std::uniform_real_distribution<double>(low, high)(random);
+    };
+    for (std::size_t num_kinds = 1; num_kinds < 6; ++num_kinds) {
+        for (const std::size_t num_places : {1U, 2U, 5U, 16U, 33U}) {
+            foreglow::HypothesisParameters parameters;
+            for (std::size_t k = 0; k < num_kinds; ++k) {
+                foreglow::LightKind& kind = parameters.kinds.emplace_back();
+                kind.height_m = between(0.0, 1.0);
+                kind.is_lamp = k % 2 == 0;
+                kind.pair_logit = between(-1.0, 1.0);
+                kind.features = {between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0)};
+            }
+            for (std::size_t place = 0; place < num_places; ++place) {
+                parameters.places_m.push_back(5.0 + 7.0 * static_cast<double>(place));
+            }
+            parameters.cell_sigmas_m.assign(num_places, 1.0);
+            parameters.log_cells.assign(num_places, 0.0);
+            parameters.feature_sigmas = {0.7, 0.6, 0.5};
+            parameters.pixel_sigma_rad = parameters.plane_sigma_rad = 0.001;
+            parameters.anywhere_sigma_rad = 0.3;
+            parameters.pair_share = 0.8;
+            parameters.spacing_log_sigma = 0.1;
+            const std::size_t num = num_kinds * num_places, num_boxes = 7;
+            std::vector<double> columns(7 * num);
+            foreglow::cells_along(parameters, nullptr, {2.0, 0.0, 1.25}, 0.002, columns.data());
+            const double* at = columns.data();
+            const foreglow::Cells cells = {num,          at,           at + num,     at + 2 * num,
+                                           at + 3 * num, at + 4 * num, at + 5 * num, at + 6 * num};
+            std::vector<double> directions(2 * num_boxes), sizes(2 * num_boxes), features(3 * num_boxes);
+            std::vector<double> pairs(num_boxes, std::nan(""));
+            for (double& value : directions) value = between(-0.1, 0.1);
+            for (double& value : sizes) value = between(0.001, 0.02);
+            for (double& value : features) value = between(-2.0, 2.0);
+            pairs[2] = 3.0;
+            pairs[5] = 4.0;
+            const foreglow::BoxEvidence boxes = {num_boxes, directions.data(), sizes.data(), features.data(),
+                                                 pairs.data()};
+            std::vector<double> first;
+            for (const auto dispatch : foreglow::available_dispatch()) {
+                std::vector<double> found(3 * num_boxes);
+                foreglow::HypothesisWeigher(parameters, dispatch).quantiles(cells, boxes, {0.2, 0.5, 0.8}, found.data());
+                if (dispatch == foreglow::Dispatch::baseline) first = found;
+                bool is_equal = true, is_rising = true;
+                for (std::size_t i = 0; i < found.size(); ++i) {
+                    is_equal = is_equal && std::abs(found[i] - first[i]) < 1e-9;
+                    is_rising = is_rising && (i < num_boxes || found[i] >= found[i - num_boxes] - 1e-12);
+                }
+                expect(is_equal, "every dispatch level finds the same quantiles");
+                expect(is_rising, "quantiles rise with their shares");
+            }
+        }
+    }
+}
+
 void test_taps() {
     for (const double sigma_px : {0.3, 0.8, 2.0, 50.0}) {
         for (const std::int32_t size : {1, 3, 5}) {
@@ -248,6 +334,10 @@ int main() {
     test_sizes_may_change_between_frames();
     test_crops_at_every_border<std::uint8_t>();
     test_crops_at_every_border<std::uint16_t>();
+    test_light_at_every_border<std::uint8_t>();
+    test_light_at_every_border<std::uint16_t>();
+    test_lamp_pairs();
+    test_weighing_at_all_dispatch_levels();
     test_taps();
     test_bad_parameters_are_refused();
     std::printf("%d passed, %d failed\n", num_passed, num_failed);

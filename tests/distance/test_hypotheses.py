@@ -19,7 +19,7 @@ from foreglow.distance.hypotheses import (
     read_hypotheses,
 )
 from foreglow.distance.ribbon import PLACES_M, Alignment, Ribbon, ribbon
-from foreglow.distance.road_surface import BELOW_ONE_SIGMA, weighted_quantiles
+from foreglow.distance.weighing import BELOW_ONE_SIGMA, weighted_quantiles
 from foreglow.geometry import Floats, rotation
 from tests.distance.roads import HALF_WIDTH_M, line, road, straight
 

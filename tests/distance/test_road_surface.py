@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.config import DistanceConfig
-from foreglow.distance.road_surface import RoadSurface, weighted_quantiles
+from foreglow.distance.road_surface import RoadSurface
 from foreglow.types import EgoMotion, Frame, Ranges, RoadAhead
 from tests.distance.roads import HALF_WIDTH_M, camera, detections, frame, lights, line, road, straight
 
@@ -110,17 +110,3 @@ def test_a_pitch_that_is_measured_is_taken_out() -> None:
         for pitch in ("fixed", "motion")
     }
     assert off["motion"] < off["fixed"]
-
-
-@settings(derandomize=True, max_examples=100)
-@given(st.lists(st.floats(-5, 5), min_size=2, max_size=20, unique=True), st.integers(0, 1000))
-def test_quantiles_rise_and_stay_within_the_values(values: list[float], seed: int) -> None:
-    weights = np.random.default_rng(seed).normal(size=(3, len(values)))
-    found = weighted_quantiles(np.array(values), weights, [0.1, 0.5, 0.9])
-    assert (np.diff(found, axis=0) >= -1e-12).all()
-    assert found.min() >= min(values) - 1e-12
-    assert found.max() <= max(values) + 1e-12
-    # A value with all the weight is every quantile.
-    sure = np.where(np.arange(len(values)) == seed % len(values), 0.0, -1e6)[None]
-    middle = weighted_quantiles(np.array(values), sure, [0.5])[0, 0]
-    assert middle == pytest.approx(values[seed % len(values)], abs=1e-9)

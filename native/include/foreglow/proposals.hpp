@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "foreglow/dispatch.hpp"
 #include "foreglow/image.hpp"
 
 namespace foreglow {
@@ -47,12 +48,6 @@ struct WorkingSizes {
 };
 
 WorkingSizes working_sizes(const ProposalParameters& parameters, std::int32_t width_px);
-
-// Instruction sets, weakest first. `baseline` is what every processor of the architecture has.
-enum class Dispatch : std::uint8_t { baseline, avx2, avx512 };
-
-std::vector<Dispatch> available_dispatch();
-const char* name_of(Dispatch dispatch);
 
 // Finds proposals in one frame after another. Scratch memory is kept between frames; use one object a thread.
 class ProposalGenerator {

@@ -50,12 +50,16 @@ PAIR_LOG_SIGMA = 0.9
 PAIR_LOG_MEAN = 4.5
 """Of the range that a pair seems to have where it is none."""
 
-_IMPOSSIBLE = -1e6
+IMPOSSIBLE = -1e6
 """Log weight of a place that the map does not reach; finite, so that gradients are."""
 
-_PLACES = PLACES_M[:, None]
-_CELL_SIGMAS = (CELLS_M / math.sqrt(12.0))[:, None]
-_LOG_CELLS = np.log(CELLS_M / (PLACES_M - 2.0))[:, None]
+CELL_SIGMAS_M = CELLS_M / math.sqrt(12.0)
+"""Of a place within its cell."""
+
+LOG_CELLS = np.log(CELLS_M / (PLACES_M - 2.0))
+"""Log of how much of the log range each place stands for."""
+
+_PLACES, _CELL_SIGMAS, _LOG_CELLS = PLACES_M[:, None], CELL_SIGMAS_M[:, None], LOG_CELLS[:, None]
 
 _Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
 _Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
@@ -243,9 +247,7 @@ def cells_along(
     pixel, height = parameters.pixel_sigma_rad**2, (parameters.height_sigma_m / level) ** 2
     tilt = ((pitch_sigma_rad * forward) ** 2 + (ROLL_SIGMA_RAD * left) ** 2) / (level * level)
     offs = (log_ranges - parameters.log_range) / parameters.range_log_sigma
-    log_priors = (
-        parameters.log_share - 0.5 * offs * offs + xp.where(lines.is_known, xp.asarray(_LOG_CELLS), _IMPOSSIBLE)
-    )
+    log_priors = parameters.log_share - 0.5 * offs * offs + xp.where(lines.is_known, xp.asarray(_LOG_CELLS), IMPOSSIBLE)
     cells = (
         xp.arctan2(left, forward),
         xp.arctan2(up, level),

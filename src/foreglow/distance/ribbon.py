@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -21,6 +22,11 @@ CELLS_M = np.gradient(PLACES_M)
 
 CURVATURE_REACH_M = 5.0
 """A curvature is taken over so much road to either side."""
+
+_LOOKS_M = np.concatenate(
+    [PLACES_M, [0.0], PLACES_M - CURVATURE_REACH_M, [0.0], PLACES_M + CURVATURE_REACH_M, [2 * CURVATURE_REACH_M]]
+)
+"""Where the line is looked at for a ribbon: at all places and under us, then a little before these, and after."""
 
 CROWN = 0.02
 BANKING_M = 4.0
@@ -102,27 +108,24 @@ class Ribbon:
 
 def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
     """The ribbon of `road` in our frame, when we stand on it as `alignment` says."""
-    line = _Line(road)
-    reach_m, shift_m = CURVATURE_REACH_M, alignment.shift_m
-    wanted_m = np.concatenate([PLACES_M, PLACES_M - reach_m, PLACES_M + reach_m, [0.0, 2 * reach_m, -shift_m]])
-    at = line.at(wanted_m + shift_m)
-    num = len(PLACES_M)
-    here, before, after = at[:num], at[num : 2 * num], at[2 * num : 3 * num]
-    start, soon, believed = at[3 * num :]
+    line, shift_m = _Line(road), alignment.shift_m
+    at = line.at(np.append(_LOOKS_M + shift_m, 0.0))
+    num = len(PLACES_M) + 1
+    curvatures = _curvatures(at[num : 2 * num], at[2 * num : 3 * num])
+    bankings, crowns = _cross_slopes(curvatures, at[:num, 6], line.has_cross_slopes)
+    curvature, under_banking, under_crown = float(curvatures[-1]), float(bankings[-1]), float(crowns[-1])
+    here, start, believed = at[: num - 1], at[num - 1].tolist(), at[-1].tolist()
     # The line as it lies before us: turned and moved so that its place under us takes that of the believed one, ...
     turn_cos = start[3] * believed[3] + start[4] * believed[4]
     turn_sin = start[3] * believed[4] - start[4] * believed[3]
-    ahead = here[:, :3] - start[:3]
-    x = turn_cos * ahead[:, 0] - turn_sin * ahead[:, 1] + believed[0]
-    y = turn_sin * ahead[:, 0] + turn_cos * ahead[:, 1] + believed[1] - alignment.left_m
-    z = ahead[:, 2] + believed[2] - (start[5] - believed[5]) * x
+    ahead_x, ahead_y = here[:, 0] - start[0], here[:, 1] - start[1]
+    x = turn_cos * ahead_x - turn_sin * ahead_y + believed[0]
+    y = turn_sin * ahead_x + turn_cos * ahead_y + (believed[1] - alignment.left_m)
+    z = here[:, 2] + (believed[2] - start[2]) - (start[5] - believed[5]) * x
     # ... and turned against our yaw.
-    cos, sin = np.cos(alignment.yaw_rad), np.sin(alignment.yaw_rad)
+    cos, sin = math.cos(alignment.yaw_rad), math.sin(alignment.yaw_rad)
     x, y = cos * x + sin * y, cos * y - sin * x
     turn_cos, turn_sin = turn_cos * cos + turn_sin * sin, turn_sin * cos - turn_cos * sin
-    banking, crown = _cross_slopes(_curvatures(before, after), here[:, 6], line.has_cross_slopes)
-    curvature = float(_curvatures(start[None], soon[None])[0])
-    leans, crowns = _cross_slopes(np.array([curvature]), start[6:7], line.has_cross_slopes)
     offset_m = -(believed[1] * believed[3] - believed[0] * believed[4]) + alignment.left_m
     return Ribbon(
         x_m=x[:, None],
@@ -131,16 +134,16 @@ def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
         cos=(turn_cos * here[:, 3] - turn_sin * here[:, 4])[:, None],
         sin=(turn_sin * here[:, 3] + turn_cos * here[:, 4])[:, None],
         slope=(here[:, 5] - start[5] + believed[5])[:, None],
-        banking=banking[:, None],
-        crown=crown[:, None],
+        banking=bankings[:-1, None],
+        crown=crowns[:-1, None],
         is_known=(PLACES_M + shift_m <= line.length_m)[:, None],
         half_width_m=road.half_width_m,
-        lean=float(-leans[0] - np.sign(offset_m) * crowns[0]),
-        rise_m=float(-leans[0] * offset_m - crowns[0] * abs(offset_m)),
+        lean=-under_banking - float(np.sign(offset_m)) * under_crown,
+        rise_m=-under_banking * offset_m - under_crown * abs(offset_m),
         curvature_per_m=curvature,
-        start_cos=float(turn_cos * start[3] - turn_sin * start[4]),
-        start_sin=float(turn_sin * start[3] + turn_cos * start[4]),
-        start_slope=float(believed[5]),
+        start_cos=turn_cos * start[3] - turn_sin * start[4],
+        start_sin=turn_sin * start[3] + turn_cos * start[4],
+        start_slope=believed[5],
         shift_sigma_m=alignment.shift_sigma_m,
         yaw_sigma_rad=alignment.yaw_sigma_rad,
         left_sigma_m=alignment.left_sigma_m,
@@ -175,7 +178,9 @@ class _Line:
             directions[0] += 0.5 * (steps_m[0] - steps_m[1] * (lengths_m[0] / lengths_m[1]))
             directions[-1] += 0.5 * (steps_m[-1] - steps_m[-2] * (lengths_m[-1] / lengths_m[-2]))
         directions /= np.maximum(np.sqrt(directions[:, 0] ** 2 + directions[:, 1] ** 2), 1e-9)[:, None]
-        self._places_m = np.concatenate([[-BEHIND_M, 0.0], np.cumsum(lengths_m)])
+        self._places_m = np.empty(len(points_m) + 1)
+        self._places_m[:2] = -BEHIND_M, 0.0
+        lengths_m.cumsum(out=self._places_m[2:])
         self._columns = np.empty((len(points_m) + 1, 7))
         self._columns[1:, :3], self._columns[1:, 3:6] = points_m, directions
         self._columns[1:, 6] = road.cross_slopes
@@ -189,7 +194,8 @@ class _Line:
         after = np.minimum(np.maximum(self._places_m.searchsorted(places_m), 1), len(self._places_m) - 1)
         begin, end = self._places_m[after - 1], self._places_m[after]
         share = np.minimum(np.maximum((places_m - begin) / (end - begin), 0.0), 1.0)[:, None]
-        return np.asarray(self._columns[after - 1] * (1.0 - share) + self._columns[after] * share)
+        low, high = self._columns.take(after - 1, axis=0), self._columns.take(after, axis=0)
+        return np.asarray(low + (high - low) * share)
 
 
 def _curvatures(before: Floats, after: Floats) -> Floats:
@@ -201,5 +207,5 @@ def _cross_slopes(curvatures: Floats, cross_slopes: Floats, has_slopes: bool) ->
     """Banking and crown: as the map has them, or as roads usually are."""
     if has_slopes:
         return -cross_slopes, np.zeros_like(cross_slopes)
-    banking = np.clip(BANKING_M * curvatures, -MAX_BANKING, MAX_BANKING)
+    banking = np.minimum(np.maximum(BANKING_M * curvatures, -MAX_BANKING), MAX_BANKING)
     return banking, np.maximum(CROWN - np.abs(banking), 0.0)

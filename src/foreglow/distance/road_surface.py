@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.config import DistanceConfig
 from foreglow.distance.alignment import RoadAligner, believed
@@ -18,10 +16,6 @@ from foreglow.distance.hypotheses import (
     FEATURE_MEANS,
     FEATURE_SCALES,
     BoxEvidence,
-    Cells,
-    Parameters,
-    cells_along,
-    log_weights,
     parameters_of,
     read_hypotheses,
 )
@@ -29,11 +23,9 @@ from foreglow.distance.lamp_pairs import SPACING_M, pair_spacings_rad
 from foreglow.distance.pitch import MarkingsPitch, make_pitch_source
 from foreglow.distance.rays import RayCaster
 from foreglow.distance.ribbon import Ribbon, ribbon
+from foreglow.distance.weighing import Weigher
 from foreglow.geometry import Floats
 from foreglow.types import Detections, Frame, Ranges
-
-BELOW_ONE_SIGMA = 0.1587
-"""Share of a Gaussian."""
 
 
 class View(NamedTuple):
@@ -67,8 +59,7 @@ class RoadSurface:
             ValueError: If it is broken, or there is no source of the pitch that `config` asks for.
         """
         self.model = read_hypotheses(config.model)
-        self._parameters = parameters_of(self.model)
-        self._in_single = _single(self._parameters)
+        self._weigher = Weigher(parameters_of(self.model))
         self._pitch = make_pitch_source(config.pitch)
         finder = self._pitch.finder if isinstance(self._pitch, MarkingsPitch) else None
         self._aligner = RoadAligner(finder) if config.align else None
@@ -85,10 +76,8 @@ class RoadSurface:
         view = self.view(frame, detections)
         if len(detections) == 0:
             return Ranges(detections, np.zeros(0), np.zeros(0))
-        cells = cells_along(self._parameters, view.road, view.camera_m, view.pitch_sigma_rad)
-        weights = log_weights(self._in_single, _single(cells), _single(view.boxes))
-        shares = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
-        near_m, ranges_m, far_m = np.exp(weighted_quantiles(cells.log_ranges, weights, shares))
+        cells = self._weigher.cells_along(view.road, view.camera_m, view.pitch_sigma_rad)
+        near_m, ranges_m, far_m = self._weigher.ranges(cells, view.boxes)
         return Ranges(detections, ranges_m, (far_m - near_m) * (0.5 * self.model.sigma_scale))
 
     def view(self, frame: Frame, detections: Detections) -> View:
@@ -124,40 +113,3 @@ class RoadSurface:
         self._pitch.reset()
         if self._aligner is not None:
             self._aligner.reset()
-
-
-def weighted_quantiles(values: Floats, log_weights: NDArray[np.floating], shares: Sequence[float]) -> Floats:
-    """For each share, the value that so much of the weight lies below, shape (len(shares), N).
-
-    Every value stands for the middle of its weight; between two of them it is linear.
-
-    Args:
-        values: Shape (C,).
-        log_weights: Shape (N, C), to a constant in each row.
-        shares: Between 0 and 1.
-
-    >>> weighted_quantiles(np.array([3.0, 1.0, 2.0]), np.zeros((1, 3)), [0.5, 1 / 3]).round(6).tolist()
-    [[2.0], [1.5]]
-    """
-    order = np.argsort(values)
-    values = values[order]
-    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))[:, order]
-    weights /= weights.sum(axis=1, keepdims=True)
-    # One after another the rows make one rising line, on which all is looked up at once: row i goes from i to i + 1.
-    ends = weights.ravel().cumsum(dtype=np.float64)
-    middles = ends - 0.5 * weights.ravel()
-    wanted = np.arange(len(weights)) + np.asarray(shares)[:, None]
-    firsts = np.arange(len(weights)) * len(values)
-    after = np.minimum(np.maximum(middles.searchsorted(wanted), firsts + 1), firsts + len(values) - 1)
-    low, high = middles[after - 1], middles[after]
-    between = np.minimum(np.maximum((wanted - low) / np.maximum(high - low, 1e-30), 0.0), 1.0)
-    after -= firsts
-    return np.asarray(values[after - 1] + between * (values[after] - values[after - 1]))
-
-
-_Tuple = TypeVar("_Tuple", Parameters, Cells, BoxEvidence)
-
-
-def _single(numbers: _Tuple) -> _Tuple:
-    """The same in single precision, in which all boxes are weighed against all hypotheses: half the time."""
-    return type(numbers)(*(one if one.dtype == np.bool_ else one.astype(np.float32) for one in numbers))

@@ -26,7 +26,8 @@ from foreglow.distance.hypotheses import (
     parameters_of,
     read_hypotheses,
 )
-from foreglow.distance.road_surface import BELOW_ONE_SIGMA, RoadSurface, View, weighted_quantiles
+from foreglow.distance.road_surface import RoadSurface, View
+from foreglow.distance.weighing import weighed_ranges
 from foreglow.evaluation.matching import smallest_box
 from foreglow.files import write_atomic
 from foreglow.geometry import Floats
@@ -262,9 +263,7 @@ def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
     for one in views:
         view = one.view
         cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad)
-        weights = log_weights(parameters, cells, view.boxes)
-        shares = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
-        near_m, range_m, far_m = np.exp(weighted_quantiles(cells.log_ranges, weights, shares))
+        near_m, range_m, far_m = weighed_ranges(parameters, cells, view.boxes)
         ratios.append(np.abs(range_m - one.truth_m) / (0.5 * (far_m - near_m)))
     one_sigma, two_sigmas = np.quantile(np.concatenate(ratios), COVERAGES)
     return round(math.sqrt(one_sigma * two_sigmas / 2.0), 3)
