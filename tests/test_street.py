@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,20 +19,11 @@ from foreglow.street import (
     road_from_message,
     slope_code,
 )
+from tests.datasets.vehicle_logs.messages import segment as numbered_segment
 
 
-def segment(**codes: int | bool) -> StreetSegment:
-    fields = {
-        "segment_id": 1,
-        "parent_id": 0,
-        "length_code": 50,
-        "start_curvature_code": 255,
-        "is_start_left": False,
-        "end_curvature_code": 255,
-        "is_end_left": False,
-        "slope_code": 0,
-    }
-    return StreetSegment.model_validate(fields | codes)
+def segment(**codes: Any) -> StreetSegment:
+    return numbered_segment(codes.pop("segment_id", 1), **codes)
 
 
 @settings(derandomize=True, max_examples=200)

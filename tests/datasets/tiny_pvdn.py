@@ -96,6 +96,15 @@ def documents() -> tuple[dict[str, Any], dict[str, Any]]:
     )
 
 
+def labelled_vehicle(oid: int, *instances: tuple[int, int, bool], is_rear: bool = False) -> dict[str, Any]:
+    """A vehicle of a keypoint file: column, row and whether it is direct of each of its lights."""
+    listed = [
+        {"pos": [x, y], "iid": place, "direct": is_direct, "rear": is_rear}
+        for place, (x, y, is_direct) in enumerate(instances)
+    ]
+    return {"pos": [50, 50], "oid": oid, "direct": False, "instances": listed}
+
+
 def make_pvdn(folder: Path, cycle: str = "night") -> Path:
     """The split's folder, `folder/cycle/val`."""
     root = folder / cycle / "val"

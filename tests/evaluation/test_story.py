@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,17 +12,9 @@ from foreglow.evaluation import Predictions
 from foreglow.evaluation.lights import read_lights
 from foreglow.evaluation.story import best_story, has_labels, tell_stories
 from foreglow.types import TrackState
-from tests.datasets.tiny_pvdn import make_pvdn, write
+from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
 from tests.evaluation.scored_boxes import predictions_of
 from tests.stand_ins import tracks_of
-
-
-def vehicle(oid: int, *instances: tuple[int, int, bool], is_rear: bool = False) -> dict[str, Any]:
-    listed = [
-        {"pos": [x, y], "iid": place, "direct": is_direct, "rear": is_rear}
-        for place, (x, y, is_direct) in enumerate(instances)
-    ]
-    return {"pos": [50, 50], "oid": oid, "direct": False, "instances": listed}
 
 
 @pytest.fixture(name="dataset")
@@ -31,9 +22,9 @@ def fixture_dataset(tmp_path: Path) -> PVDN:
     """Sequence 3, images 11 to 13: rear lamps and the light of hidden vehicle 7, then more of it, then its lamp."""
     root = make_pvdn(tmp_path)
     annotations = {
-        11: [vehicle(1, (5, 5, True), is_rear=True), vehicle(7, (20, 30, False))],
-        12: [vehicle(7, (22, 30, False), (60, 30, False)), vehicle(2, (80, 20, True))],
-        13: [vehicle(7, (24, 30, False), (30, 28, True))],
+        11: [labelled_vehicle(1, (5, 5, True), is_rear=True), labelled_vehicle(7, (20, 30, False))],
+        12: [labelled_vehicle(7, (22, 30, False), (60, 30, False)), labelled_vehicle(2, (80, 20, True))],
+        13: [labelled_vehicle(7, (24, 30, False), (30, 28, True))],
     }
     for image_id, its in annotations.items():
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": its})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,18 +12,10 @@ from foreglow.evaluation.breakdown import match_lights, read_split_labels
 from foreglow.evaluation.encounters import Encounter, read_encounters
 from foreglow.evaluation.first_found import first_found
 from foreglow.evaluation.time_benefit import detection_times_s, time_benefit
-from tests.datasets.tiny_pvdn import make_pvdn, write
+from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
 from tests.evaluation.scored_boxes import predictions_of
 
 NAN = math.nan
-
-
-def vehicle(oid: int, *instances: tuple[int, int, bool], is_rear: bool = False) -> dict[str, Any]:
-    listed = [
-        {"pos": [x, y], "iid": place, "direct": is_direct, "rear": is_rear}
-        for place, (x, y, is_direct) in enumerate(instances)
-    ]
-    return {"pos": [50, 50], "oid": oid, "direct": False, "instances": listed}
 
 
 @pytest.fixture(name="dataset")
@@ -32,9 +23,9 @@ def fixture_dataset(tmp_path: Path) -> PVDN:
     """Sequence 3, images 11 to 13: rear lamps, then light of hidden vehicle 7, then its lamp and that of vehicle 2."""
     root = make_pvdn(tmp_path)
     annotations = {
-        11: [vehicle(1, (5, 5, True), is_rear=True)],
-        12: [vehicle(7, (22, 30, False))],
-        13: [vehicle(2, (80, 20, True)), vehicle(7, (24, 30, False), (30, 28, True))],
+        11: [labelled_vehicle(1, (5, 5, True), is_rear=True)],
+        12: [labelled_vehicle(7, (22, 30, False))],
+        13: [labelled_vehicle(2, (80, 20, True)), labelled_vehicle(7, (24, 30, False), (30, 28, True))],
     }
     for image_id, its in annotations.items():
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": its})

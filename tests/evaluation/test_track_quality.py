@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from foreglow.config import TrackerConfig
-from foreglow.datasets import PVDN
-from foreglow.evaluation import read_split_labels
 from foreglow.evaluation.lights import Light
-from foreglow.evaluation.track_quality import SequenceTracks, false_per_minute, match_tracks, track_predictions
-from foreglow.tracking import make_tracker
+from foreglow.evaluation.track_quality import SequenceTracks, match_tracks
 from foreglow.types import Tracks, TrackState
-from tests.datasets.tiny_pvdn import make_pvdn
-from tests.evaluation.scored_boxes import light, predictions_of, split_labels
+from tests.evaluation.scored_boxes import light, split_labels
 
 TENTATIVE, CONFIRMED, COASTING = TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING
 HERE, THERE = (0.0, 0.0, 10.0, 10.0), (50.0, 0.0, 60.0, 10.0)
@@ -56,7 +50,6 @@ def test_first_confirmation_and_false_tracks() -> None:
     (vehicle,) = one.vehicles
     assert (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.num_frames) == (0.0, 1.0, 0.0, 2.0)
     assert (one.num_plausible, one.num_false, one.duration_s) == (2, 1, 2.0)
-    assert false_per_minute([one]) == 30.0
     assert one.ids_of_light == {(0, -1): ()}  # held by no plausible track at that time
 
 
@@ -105,19 +98,6 @@ def test_sequences_are_apart() -> None:
     )
     assert (first.sequence_id, first.num_false) == (0, 0)
     assert (second.sequence_id, second.num_false) == (1, 1)
-    assert math.isnan(false_per_minute([]))
-
-
-def test_trackers_begin_again_with_each_sequence(tmp_path: Path) -> None:
-    dataset = PVDN(make_pvdn(tmp_path))
-    labels = read_split_labels(dataset)
-    predictions = predictions_of({image_id: [(10, 10, 20, 20, 0.9)] for image_id in dataset.frame_ids})
-    tracks = track_predictions(make_tracker(TrackerConfig()), dataset, labels, predictions)
-    assert tuple(tracks) == dataset.frame_ids
-    for image_id, its in tracks.items():
-        assert its.ids.tolist() == [0]
-        assert its.num_hits.tolist() == [1 + round(labels.time_s[image_id] * dataset.rate_hz)]
-    assert len(match_tracks(labels, tracks, predictions.boxes_xyxy_px)) == len(dataset.sequences) > 1
 
 
 def test_false_tracks_where_nobody_is() -> None:

@@ -10,14 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
-from foreglow.datasets.vehicle_data import VehicleData, equip
 from foreglow.evaluation.breakdown import SplitLabels
 from foreglow.evaluation.first_found import FirstFound
 from foreglow.evaluation.matching import lies_in
-from foreglow.evaluation.predictions import Predictions
-from foreglow.tracking import Tracker
-from foreglow.types import Detections, Frame, Proposals, Tracks
+from foreglow.types import Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +45,6 @@ class SequenceTracks:
     ids_of_light: Mapping[tuple[int, int], tuple[int, ...]]
 
 
-def false_per_minute(sequences: Sequence[SequenceTracks]) -> float:
-    """False confirmed tracks in a minute of driving; NaN without any time."""
-    duration_s = sum(one.duration_s for one in sequences)
-    return 60.0 * sum(one.num_false for one in sequences) / duration_s if duration_s else math.nan
-
-
 def match_tracks(
     labels: SplitLabels, tracks: Mapping[int, Tracks], boxes_xyxy_px: Mapping[int, NDArray[np.floating]]
 ) -> tuple[SequenceTracks, ...]:
@@ -68,34 +58,6 @@ def match_tracks(
     image_ids = sorted(labels.sequence_of, key=lambda one: (labels.sequence_of[one], labels.time_s[one]))
     groups = itertools.groupby(image_ids, key=lambda one: labels.sequence_of[one])
     return tuple(_match_sequence(labels, list(group), tracks, boxes_xyxy_px) for _, group in groups)
-
-
-def track_predictions(
-    tracker: Tracker, dataset: PVDN, labels: SplitLabels, predictions: Predictions, data: VehicleData | None = None
-) -> dict[int, Tracks]:
-    """The tracks by image id that `tracker` makes of stored predictions, without images and without ranges.
-
-    Args:
-        tracker: It is reset at the start of each sequence.
-        dataset: The split, for the size of its images.
-        labels: Of the same split, for sequences and times.
-        predictions: Boxes and scores.
-        data: What the car knew; None for nothing.
-    """
-    tracks: dict[int, Tracks] = {}
-    sequence_id: int | None = None
-    for image_id in dataset.frame_ids:
-        if labels.sequence_of[image_id] != sequence_id:
-            tracker.reset()
-        sequence_id = labels.sequence_of[image_id]
-        record = dataset.image(image_id)
-        blank = np.broadcast_to(np.uint8(0), (record.height_px, record.width_px))
-        frame = Frame(blank, round(labels.time_s[image_id] * 1e9), image_id, dataset.sequence(image_id).directory)
-        boxes = np.rint(predictions.boxes_xyxy_px.get(image_id, np.zeros((0, 4)))).astype(np.int32)
-        scores = predictions.scores.get(image_id, np.zeros(0)).astype(np.float32)
-        detections = Detections(Proposals(boxes), scores, score_threshold=0.5)
-        tracks[image_id] = tracker.update(frame if data is None else equip(frame, data), detections, None)
-    return tracks
 
 
 def _match_sequence(

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.config import PRESETS, PipelineConfig, TrackerConfig
+from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
 from foreglow.datasets import PVDN, CategoryConfig
 from foreglow.evaluation.breakdown import match_lights, plain, read_split_labels
 from foreglow.evaluation.encounters import Encounter, read_encounters
@@ -27,13 +27,10 @@ from foreglow.types import Tracks
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the step, how much of it is done, and how much there is."""
 
-PAPER_TRACKER = PRESETS["paper"].tracker
-OUR_TRACKER = PRESETS["foreglow"].tracker
-
 TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
     {
-        "tracker, published code": TrackerConfig(method="published"),
-        "tracker, paper": PAPER_TRACKER,
+        "tracker, published code": PUBLISHED_TRACKER,
+        "tracker, paper": TrackerConfig(),
         "tracker, ours": OUR_TRACKER,
     }
 )
