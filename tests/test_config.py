@@ -102,7 +102,7 @@ def test_empty_file_is_the_base() -> None:
         ("[tracker]\nmin_iou = 1.0", "tracker.min_iou: Input should be less than 1, got 1.0"),
         ("[tracker]\nmethod = 'best'", "tracker.method: .*'published' or 'none', got 'best'"),
         ("[tracker]\nconfirmation = 'm_of_n'\nnum_looks = 4", "min_hits: expected at most num_looks, 4, got 5"),
-        ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 1, got 3.5"),
+        ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 1.5, got 3.5"),
         ("[tracker]\nrange_gate = nan", "tracker.range_gate: .*got nan"),
         ("[beam]\na = 1", "beam: unknown, expected one of proposals, classifier, distance, tracker"),
         ("proposals = 3", "proposals: .*got 3"),

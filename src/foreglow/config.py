@@ -197,7 +197,7 @@ class TrackerConfig(FrozenModel):
     num_looks: Annotated[int, Field(ge=1, le=64)] = 7
     neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.38
     detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
-    confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.0
+    confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.5
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
     company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
     company_s: Annotated[float, Field(ge=0)] = 2.0
@@ -226,7 +226,7 @@ OUR_TRACKER = TrackerConfig(
     max_misses=6,
     confirmation="evidence",
 )
-"""Chosen on 24 validation drives at 18 frames a second; `docs/tracking.md` has the figures."""
+"""Chosen on the validation drives of `make drives`; decision 8 says how."""
 
 
 class PipelineConfig(FrozenModel):
