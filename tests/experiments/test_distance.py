@@ -7,10 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foreglow.config import DistanceConfig
+from foreglow.config import ClassifierConfig, DistanceConfig, preset
 from foreglow.distance import ESTIMATORS
 from foreglow.distance.pixelwise import PixelwiseEstimator
-from foreglow.experiments.distance import OWN_RULE, TILTS_DEG, DistancePlan, DistanceResults, Method, run_experiment
+from foreglow.experiments.distance import (
+    BOX_ALONE,
+    OWN_RULE,
+    TILTS_DEG,
+    TRACKERS,
+    DistancePlan,
+    DistanceResults,
+    Method,
+    run_experiment,
+)
 from foreglow.experiments.distance_findings import Finding, find
 from foreglow.types import Detections, Frame, Ranges
 from tests.experiments.ranged_drives import known_range_m, make_split
@@ -148,3 +157,19 @@ def test_a_set_without_truth_is_an_error(data: Path, tmp_path: Path) -> None:
         (tmp_path / "night" / "test" / name).symlink_to(data / "night" / "test" / name)
     with pytest.raises(ValueError, match=r"test: expected the range of each light, .* found none"):
         run_experiment(tmp_path, DistancePlan())
+
+
+def test_tracks_have_the_ranges_of_their_boxes(data: Path) -> None:
+    """Without a model all boxes have the score 1: from its first image on, a plausible track follows each light."""
+    config = preset("foreglow").model_copy(update={"classifier": ClassifierConfig()})
+    results = run_experiment(data, DistancePlan(estimators=("gp",), config=config))
+    assert {name for name, _ in results.tracked} == {*TRACKERS, BOX_ALONE}
+    ranges_m, sigmas_m = results.tracked[BOX_ALONE, CENTRE_GP]
+    is_followed = ~np.isnan(ranges_m)
+    assert is_followed.any()
+    np.testing.assert_array_equal(ranges_m[is_followed], results.ranges_m[CENTRE_GP][is_followed])
+    np.testing.assert_array_equal(np.isinf(sigmas_m[~is_followed]), True)
+    filtered_m, _ = results.tracked["mean of the last five", CENTRE_GP]
+    np.testing.assert_array_equal(np.isnan(filtered_m), ~is_followed)
+    first = int(np.flatnonzero(is_followed)[0])
+    assert filtered_m[first] == pytest.approx(ranges_m[first])

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.config import DistanceConfig, PipelineConfig, preset
+from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import PVDN, SplitName, split_folder
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
@@ -21,7 +22,8 @@ from foreglow.experiments.distance_lights import RangedLight, ranged_lights, til
 from foreglow.geometry import Floats
 from foreglow.pipeline import Pipeline
 from foreglow.simulation import read_truth
-from foreglow.types import Detections, Frame
+from foreglow.tracking import make_tracker
+from foreglow.types import Detections, Frame, Ranges, Tracks
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Told the step, how much of it is done, and of how much."""
@@ -33,6 +35,19 @@ OWN_RULE = "own rule"
 """Instead of a heuristic, of estimators that do not go by pixels."""
 
 DEFAULT_HEURISTIC = DistanceConfig().heuristic
+
+TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
+    {
+        "alpha-beta filter": OUR_TRACKER,
+        "mean of the last five": OUR_TRACKER.model_copy(update={"range_filter": "mean"}),
+        "median of the last five": OUR_TRACKER.model_copy(update={"range_filter": "median"}),
+        "alpha-beta filter and looming": OUR_TRACKER.model_copy(update={"use_looming": True}),
+    }
+)
+"""Our tracker with each of its ways to make one range of those of a track, by name."""
+
+BOX_ALONE = "box alone"
+"""The range of the box that a plausible track follows, to compare with the track's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +115,8 @@ class DistanceResults:
         ranges_m: By method, shape (N,); NaN without estimate.
         sigmas_m: Likewise.
         series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
+        tracked: By name of `TRACKERS`, or `box alone`, and method, ranges and sigmas, shape (N,) each, of the plausible
+            track that follows a light's box; NaN and infinity where none does.
     """
 
     name: str
@@ -111,6 +128,7 @@ class DistanceResults:
     ranges_m: Mapping[Method, Floats]
     sigmas_m: Mapping[Method, Floats]
     series_m: Mapping[tuple[str, Method], Floats]
+    tracked: Mapping[tuple[str, Method], tuple[Floats, Floats]]
 
     def column(self, name: str) -> NDArray[Any]:
         """Shape (N,): a field of the lights."""
@@ -124,7 +142,12 @@ class DistanceResults:
     @property
     def main_methods(self) -> tuple[Method, ...]:
         """One of each estimator: with the heuristic that is the default, or its own rule."""
-        return tuple(method for method in self.methods if method.heuristic in (DEFAULT_HEURISTIC, OWN_RULE))
+        return tuple(method for method in self.methods if is_main(method))
+
+
+def is_main(method: Method) -> bool:
+    """Whether it has the calibration as it is, and the default heuristic or its own rule."""
+    return not method.tilt_deg and method.heuristic in (DEFAULT_HEURISTIC, OWN_RULE)
 
 
 def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
@@ -151,24 +174,43 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     left_out: Counter[str] = Counter()
     lights: list[RangedLight] = []
     found: dict[Method, list[tuple[Floats, Floats]]] = {method: [] for method in methods}
+    followers = {
+        (name, method): make_tracker(config)
+        for method in methods
+        if is_main(method)
+        for name, config in TRACKERS.items()
+    }
+    followed: dict[tuple[str, Method], list[tuple[Floats, Floats]]] = defaultdict(list)
     num_done = 0
     for sequence_id in (sequence.id for sequence in dataset.sequences):
         drive = truth.sequence(sequence_id)
         detector.reset()
         for estimator in methods.values():
             estimator.reset()
+        for tracker in followers.values():
+            tracker.reset()
         for image in drive.frames:
             frame = dataset.read(image.image_id)
             detections = _detections(detector, frame)
             its_lights = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
             lights += its_lights
-            for method, ranges in _estimated(frame, detections, its_lights, methods):
-                found[method].append(ranges)
+            places = np.array([light.place for light in its_lights], np.intp)
+            for method, ranges in _estimated(frame, detections, methods):
+                found[method].append((ranges.ranges_m[places], ranges.sigmas_m[places]))
+                for name in TRACKERS if is_main(method) else ():
+                    tracks = followers[name, method].update(frame, detections, ranges)
+                    rows = _following(tracks, places)
+                    # -1 as an index is what is put behind them.
+                    of_track = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
+                    followed[name, method].append(of_track)
+                if is_main(method):
+                    of_box = np.where(rows < 0, np.nan, ranges.ranges_m[places])
+                    followed[BOX_ALONE, method].append((of_box, np.where(rows < 0, np.inf, ranges.sigmas_m[places])))
             num_done += 1
             if progress is not None:
                 progress("images", num_done, len(dataset))
-    ranges_m = {method: np.concatenate([np.zeros(0), *(one for one, _ in pairs)]) for method, pairs in found.items()}
-    sigmas_m = {method: np.concatenate([np.zeros(0), *(one for _, one in pairs)]) for method, pairs in found.items()}
+    estimates = {method: _joined(pairs) for method, pairs in found.items()}
+    ranges_m = {method: one for method, (one, _) in estimates.items()}
     return DistanceResults(
         name=dataset.name,
         plan=plan,
@@ -177,8 +219,9 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
         left_out=dict(left_out),
         lights=tuple(lights),
         ranges_m=ranges_m,
-        sigmas_m=sigmas_m,
+        sigmas_m={method: one for method, (_, one) in estimates.items()},
         series_m=dict(_series(lights, ranges_m)),
+        tracked={key: _joined(pairs) for key, pairs in followed.items()},
     )
 
 
@@ -203,14 +246,27 @@ def _detections(detector: Pipeline, frame: Frame) -> Detections:
 
 
 def _estimated(
-    frame: Frame, detections: Detections, lights: Sequence[RangedLight], methods: Mapping[Method, RangeEstimator]
-) -> Iterator[tuple[Method, tuple[Floats, Floats]]]:
-    """Ranges and sigmas of the lights by each method; estimators with a memory see images without lights, too."""
+    frame: Frame, detections: Detections, methods: Mapping[Method, RangeEstimator]
+) -> Iterator[tuple[Method, Ranges]]:
+    """Ranges of all boxes by each method."""
     frames = {tilt_deg: tilted(frame, float(np.radians(tilt_deg))) for tilt_deg in TILTS_DEG if tilt_deg} | {0.0: frame}
-    places = np.array([light.place for light in lights], np.intp)
     for method, estimator in methods.items():
-        ranges = estimator.estimate(frames[method.tilt_deg], detections)
-        yield method, (ranges.ranges_m[places], ranges.sigmas_m[places])
+        yield method, estimator.estimate(frames[method.tilt_deg], detections)
+
+
+def _following(tracks: Tracks, places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """For each box in `places` the row of the plausible track that took it in this frame; -1 where none did."""
+    is_following = tracks.is_plausible & (tracks.detections >= 0)
+    row_of = dict(zip(tracks.detections[is_following].tolist(), np.flatnonzero(is_following).tolist(), strict=True))
+    return np.array([row_of.get(place, -1) for place in places.tolist()], np.intp)
+
+
+def _joined(pairs: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Ranges and sigmas of all images, one after another."""
+    return (
+        np.concatenate([np.zeros(0), *(one for one, _ in pairs)]),
+        np.concatenate([np.zeros(0), *(one for _, one in pairs)]),
+    )
 
 
 def _series(

@@ -26,8 +26,8 @@ class Finding:
     """How well a method does on some lights.
 
     Attributes:
-        axis: What the groups differ in: `range`, `series`, `pitch`, `localisation`, `terrain`, `kind`, or `vehicle`,
-            where the truth is the range of the vehicle and not that of the light.
+        axis: What the groups differ in: `range`, `series`, `tracks`, `pitch`, `localisation`, `terrain`, `kind`, or
+            `vehicle`, where the truth is the range of the vehicle and not that of the light.
         method: The method.
         light: `direct`, `indirect` or `all`.
         group: Within the axis, such as `30-60 m`; `all` of it.
@@ -58,6 +58,7 @@ def find(results: DistanceResults) -> tuple[Finding, ...]:
         for finding in (
             *_by_range(results, name, is_it, truth_m),
             *_by_series(results, name, is_it, truth_m),
+            *_by_tracks(results, name, is_it, truth_m),
             *_by_group(results, name, is_it, truth_m),
             *_by_pitch(results, name, is_it, truth_m),
         )
@@ -87,6 +88,11 @@ def _by_range(results: DistanceResults, light: str, is_it: NDArray[np.bool_], tr
 def _by_series(results: DistanceResults, light: str, is_it: NDArray[np.bool_], truth_m: Floats) -> Iterator[Finding]:
     for (name, method), ranges_m in results.series_m.items():
         yield Finding("series", method, light, name, summarise(truth_m[is_it], ranges_m[is_it]))
+
+
+def _by_tracks(results: DistanceResults, light: str, is_it: NDArray[np.bool_], truth_m: Floats) -> Iterator[Finding]:
+    for (name, method), (ranges_m, sigmas_m) in results.tracked.items():
+        yield Finding("tracks", method, light, name, summarise(truth_m[is_it], ranges_m[is_it], sigmas_m[is_it]))
 
 
 def _by_group(results: DistanceResults, light: str, is_it: NDArray[np.bool_], truth_m: Floats) -> Iterator[Finding]:

@@ -118,6 +118,11 @@ def _tables(findings: Sequence[Finding]) -> Iterator[tuple[str, str, Table]]:
 _SECTIONS = {
     "range": ("By range", "Bins of the true range, the lower edge inclusive."),
     "vehicle": ("Against the vehicle's range", "What the same estimates are worth as the distance of the vehicle."),
+    "tracks": (
+        "Tracks",
+        "The range of the plausible track on a light's box, by our tracker with each of its filters, and that of the "
+        "box alone. Without estimate: no plausible track.",
+    ),
     "series": ("Five frames", "Mean and median of a light's latest five frames, by the time of the last one."),
     "localisation": ("By localisation error", "The largest error of the position on the map."),
     "terrain": ("By terrain", "The drive's scenario."),
