@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.datasets import split_folder
+from foreglow.datasets import split_folder, split_in
 
 
 def make_split(path: Path) -> Path:
@@ -38,3 +38,11 @@ def test_missing_split_or_folder(tmp_path: Path) -> None:
         split_folder(tmp_path, "test")
     with pytest.raises(FileNotFoundError, match="no such folder"):
         split_folder(tmp_path / "nowhere", "test")
+
+
+def test_a_split_itself_or_one_of_a_data_set(tmp_path: Path) -> None:
+    split = make_split(tmp_path / "night" / "val")
+    assert split_in(split, "test") == split
+    assert split_in(tmp_path, "val") == split
+    with pytest.raises(FileNotFoundError, match="expected the split test in it"):
+        split_in(tmp_path, "test")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.config import preset
+from foreglow.config import TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.evaluation.time_benefit import time_benefit
 from foreglow.experiments.time_benefit import (
@@ -113,7 +113,7 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     assert stored["encounters"][0]["sequence"] == "S00001"
     assert len(stored["curves"]["evidence"]) == len(RULES["evidence"])
     assert stored["made_with"]["version"]
-    assert "1 vehicles, 1 of them occluded" in summary_lines(results)[0]
+    assert "1 vehicle, 1 of them occluded" in summary_lines(results)[0]
 
 
 def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
@@ -132,3 +132,13 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     record = results.to_json()
     assert record["methods"][3]["false"]["per_km"] is None
     write_report(results, tmp_path / "report")
+
+
+def test_a_tracker_of_ones_own_has_a_row() -> None:
+    own = TrackerConfig(min_hits=2)
+    config = preset("foreglow").model_copy(update={"tracker": own})
+    results = run_experiment(PVDN(shipped_drive()), config)
+    two_frames, five_frames = (results.method(name).false for name in ("tracker, configured", "tracker, paper"))
+    assert two_frames is not None
+    assert five_frames is not None
+    assert two_frames.num_plausible > five_frames.num_plausible

@@ -45,9 +45,9 @@ def experiment_simulator(
 
 @experiments.command("distance")
 def experiment_distance(
-    data: Annotated[Path, argument(metavar="DATA", help="A simulated data set with train, val and test.")],
+    data: Annotated[Path, argument(metavar="DATA", help="A simulated data set, or one split of it.")],
     out: Annotated[Path, folder(help="Folder for the report.")],
-    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on.")] = "test",
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on, of a data set.")] = "test",
     estimators: Annotated[
         str | None, typer.Option(metavar="NAME,NAME", help="Only these estimators (default: all).")
     ] = None,
@@ -132,8 +132,9 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
 
 @experiments.command("time-benefit")
 def experiment_time_benefit(
-    data: Annotated[Path, argument(metavar="DATA", help="A split with labels, at its full frame rate.")],
+    data: Annotated[Path, argument(metavar="DATA", help="A data set at its full frame rate, or one split of it.")],
     out: Annotated[Path, folder(help="Folder for the report.")],
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on, of a data set.")] = "test",
     preset: PresetOption = DEFAULT_PRESET,
     model: ModelOption = None,
     config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
@@ -142,15 +143,16 @@ def experiment_time_benefit(
     ] = 6,
 ) -> None:
     """How long before a production system and a human the first vehicle of each sequence is detected."""
-    from foreglow.datasets import PVDN, CategoryConfig, ImageCategory
+    from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, split_in
     from foreglow.experiments.time_benefit import run_experiment
     from foreglow.reports.figures import require_matplotlib
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.time_benefit_page import summary_lines, write_report
 
     require_matplotlib()
+    dataset = PVDN(split_in(data, cast("SplitName", split)))
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with contextlib.closing(StepProgress()) as progress:
-        results = run_experiment(PVDN(data), configuration_of(preset, config, model), categories, progress)
+        results = run_experiment(dataset, configuration_of(preset, config, model), categories, progress)
     report = write_report(results, out)
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

@@ -21,7 +21,7 @@ from foreglow.datasets.pvdn_schema import (
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
 from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder
+from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder, split_in
 from foreglow.datasets.vehicle_data import Equipped, VehicleData
 from foreglow.datasets.video import Video
 
@@ -54,6 +54,7 @@ __all__ = [
     "read_image",
     "shipped_drive",
     "split_folder",
+    "split_in",
     "to_grey",
     "write_pvdn",
 ]

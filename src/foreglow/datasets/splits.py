@@ -28,3 +28,13 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
         cycles = ", ".join(str(path.parent) for path in found)
         raise ValueError(f"{root}: expected a single split {name}, found several; name one of {cycles}")
     return found[0]
+
+
+def split_in(data: Path | str, name: SplitName) -> Path:
+    """The split to measure on: `data` where it is one itself, else its split `name` as `split_folder` finds it.
+
+    Raises:
+        FileNotFoundError: If there is no such folder or no such split.
+        ValueError: If there are several.
+    """
+    return Path(data) if is_split(Path(data)) else split_folder(data, name)

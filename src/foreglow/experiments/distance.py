@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
-from foreglow.datasets import PVDN, SplitName, split_folder
+from foreglow.datasets import PVDN, SplitName, split_in
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
@@ -55,7 +55,7 @@ class DistancePlan:
     """What is asked for.
 
     Attributes:
-        split: The split that is measured on.
+        split: The split that is measured on, of a data set.
         estimators: Names of `ESTIMATORS`.
         config: Of the detector whose boxes are given a range, and of the pitch.
         seed: Of the intervals.
@@ -154,7 +154,7 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     """Ranges for every labelled light of a simulated split whose range is known, from the smallest box around it.
 
     Args:
-        data: A data set with the split.
+        data: A data set with the split, or a split itself.
         plan: What to measure.
         progress: Told how many images are done.
 
@@ -162,7 +162,7 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or the set has no ranges, calibration and road beside its labels.
     """
-    dataset = PVDN(split_folder(data, plan.split))
+    dataset = PVDN(split_in(data, plan.split))
     if not (dataset.root / "simulation" / "info.json").is_file():
         raise ValueError(
             f"{dataset.root}: expected the range of each light, a calibration and the road ahead beside the labels, "

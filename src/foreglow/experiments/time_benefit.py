@@ -36,6 +36,9 @@ TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
 )
 """The trackers of the table, by name."""
 
+CONFIGURED = "tracker, configured"
+"""That of the configuration, where it is another one."""
+
 
 def _ours(**changes: Any) -> TrackerConfig:
     return TrackerConfig(**(OUR_TRACKER.model_dump() | changes))
@@ -179,7 +182,7 @@ def run_experiment(
 
     Args:
         dataset: Images with labels.
-        config: Detector and distance; its tracker plays no part.
+        config: Detector and distance; its tracker has a row of its own where it is none of `TRACKERS`.
         categories: Which image category marks the production system's report, where the set is not simulated.
         progress: Told of each image.
 
@@ -193,7 +196,10 @@ def run_experiment(
     encounters = read_encounters(dataset, labels, categories)
     if not encounters:
         raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
-    settings = {name: one for curve in RULES.values() for name, one in curve.items()} | dict(TRACKERS)
+    trackers = dict(TRACKERS)
+    if config.tracker.method != "none" and config.tracker not in trackers.values():
+        trackers[CONFIGURED] = config.tracker
+    settings = {name: one for curve in RULES.values() for name, one in curve.items()} | trackers
     followed = _follow(dataset, config, settings, progress)
 
     def method(name: str, detected_s: Sequence[float], false: FalseTracks | None = None) -> Method:
@@ -213,7 +219,7 @@ def run_experiment(
         num_sequences=len(dataset.sequences),
         methods=(
             method("single frame", detection_times_s(encounters, singles)),
-            *(tracker_method(name) for name in TRACKERS),
+            *(tracker_method(name) for name in trackers),
             method("human", [one.human_s for one in encounters]),
             method("first lamp in sight", [one.sight_s for one in encounters]),
             method("production system", [one.production_s for one in encounters]),

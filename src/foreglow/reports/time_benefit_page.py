@@ -41,12 +41,13 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
 
 
 def summary_lines(results: TimeBenefitResults) -> list[str]:
-    """What the command says: the tracker of the configuration in three lines."""
+    """What the command says: our tracker in three lines."""
     ours = results.method("tracker, ours")
     assert ours.false is not None
-    before, num_occluded = ours.benefit.occluded_before_production_s, sum(one.is_occluded for one in results.encounters)
+    before, num = ours.benefit.occluded_before_production_s, len(results.encounters)
+    num_occluded = sum(one.is_occluded for one in results.encounters)
     return [
-        f"{len(results.encounters)} vehicles, {num_occluded} of them occluded at first; our tracker confirms "
+        f"{num} vehicle{'' if num == 1 else 's'}, {num_occluded} of them occluded at first; our tracker confirms "
         f"{_percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {_signed(before.mean)} s before the production system (mean of {before.num}), all "
         f"{_signed(ours.benefit.before_human_s.mean)} s before a human",
