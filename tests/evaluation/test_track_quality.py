@@ -50,7 +50,6 @@ def test_first_confirmation_and_false_tracks() -> None:
     (vehicle,) = one.vehicles
     assert (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.num_frames) == (0.0, 1.0, 0.0, 2.0)
     assert (one.num_plausible, one.num_false, one.duration_s) == (2, 1, 2.0)
-    assert one.ids_of_light == {(0, -1): ()}  # held by no plausible track at that time
 
 
 def test_tentative_tracks_are_not_false() -> None:
@@ -75,20 +74,6 @@ def test_a_vehicle_that_is_never_confirmed() -> None:
     assert math.isnan(vehicle.found_s)
     assert math.isnan(vehicle.lamp_s)
     assert math.isnan(vehicle.num_frames)
-
-
-def test_ids_of_a_light() -> None:
-    """Two instances of a vehicle; the first changes its track."""
-    lights = {number: [light(number, 5, 5, instance_id=7), light(number, 55, 5, instance_id=8)] for number in range(3)}
-    (one,) = matched(
-        lights,
-        {
-            0: tracks_of((0, CONFIRMED, 0), (1, CONFIRMED, 1)),
-            1: tracks_of((1, CONFIRMED, 1), (2, CONFIRMED, 0)),
-            2: tracks_of((0, TENTATIVE, 1), (2, CONFIRMED, 0)),
-        },
-    )
-    assert one.ids_of_light == {(0, 7): (0, 2), (0, 8): (1,)}
 
 
 def test_sequences_are_apart() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from foreglow.config import DistanceConfig
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pitch import make_pitch_source
-from foreglow.distance.rays import RayCaster, Rays
+from foreglow.distance.rays import RayCaster, Rays, calibrated
 from foreglow.geometry import Floats
 from foreglow.types import Detections, Frame, Ranges
 
@@ -29,11 +29,10 @@ class PixelwiseEstimator(ABC):
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
-        if frame.camera is None:
-            raise ValueError(f"Frame.camera: expected a calibration to estimate ranges, frame {frame.frame} has none")
+        camera = calibrated(frame)
         pixels = self._heuristic.pixels(detections.boxes_xyxy_px)
         pitch = self._pitch.pitch(frame)
-        rays = self._caster.cast(frame.camera, pixels.reshape(-1, 2), pitch.rad, pitch.sigma_rad)
+        rays = self._caster.cast(camera, pixels.reshape(-1, 2), pitch.rad, pitch.sigma_rad)
         ranges_m, sigmas_m = self.pixel_ranges(frame, rays)
         shape = pixels.shape[:2]
         return Ranges(detections, *self._heuristic.reduce(ranges_m.reshape(shape), sigmas_m.reshape(shape)))

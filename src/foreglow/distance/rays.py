@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from foreglow.geometry import Camera, Floats, rotation
+from foreglow.types import Frame
 
 NODE_SPACING_PX = 16.0
 """Between the nodes at which a camera's distortion is inverted exactly; between them a cubic spline is off by less
@@ -30,6 +31,17 @@ class Rays:
     origin_m: Floats
     directions: Floats
     pitch_sigma_rad: float
+
+
+def calibrated(frame: Frame) -> Camera:
+    """The frame's camera.
+
+    Raises:
+        ValueError: If it has none.
+    """
+    if frame.camera is None:
+        raise ValueError(f"Frame.camera: expected a calibration to estimate ranges, frame {frame.frame} has none")
+    return frame.camera
 
 
 class RayCaster:

@@ -21,7 +21,7 @@ from foreglow.distance.hypotheses import (
 )
 from foreglow.distance.lamp_pairs import SPACING_M, pair_spacings_rad
 from foreglow.distance.pitch import MarkingsPitch, make_pitch_source
-from foreglow.distance.rays import RayCaster
+from foreglow.distance.rays import RayCaster, calibrated
 from foreglow.distance.ribbon import Ribbon, ribbon
 from foreglow.distance.weighing import Weigher
 from foreglow.geometry import Floats
@@ -86,9 +86,7 @@ class RoadSurface:
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
-        camera = frame.camera
-        if camera is None:
-            raise ValueError(f"Frame.camera: expected a calibration to estimate ranges, frame {frame.frame} has none")
+        camera = calibrated(frame)
         alignment = believed(frame) if self._aligner is None else self._aligner.align(frame)
         pitch = self._pitch.pitch(frame)
         is_placed = frame.road is not None and np.isfinite(alignment.shift_sigma_m)

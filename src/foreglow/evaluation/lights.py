@@ -40,7 +40,6 @@ class Light:
         grey: Grey levels that the light adds at its peak; NaN where unknown.
         rank: Place among the indirect lights of its image, 0 for the strongest; in the file's order where strengths
             are unknown; -1 for direct light.
-        instance_id: The same through the sequence for the same light (PVDN: iid); -1 where unknown.
     """
 
     image_id: int
@@ -54,7 +53,6 @@ class Light:
     range_m: float = math.nan
     grey: float = math.nan
     rank: int = DIRECT_RANK
-    instance_id: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +130,6 @@ def _light(
         is_direct=instance.is_direct,
         is_rear=instance.is_rear,
         is_hidden=is_hidden,
-        instance_id=instance.iid,
     )
     if not known:
         return light

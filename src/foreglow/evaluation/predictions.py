@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +48,13 @@ class Predictions:
                 )
 
 
-class _FrameLine(Record):
-    """The part of a line of `frames.jsonl` that matters here."""
+class FrameLine(Record):
+    """A line of `frames.jsonl`; those who read it add the fields that matter to them."""
 
     frame: int
+
+
+class _FrameLine(FrameLine):
     proposals_xyxy_px: tuple[_Box, ...]
     scores: tuple[Number, ...] | None = None
 
@@ -94,17 +97,32 @@ def read_predictions(path: Path | str) -> Predictions:
     return _from_lines(data, path) if path.suffix.lower() == ".jsonl" else _from_object(data, path)
 
 
-def _from_lines(data: bytes, path: Path) -> Predictions:
-    boxes: dict[int, NDArray[np.float64]] = {}
-    scores: dict[int, NDArray[np.float64]] = {}
-    is_scored: bool | None = None
+Line = TypeVar("Line", bound=FrameLine)
+
+
+def frame_lines(data: bytes, model: type[Line], path: Path) -> Iterator[tuple[str, Line]]:
+    """The lines of a `frames.jsonl` with where each is, for messages; empty ones are passed over.
+
+    Raises:
+        ValueError: If a line is not of that form, or a frame is there twice.
+    """
+    seen: set[int] = set()
     for number, line in enumerate(data.splitlines(), start=1):
         if not line.strip():
             continue
         origin = f"{path}: line {number}"
-        parsed = parse_json(line, _FrameLine, origin)
-        if parsed.frame in boxes:
+        parsed = parse_json(line, model, origin)
+        if parsed.frame in seen:
             raise ValueError(f"{origin}: frame: expected each frame once, {parsed.frame} is there twice")
+        seen.add(parsed.frame)
+        yield origin, parsed
+
+
+def _from_lines(data: bytes, path: Path) -> Predictions:
+    boxes: dict[int, NDArray[np.float64]] = {}
+    scores: dict[int, NDArray[np.float64]] = {}
+    is_scored: bool | None = None
+    for origin, parsed in frame_lines(data, _FrameLine, path):
         if is_scored is None:
             is_scored = parsed.scores is not None
         elif is_scored != (parsed.scores is not None):

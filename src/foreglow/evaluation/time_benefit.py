@@ -19,38 +19,26 @@ from numpy.typing import NDArray
 from foreglow.evaluation.breakdown import plain
 from foreglow.evaluation.encounters import Encounter
 from foreglow.evaluation.first_found import FirstFound
+from foreglow.evaluation.label_statistics import Spread
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
-    """Some numbers in short; all NaN of none.
+class MeanAndSpread(Spread):
+    """Median, quartiles and mean of times, seconds; NaN of nothing."""
 
-    Attributes:
-        num: How many.
-        mean: Their mean.
-        median: Their median.
-        lower_quartile: Their first quartile.
-        upper_quartile: Their third quartile.
-    """
-
-    num: int
     mean: float
-    median: float
-    lower_quartile: float
-    upper_quartile: float
 
     @classmethod
-    def of(cls, values: Iterable[float]) -> Spread:
+    def of(cls, values: Iterable[float]) -> MeanAndSpread:
         """Of those of `values` that are not NaN.
 
-        >>> Spread.of([1.0, 2.0, math.nan, 6.0])
-        Spread(num=3, mean=3.0, median=2.0, lower_quartile=1.5, upper_quartile=4.0)
+        >>> MeanAndSpread.of([1.0, 2.0, math.nan, 6.0])
+        MeanAndSpread(num=3, lower_quartile=1.5, median=2.0, upper_quartile=4.0, mean=3.0)
         """
-        known = np.array([value for value in values if not math.isnan(value)], np.float64)
-        if not len(known):
-            return cls(0, math.nan, math.nan, math.nan, math.nan)
-        low, median, high = np.percentile(known, (25, 50, 75)).tolist()
-        return cls(len(known), float(known.mean()), median, low, high)
+        known = [float(value) for value in values if not math.isnan(value)]
+        spread = Spread.of(known)
+        mean = float(np.mean(known)) if known else math.nan
+        return cls(spread.num, spread.lower_quartile, spread.median, spread.upper_quartile, mean)
 
     def to_json(self) -> dict[str, Any]:
         """All fields by name, for JSON: null instead of NaN."""
@@ -76,11 +64,11 @@ class TimeBenefit:
 
     name: str
     detected_s: tuple[float, ...]
-    delays_s: Spread
-    before_production_s: Spread
-    occluded_before_production_s: Spread
-    before_human_s: Spread
-    before_sight_s: Spread
+    delays_s: MeanAndSpread
+    before_production_s: MeanAndSpread
+    occluded_before_production_s: MeanAndSpread
+    before_human_s: MeanAndSpread
+    before_sight_s: MeanAndSpread
     provident_share: float
     num_missed: int
 
@@ -114,11 +102,11 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
     return TimeBenefit(
         name=name,
         detected_s=tuple(detected.tolist()),
-        delays_s=Spread.of(detected - light_s),
-        before_production_s=Spread.of(production_s - detected),
-        occluded_before_production_s=Spread.of((production_s - detected)[is_occluded]),
-        before_human_s=Spread.of(human_s - detected),
-        before_sight_s=Spread.of((sight_s - detected)[is_occluded]),
+        delays_s=MeanAndSpread.of(detected - light_s),
+        before_production_s=MeanAndSpread.of(production_s - detected),
+        occluded_before_production_s=MeanAndSpread.of((production_s - detected)[is_occluded]),
+        before_human_s=MeanAndSpread.of(human_s - detected),
+        before_sight_s=MeanAndSpread.of((sight_s - detected)[is_occluded]),
         provident_share=float(is_provident[is_occluded].mean()) if is_occluded.any() else math.nan,
         num_missed=int(np.isnan(detected).sum()),
     )

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from foreglow.datasets.json_files import Record, parse_json
-from foreglow.evaluation.predictions import Number
+from foreglow.datasets.json_files import Record
+from foreglow.evaluation.predictions import FrameLine, Number, frame_lines
 from foreglow.types import Tracks, TrackState
 
 
@@ -28,10 +28,7 @@ class _TrackRecord(Record):
     detection: Annotated[int, Field(ge=-1)]
 
 
-class _FrameLine(Record):
-    """The part of a line of `frames.jsonl` that matters here."""
-
-    frame: int
+class _FrameLine(FrameLine):
     tracks: tuple[_TrackRecord, ...] | None = None
 
 
@@ -46,15 +43,9 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, expected the frames.jsonl of a run")
     tracks: dict[int, Tracks] = {}
-    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
-        if not line.strip():
-            continue
-        origin = f"{path}: line {number}"
-        parsed = parse_json(line, _FrameLine, origin)
+    for origin, parsed in frame_lines(path.read_bytes(), _FrameLine, path):
         if parsed.tracks is None:
             raise ValueError(f"{origin}: tracks: expected a list, got nothing: the run had no model or no tracker")
-        if parsed.frame in tracks:
-            raise ValueError(f"{origin}: frame: expected each frame once, {parsed.frame} is there twice")
         try:
             tracks[parsed.frame] = _tracks(parsed.tracks)
         except ValueError as error:

@@ -31,8 +31,6 @@ class SequenceTracks:
         num_false_empty: Those false ones that first were plausible in such an image: nobody was there at all.
         vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the first
             track that has held a light of it is plausible.
-        ids_of_light: By vehicle and instance id, the ids of the plausible tracks that held it, in the order of time;
-            empty where there was none.
     """
 
     sequence_id: int
@@ -42,7 +40,6 @@ class SequenceTracks:
     empty_s: float
     num_false_empty: int
     vehicles: tuple[FirstFound, ...]
-    ids_of_light: Mapping[tuple[int, int], tuple[int, ...]]
 
 
 def match_tracks(
@@ -71,7 +68,6 @@ def _match_sequence(
     lit: set[int] = set()  # have held any light
     vehicles_of: dict[int, set[int]] = {}
     firsts: dict[int, dict[str, float]] = {}
-    ids_of_light: dict[tuple[int, int], list[int]] = {}
     for place, image_id in enumerate(image_ids):
         its, now_s = tracks[image_id], labels.time_s[image_id]
         plausible_now = set(its.ids[its.is_plausible].tolist())
@@ -83,7 +79,6 @@ def _match_sequence(
         lights = labels.lights[image_id]
         points_px = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
         for light in lights:
-            ids_of_light.setdefault((light.vehicle_id, light.instance_id), [])
             if not light.is_rear:
                 first = firsts.setdefault(light.vehicle_id, {"light": now_s, "place": place})
                 if light.is_direct:
@@ -93,9 +88,6 @@ def _match_sequence(
             lit.add(track_id)
             if not light.is_rear:
                 vehicles_of.setdefault(track_id, set()).add(light.vehicle_id)
-            its_ids = ids_of_light[light.vehicle_id, light.instance_id]
-            if track_id in plausible_now and track_id not in its_ids:
-                its_ids.append(track_id)
         for vehicle_id in {vehicle for one in plausible_now for vehicle in vehicles_of.get(one, ())}:
             firsts[vehicle_id].setdefault("found", now_s)
             firsts[vehicle_id].setdefault("found_place", place)
@@ -118,7 +110,6 @@ def _match_sequence(
             )
             for vehicle_id, first in sorted(firsts.items())
         ),
-        ids_of_light={key: tuple(ids) for key, ids in sorted(ids_of_light.items())},
     )
 
 

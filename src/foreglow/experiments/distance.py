@@ -239,10 +239,9 @@ def _methods(estimators: Sequence[str]) -> Iterator[Method]:
 def _detections(detector: Pipeline, frame: Frame) -> Detections:
     """All boxes of the frame, as the stage of distance gets them; without a model all with the score 1."""
     result = detector.step(frame)
-    ones = np.ones(len(result.proposals), np.float32)
     if result.detections is not None:
         return result.detections
-    return Detections(result.proposals, ones, score_threshold=0.5)
+    return Detections(result.proposals, np.ones(len(result.proposals), np.float32), score_threshold=0.5)
 
 
 def _estimated(

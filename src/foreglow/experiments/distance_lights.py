@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foreglow.evaluation.matching import smallest_box
-from foreglow.geometry import Pose, rotation
+from foreglow.geometry import Camera, Pose, rotation
 from foreglow.simulation.recording.truth_files import SequenceTruth
 from foreglow.simulation.truth import Artifact, VehicleTruth
 from foreglow.types import Boxes, Frame
@@ -89,11 +90,15 @@ def ranged_lights(
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:
     """`frame` with a calibration that claims the camera to look up by `pitch_rad` more than it does."""
-    camera = frame.camera
-    assert camera is not None
+    assert frame.camera is not None
+    return dataclasses.replace(frame, camera=_tilted_camera(frame.camera, pitch_rad))
+
+
+@functools.lru_cache(maxsize=64)  # the same camera for each frame: estimators remember what depends on it
+def _tilted_camera(camera: Camera, pitch_rad: float) -> Camera:
     mount = camera.vehicle_from_camera
     claimed = Pose(mount.position_m, mount.rotation @ rotation(pitch_rad=pitch_rad))
-    return dataclasses.replace(frame, camera=dataclasses.replace(camera, vehicle_from_camera=claimed))
+    return dataclasses.replace(camera, vehicle_from_camera=claimed)
 
 
 def _artifacts(vehicles: tuple[VehicleTruth, ...]) -> Iterator[tuple[VehicleTruth, Artifact]]:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from foreglow.experiments.detector import RowResult
-
-DASH = "–"
+from foreglow.reports.numbers import DASH
 
 Cells: TypeAlias = list[str]
 

@@ -18,9 +18,10 @@ from foreglow.experiments.distance_findings import ALL, PAPERS_GP, Finding, find
 from foreglow.experiments.distance_lights import RangedLight
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import processor_name, provenance
-from foreglow.reports.detector_table import DASH, Table, markdown
+from foreglow.reports.detector_table import Table, markdown
 from foreglow.reports.distance_plots import alt_text, distance_plots
 from foreglow.reports.html import STYLE, html_table
+from foreglow.reports.numbers import number, percent, signed
 
 SIGN = "Relative error is (estimate - truth) / truth: positive where the light seems too far."
 
@@ -54,8 +55,8 @@ def headline(findings: Sequence[Finding]) -> list[str]:
         to_vehicle = _one(findings, "vehicle", "gp", light)
         if to_light is not None and to_vehicle is not None:
             lines.append(
-                f"GP, {light}: median relative error {_signed(to_light.errors.median)} of the range to the light, "
-                f"{_signed(to_vehicle.errors.median)} of that to the vehicle (paper {papers:+.2f})"
+                f"GP, {light}: median relative error {signed(to_light.errors.median, 3)} of the range to the light, "
+                f"{signed(to_vehicle.errors.median, 3)} of that to the vehicle (paper {papers:+.2f})"
             )
     return lines
 
@@ -146,12 +147,12 @@ def _table(findings: Sequence[Finding], *, with_group: bool) -> Table:
                 one.light,
                 *([one.group] if with_group else []),
                 str(errors.num),
-                _share(errors.missing),
-                _signed(errors.median),
-                f"{_number(errors.median_absolute)}{interval}",
-                f"{_signed(errors.lower_quartile)} to {_signed(errors.upper_quartile)}",
-                _share(errors.within_one_sigma),
-                _share(errors.within_two_sigma),
+                percent(errors.missing),
+                signed(errors.median, 3),
+                f"{number(errors.median_absolute, 3)}{interval}",
+                f"{signed(errors.lower_quartile, 3)} to {signed(errors.upper_quartile, 3)}",
+                percent(errors.within_one_sigma),
+                percent(errors.within_two_sigma),
             ]
         )
     return Table(head, rows, [""] * len(rows))
@@ -201,15 +202,3 @@ def _one(findings: Sequence[Finding], axis: str, estimator: str, light: str) -> 
         and _is_main(one.method)
     )
     return next(fits, None)
-
-
-def _number(value: float) -> str:
-    return DASH if math.isnan(value) else f"{value:.3f}"
-
-
-def _signed(value: float) -> str:
-    return DASH if math.isnan(value) else f"{value:+.3f}"
-
-
-def _share(value: float) -> str:
-    return DASH if math.isnan(value) else f"{value:.0%}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
@@ -17,6 +18,7 @@ from foreglow.evaluation.robustness import RobustnessRow
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.reports.evaluation_plots import evaluation_plots
+from foreglow.reports.numbers import number
 
 ASPECTS = {
     "kind": "by kind",
@@ -26,6 +28,9 @@ ASPECTS = {
     "hidden kind": "hidden vehicles, by kind",
     "distance": "by distance to the vehicle",
 }
+
+
+_number = functools.partial(number, digits=3)
 
 
 def write_report(examination: Examination, folder: Path, origin: Mapping[str, Any]) -> Path:
@@ -83,7 +88,9 @@ def examination_lines(examination: Examination) -> list[str]:
         ]
     if "total" in examination.run_time_ms:
         total = examination.run_time_ms["total"]
-        lines.append(f"{_ms(total['median'])} ms a frame (median), {_ms(total['p99'])} ms (p99), without decoding")
+        lines.append(
+            f"{number(total['median'])} ms a frame (median), {number(total['p99'])} ms (p99), without decoding"
+        )
     return lines
 
 
@@ -127,7 +134,8 @@ def _lines(examination: Examination, plots: set[str]) -> Iterator[str]:
         yield "## Run-time"
         yield ""
         times = [
-            [stage, *(_ms(its[p]) for p in ("median", "p95", "p99"))] for stage, its in examination.run_time_ms.items()
+            [stage, *(number(its[p]) for p in ("median", "p95", "p99"))]
+            for stage, its in examination.run_time_ms.items()
         ]
         yield from _table(["stage, ms a frame", "median", "p95", "p99"], times)
     if examination.robustness:
@@ -250,11 +258,3 @@ def _spread(values: Sequence[float]) -> str:
         return "–"
     low, median, high = np.percentile(values, (25, 50, 75))
     return f"{median:.2f} (quartiles {low:.2f} to {high:.2f})"
-
-
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.3f}"
-
-
-def _ms(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.config import config_to_toml
-from foreglow.evaluation.time_benefit import Spread
+from foreglow.evaluation.time_benefit import MeanAndSpread
 from foreglow.experiments.time_benefit import FIVE_FRAMES, Method, TimeBenefitResults, least_delay_s
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import provenance
 from foreglow.reports.figures import AMBER, BLUE, GREY, INK, PALE, png, subplots
+from foreglow.reports.numbers import DASH, number, percent, signed
 
 COLOURS = {"single frame": AMBER, "tracker, paper": BLUE, "tracker, ours": "#2c9c4b"}
 CURVE_COLOURS = {"frames": BLUE, "m_of_n": GREY, "evidence": "#2c9c4b"}
@@ -48,10 +49,10 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
     num_occluded = sum(one.is_occluded for one in results.encounters)
     return [
         f"{num} vehicle{'' if num == 1 else 's'}, {num_occluded} of them occluded at first; our tracker confirms "
-        f"{_percent(ours.benefit.provident_share)} of these before their first lamp",
-        f"these {_signed(before.mean)} s before the production system (mean of {before.num}), all "
-        f"{_signed(ours.benefit.before_human_s.mean)} s before a human",
-        f"{_number(ours.false.per_minute)} false confirmed tracks a minute, {_number(ours.false.per_km)} a kilometre",
+        f"{percent(ours.benefit.provident_share)} of these before their first lamp",
+        f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "
+        f"{signed(ours.benefit.before_human_s.mean)} s before a human",
+        f"{number(ours.false.per_minute)} false confirmed tracks a minute, {number(ours.false.per_km)} a kilometre",
     ]
 
 
@@ -93,9 +94,9 @@ def _method_lines(methods: Iterable[Method]) -> Iterator[str]:
         yield (
             f"| {benefit.name} | {_spread(benefit.delays_s)} | {_spread(benefit.before_production_s)} "
             f"| {_spread(benefit.occluded_before_production_s)} | {_spread(benefit.before_human_s)} "
-            f"| {_spread(benefit.before_sight_s)} | {_percent(benefit.provident_share)} | {benefit.num_missed} "
-            f"| {_number(false.per_minute) if false else '–'} | {_number(false.per_km) if false else '–'} "
-            f"| {_number(false.per_empty_minute) if false else '–'} |"
+            f"| {_spread(benefit.before_sight_s)} | {percent(benefit.provident_share)} | {benefit.num_missed} "
+            f"| {number(false.per_minute) if false else DASH} | {number(false.per_km) if false else DASH} "
+            f"| {number(false.per_empty_minute) if false else DASH} |"
         )
 
 
@@ -112,10 +113,10 @@ def _curve_lines(results: TimeBenefitResults) -> Iterator[str]:
         limit = one.false.per_minute
         delays_s = {rule: least_delay_s(curve, limit) for rule, curve in results.curves.items()}
         rules = ", ".join(
-            f"{rule} {_number(delay_s)} s ({_signed(one.delay_s - delay_s)} s earlier)"
+            f"{rule} {number(delay_s)} s ({signed(one.delay_s - delay_s)} s earlier)"
             for rule, delay_s in delays_s.items()
         )
-        yield f"- {name} ({_number(limit)} a minute, {_number(one.delay_s)} s): {rules}"
+        yield f"- {name} ({number(limit)} a minute, {number(one.delay_s)} s): {rules}"
     yield ""
     yield (
         "Here a vehicle that a rule does not confirm before the production system reports it, or the sequence ends, "
@@ -128,8 +129,8 @@ def _curve_lines(results: TimeBenefitResults) -> Iterator[str]:
         for one in curve:
             assert one.false is not None
             yield (
-                f"| {rule} | {one.benefit.name} | {_number(one.delay_s)} | {_number(one.false.per_minute)} "
-                f"| {_number(one.false.per_km)} | {_percent(one.benefit.provident_share)} | {one.benefit.num_missed} |"
+                f"| {rule} | {one.benefit.name} | {number(one.delay_s)} | {number(one.false.per_minute)} "
+                f"| {number(one.false.per_km)} | {percent(one.benefit.provident_share)} | {one.benefit.num_missed} |"
             )
 
 
@@ -138,8 +139,8 @@ def _sequence_lines(results: TimeBenefitResults) -> Iterator[str]:
     yield "| sequence | scenario | vehicle | light | " + " | ".join(one.benefit.name for one in shown) + " |"
     yield "|---|---|---|---|" + "---|" * len(shown)
     for place, one in enumerate(results.encounters):
-        times = " | ".join(_number(method.benefit.detected_s[place]) for method in shown)
-        yield f"| {one.sequence} | {one.scenario or '–'} | {one.vehicle} | {_number(one.light_s)} | {times} |"
+        times = " | ".join(number(method.benefit.detected_s[place]) for method in shown)
+        yield f"| {one.sequence} | {one.scenario or DASH} | {one.vehicle} | {number(one.light_s)} | {times} |"
     yield ""
     yield "Seconds from the first image of the sequence; – for never."
 
@@ -218,17 +219,5 @@ def _confirmation_figure(results: TimeBenefitResults) -> bytes:
     return png(figure)
 
 
-def _spread(values: Spread) -> str:
-    return f"{_number(values.mean)} ({_number(values.median)})" if values.num else "–"
-
-
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.2f}"
-
-
-def _signed(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:+.2f}"
-
-
-def _percent(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.0%}"
+def _spread(values: MeanAndSpread) -> str:
+    return f"{number(values.mean)} ({number(values.median)})" if values.num else DASH

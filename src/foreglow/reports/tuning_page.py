@@ -18,6 +18,7 @@ from foreglow.files import write_atomic, write_json_results
 from foreglow.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.provenance import checkout_state
 from foreglow.reports.figures import AMBER, GREY, INK, png, subplots
+from foreglow.reports.numbers import number
 
 HEADINGS = {
     "q": "q",
@@ -157,7 +158,7 @@ def _lines(tuning: Tuning) -> list[str]:
     lines += [f"| {' | '.join(searched)} | loss on train | loss on val |", "|" + "---|" * (len(searched) + 2)]
     for one in tuning.finalists:
         values = " | ".join(f"{getattr(one.config, name):g}" for name in searched)
-        lines.append(f"| {values} | {one.train_loss:.4f} | {_number(one.val_loss, 4)} |")
+        lines.append(f"| {values} | {one.train_loss:.4f} | {number(one.val_loss, 4)} |")
     lines += ["", "## Trials", "", "![trials](parallel.png)", ""]
     if tuning.importances:
         lines += ["How much each parameter matters to being among the best (PED-ANOVA):", ""]
@@ -168,12 +169,8 @@ def _lines(tuning: Tuning) -> list[str]:
 
 
 def _row(name: str, loss: float | None, found: Measurement) -> str:
-    figures = " | ".join(_number(found.figures[key], 2 if key == "boxes_per_image" else 3) for key in HEADINGS)
-    return f"| {name} | {_number(loss, 4)} | {figures} |"
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+    figures = " | ".join(number(found.figures[key], 2 if key == "boxes_per_image" else 3) for key in HEADINGS)
+    return f"| {name} | {number(loss, 4)} | {figures} |"
 
 
 def _parallel_figure(tuning: Tuning) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from foreglow.calibration import read_calibration
@@ -52,6 +53,7 @@ class VehicleFiles:
         self._offset_ns = round(time_offset_s * 1e9)
         self._pose_error_m = pose_error_m
         self._names = names
+        self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators remember what depends on it
 
     def camera(self, frame: Frame) -> Camera | None:
         """The calibration, scaled to the frame's size; None without one.
@@ -59,15 +61,7 @@ class VehicleFiles:
         Raises:
             ValueError: If the frame's sides have another ratio than the calibration's.
         """
-        camera = self._camera
-        if camera is None or (camera.width_px, camera.height_px) == (frame.width_px, frame.height_px):
-            return camera
-        if abs(camera.height_px * frame.width_px / camera.width_px - frame.height_px) > 1.0:
-            raise ValueError(
-                f"{self._names[0]}: image: expected the frames' size or its multiple, {frame.width_px}x"
-                f"{frame.height_px} px, got {camera.width_px}x{camera.height_px} px"
-            )
-        return camera.scaled(frame.width_px, frame.height_px)
+        return self._scaled(frame.width_px, frame.height_px)
 
     def motion(self, frame: Frame) -> EgoMotion | None:
         """The latest motion in the log; None where there is none.
@@ -86,6 +80,17 @@ class VehicleFiles:
             ValueError: If poses or log are of another time.
         """
         return self._road_by_map(frame) or self._road_by_message(frame)
+
+    def _camera_of(self, width_px: int, height_px: int) -> Camera | None:
+        camera = self._camera
+        if camera is None or (camera.width_px, camera.height_px) == (width_px, height_px):
+            return camera
+        if abs(camera.height_px * width_px / camera.width_px - height_px) > 1.0:
+            raise ValueError(
+                f"{self._names[0]}: image: expected the frames' size or its multiple, {width_px}x{height_px} px, "
+                f"got {camera.width_px}x{camera.height_px} px"
+            )
+        return camera.scaled(width_px, height_px)
 
     def _road_by_map(self, frame: Frame) -> RoadAhead | None:
         if self._poses is None or self._road_map is None:

@@ -1,0 +1,34 @@
+"""Numbers in tables: NaN, and what is not there, is a dash."""
+
+from __future__ import annotations
+
+import math
+
+DASH = "–"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """`value` with so many decimals.
+
+    >>> number(0.125, 2), number(None)
+    ('0.12', '–')
+    """
+    return DASH if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """The same with its sign.
+
+    >>> signed(0.5)
+    '+0.50'
+    """
+    return DASH if math.isnan(value) else f"{value:+.{digits}f}"
+
+
+def percent(value: float) -> str:
+    """A share as whole per cent.
+
+    >>> percent(0.256)
+    '26%'
+    """
+    return DASH if math.isnan(value) else f"{value:.0%}"
