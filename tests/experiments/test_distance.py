@@ -173,3 +173,15 @@ def test_tracks_have_the_ranges_of_their_boxes(data: Path) -> None:
     np.testing.assert_array_equal(np.isnan(filtered_m), ~is_followed)
     first = int(np.flatnonzero(is_followed)[0])
     assert filtered_m[first] == pytest.approx(ranges_m[first])
+
+
+def test_up_to_two_hundred_metres_all_methods_answer_the_same_lights(results: DistanceResults) -> None:
+    findings = [one for one in find(results) if one.axis == "reach" and one.light == "all"]
+    numbers = {group: {one.errors.num for one in findings if one.group == group} for group in ("all", COMMON)}
+    assert numbers["all"] == {len(results.lights)}  # none is farther
+    (common,) = numbers[COMMON]
+    assert common <= len(results.lights)
+    assert all(one.errors.missing == 0.0 for one in findings if one.group == COMMON and one.errors.num)
+
+
+COMMON = "with a range by all methods"

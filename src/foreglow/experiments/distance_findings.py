@@ -17,6 +17,9 @@ from foreglow.street import ERROR_BOUNDS_M
 
 ALL = "all"
 
+REACH_M = 200.0
+"""Lights beyond are left out of the axis `reach`."""
+
 PAPERS_GP = {"direct": 0.12, "indirect": -0.32}
 """Median relative error of GP. Source: Ewecker et al., arXiv 2107.11302."""
 
@@ -26,8 +29,8 @@ class Finding:
     """How well a method does on some lights.
 
     Attributes:
-        axis: What the groups differ in: `range`, `series`, `tracks`, `pitch`, `localisation`, `terrain`, `kind`, or
-            `vehicle`, where the truth is the range of the vehicle and not that of the light.
+        axis: What the groups differ in: `range`, `reach`, `series`, `tracks`, `pitch`, `localisation`, `terrain`,
+            `kind`, or `vehicle`, where the truth is the range of the vehicle and not that of the light.
         method: The method.
         light: `direct`, `indirect` or `all`.
         group: Within the axis, such as `30-60 m`; `all` of it.
@@ -57,6 +60,7 @@ def find(results: DistanceResults) -> tuple[Finding, ...]:
         for name, is_it in lights.items()
         for finding in (
             *_by_range(results, name, is_it, truth_m),
+            *_by_reach(results, name, is_it, truth_m),
             *_by_series(results, name, is_it, truth_m),
             *_by_tracks(results, name, is_it, truth_m),
             *_by_group(results, name, is_it, truth_m),
@@ -83,6 +87,16 @@ def _by_range(results: DistanceResults, light: str, is_it: NDArray[np.bool_], tr
             chosen = is_it & is_in
             errors = summarise(truth_m[chosen], ranges_m[chosen], sigmas_m[chosen])
             yield Finding("range", method, light, name, errors)
+
+
+def _by_reach(results: DistanceResults, light: str, is_it: NDArray[np.bool_], truth_m: Floats) -> Iterator[Finding]:
+    """Up to `REACH_M`: all lights, and those for which every estimator has a range, so that all answer the same."""
+    is_near = is_it & (truth_m < REACH_M)
+    is_common = is_near & np.all([~np.isnan(results.ranges_m[method]) for method in results.main_methods], axis=0)
+    for method in results.main_methods:
+        ranges_m, sigmas_m = results.ranges_m[method], results.sigmas_m[method]
+        for name, chosen in {"all": is_near, "with a range by all methods": is_common}.items():
+            yield Finding("reach", method, light, name, summarise(truth_m[chosen], ranges_m[chosen], sigmas_m[chosen]))
 
 
 def _by_series(results: DistanceResults, light: str, is_it: NDArray[np.bool_], truth_m: Floats) -> Iterator[Finding]:

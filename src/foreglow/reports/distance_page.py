@@ -14,7 +14,7 @@ from typing import Any
 
 from foreglow.config import config_to_toml
 from foreglow.experiments.distance import DEFAULT_HEURISTIC, OWN_RULE, DistanceResults, Method
-from foreglow.experiments.distance_findings import ALL, PAPERS_GP, Finding, find
+from foreglow.experiments.distance_findings import ALL, PAPERS_GP, REACH_M, Finding, find
 from foreglow.experiments.distance_lights import RangedLight
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import processor_name, provenance
@@ -118,6 +118,7 @@ def _tables(findings: Sequence[Finding]) -> Iterator[tuple[str, str, Table]]:
 
 _SECTIONS = {
     "range": ("By range", "Bins of the true range, the lower edge inclusive."),
+    "reach": (f"Up to {REACH_M:g} m", "All lights, and those for which each of the methods here has a range."),
     "vehicle": ("Against the vehicle's range", "What the same estimates are worth as the distance of the vehicle."),
     "tracks": (
         "Tracks",
