@@ -29,6 +29,10 @@ def simulate(
     ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images (default: 1280x960).")] = None,
     cycle: Annotated[str, typer.Option(metavar="day|night", help="Short or long exposure of the night.")] = "day",
+    ego_beam: Annotated[
+        str | None, typer.Option(metavar="low|high|matrix", help="Our own beam (default: low).")
+    ] = None,
+    empty: Annotated[bool, typer.Option("--empty", help="Leave out all vehicles whose lamps are lit.")] = False,
     fps: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Frames a second.")] = 18.0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; one uses all cores and is quickest up to four.")] = 1,
     quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it renders.")] = "training",
@@ -40,9 +44,14 @@ def simulate(
         typer.echo(simulation.scene_to_toml(simulation.scenario(print_scene, seed)), nl=False)
     elif preview is not None:
         drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
-        _preview(_adapted(drawn, size or "640x480", fps, cycle)[0], out or Path("preview_output") / preview, quality)
+        _preview(
+            _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)[0],
+            out or Path("preview_output") / preview,
+            quality,
+        )
     else:
         drawn = _own_scenes(scene) or simulation.draw_scenes(scenes, seed, cast("simulation.Split", split))
+        drawn = _changed(drawn, ego_beam, empty)
         _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), jobs, quality)
 
 
@@ -51,6 +60,17 @@ def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
     from foreglow.simulation import read_scene
 
     return tuple(read_scene(file) for file in files or ())
+
+
+def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) -> tuple[Scene, ...]:
+    """The scenes with the beam of ours that was asked for, and without traffic if so."""
+    from foreglow.simulation import EGO_BEAMS, with_beam, without_traffic
+
+    if ego_beam is not None:
+        if ego_beam not in EGO_BEAMS:
+            raise ValueError(f"--ego-beam: expected one of {', '.join(EGO_BEAMS)}, got {ego_beam!r}")
+        scenes = tuple(with_beam(one, cast("simulation.EgoBeam", ego_beam)) for one in scenes)
+    return tuple(without_traffic(one) for one in scenes) if is_empty else scenes
 
 
 def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tuple[Scene, ...]:

@@ -13,17 +13,28 @@ True
 from foreglow.simulation.drive import Drive, drive_frames, simulate
 from foreglow.simulation.recording.dataset import DatasetConfig, DatasetSummary, simulate_dataset
 from foreglow.simulation.recording.truth_files import SimulatedTruth, read_truth
-from foreglow.simulation.scenes.scenarios import SCENARIOS, Split, adapted, draw_scenes, resized, scenario
-from foreglow.simulation.scenes.scene import LabelRule, Scene, read_scene, scene_to_toml
+from foreglow.simulation.scenes.scenarios import (
+    SCENARIOS,
+    Split,
+    adapted,
+    draw_scenes,
+    resized,
+    scenario,
+    with_beam,
+    without_traffic,
+)
+from foreglow.simulation.scenes.scene import EGO_BEAMS, EgoBeam, LabelRule, Scene, read_scene, scene_to_toml
 from foreglow.simulation.truth import Artifact, DriveFrame, LampTruth, VehicleTruth
 
 __all__ = [
+    "EGO_BEAMS",
     "SCENARIOS",
     "Artifact",
     "DatasetConfig",
     "DatasetSummary",
     "Drive",
     "DriveFrame",
+    "EgoBeam",
     "LabelRule",
     "LampTruth",
     "Scene",
@@ -40,4 +51,6 @@ __all__ = [
     "scene_to_toml",
     "simulate",
     "simulate_dataset",
+    "with_beam",
+    "without_traffic",
 ]

@@ -9,7 +9,7 @@ from foreglow.simulation.scenes import courses
 from foreglow.simulation.scenes.courses import Layout
 from foreglow.simulation.scenes.draw import Draw
 from foreglow.simulation.scenes.planning import planned_scene
-from foreglow.simulation.scenes.scene import Scene
+from foreglow.simulation.scenes.scene import EgoBeam, Scene
 
 Split: TypeAlias = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -76,6 +76,16 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
         }
     )
     return scene.model_copy(update={"camera": sized})
+
+
+def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
+    """`scene` driven with another beam of our own."""
+    return scene.model_copy(update={"ego": scene.ego.model_copy(update={"beam": beam})})
+
+
+def without_traffic(scene: Scene) -> Scene:
+    """`scene` with nobody in it whose lamps are lit; dark cars that are parked stay."""
+    return scene.model_copy(update={"vehicles": tuple(one for one in scene.vehicles if one.beam == "off")})
 
 
 def adapted(scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str) -> Scene:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import tomli_w
 from pydantic import Field, model_validator
@@ -19,6 +19,7 @@ from foreglow.simulation.scenes.surroundings import NonNegative, Positive, Profi
 VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle"]
 Beam: TypeAlias = Literal["low", "high", "off"]
 EgoBeam: TypeAlias = Literal["low", "high", "matrix"]
+EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
 
 def _check_growing(name: str, profile: tuple[tuple[float, float], ...]) -> None:
