@@ -110,8 +110,8 @@ UN_R123 = (
     IntensityLimit("preceding", 100.0, 7_000.0, None, _R123),
     IntensityLimit("preceding", 200.0, 16_000.0, None, _R123),
 )
-"""For one lamp. Towards preceding vehicles there are two limits at 50 and at 100 m: each for a part of the zone, which the
-notes leave out."""
+"""For one lamp. Towards preceding vehicles there are two limits at 50 and at 100 m, each for a part of the zone, which
+the notes leave out."""
 
 
 def oncoming_limit_lx(range_m: ArrayLike) -> Floats:
