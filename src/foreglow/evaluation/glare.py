@@ -79,6 +79,21 @@ def score_glare(
     return GlareResults(name, limits.name, restore_s, seconds, policies)
 
 
+def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 0.75)) -> tuple[str, ...]:
+    """Drives to look at that nobody picked: those at `shares` of the way from the least to the largest dose.
+
+    The dose is that of `production` at oncoming drivers (else of the first policy), of drives with an occluded approach
+    of one, or with any oncoming driver where there is no such drive; none without.
+    """
+    names = [one.name for one in results.policies]
+    drives = results.policy(PRODUCTION if PRODUCTION in names else names[0]).drives
+    met = [one for one in drives if one.of_group(is_oncoming=True)]
+    occluded = [one for one in met if any(eye.is_occluded for eye in one.of_group(is_oncoming=True))]
+    ordered = sorted(occluded or met, key=lambda one: (one.dose_lxs(is_oncoming=True), one.drive))
+    places = [round(share * (len(ordered) - 1)) for share in shares] if ordered else []
+    return tuple(dict.fromkeys(ordered[place].drive for place in places))
+
+
 def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits, restore_s: float = RESTORE_S) -> DriveScore:
     """What one policy did on one drive."""
     its_phases = phases(drive, restore_s)
@@ -154,14 +169,14 @@ class _Pool:
         )
 
     def _dimming(self, drives: Sequence[Dimming]) -> WrongDimming:
-        minutes = np.array([one.seconds / 60.0 for one in drives])
+        seconds = np.array([one.seconds for one in drives])
         events = np.array([float(one.num_events) for one in drives])
         dimmed_s = math.fsum(one.dimmed_s for one in drives)
         return WrongDimming(
-            minutes=float(minutes.sum()),
+            minutes=float(seconds.sum() / 60.0),
             num_events=int(events.sum()),
-            events_per_minute=self._ratio(events, minutes),
-            dimmed_share=_divided(dimmed_s, 60.0 * float(minutes.sum())),
+            events_per_minute=self._ratio(events, seconds / 60.0),
+            dimmed_share=_divided(dimmed_s, math.fsum(one.seconds for one in drives)),
             area_dimmed=_divided(math.fsum(one.leds_off_s for one in drives), dimmed_s),
             road_dimmed=_divided(math.fsum(one.road_lost_s for one in drives), dimmed_s),
         )
