@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.evaluation.glare_eyes import Limits
 from foreglow.geometry import Floats
 
 RATE_HZ = 18.0
@@ -16,22 +15,6 @@ NUM_LEDS = 28
 LED_AZIMUTHS_RAD = np.radians((np.arange(NUM_LEDS) - (NUM_LEDS - 1) / 2) * 1.25)
 SPEED_MPS = 21.0
 RESTORE_PER_S = 0.7
-
-
-def _oncoming_lx(ranges_m: Floats) -> Floats:
-    return _steps(ranges_m, (15, 30, 60, 120, 220), (3.1, 1.8, 0.6, 0.3))
-
-
-def _preceding_lx(ranges_m: Floats) -> Floats:
-    return _steps(ranges_m, (15, 60, 100), (18.9, 4.0))
-
-
-def _steps(ranges_m: Floats, edges_m: tuple[float, ...], limits_lx: tuple[float, ...]) -> Floats:
-    table = np.array([math.inf, *limits_lx, math.inf])
-    return table[np.searchsorted(edges_m, ranges_m, side="right")]
-
-
-LIMITS = Limits("made-up limits", _oncoming_lx, _preceding_lx)
 
 
 def approach(seed: int = 0, *, is_oncoming: bool = True, duration_s: float = 14.0) -> GlareDrive:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from foreglow.evaluation.bootstrap import percentile_interval, ratio
 from foreglow.evaluation.glare_drive import GlareDrive, PolicyRun
-from foreglow.evaluation.glare_eyes import BINS_M, Glare, Limits, score_eye
+from foreglow.evaluation.glare_eyes import BINS, Glare, score_eye
+from foreglow.evaluation.glare_limits import FMVSS_108, Limits
 from foreglow.evaluation.glare_results import (
     BinGlare,
     DriveScore,
@@ -42,13 +43,17 @@ POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")
 PRODUCTION = "production"
 """The policy that glare is set beside."""
 
-BIN_NAMES = tuple(f"{low_m:g}-{high_m:g} m" for low_m, high_m in BINS_M)
 ALL_BINS = "all"
 NUM_RESAMPLES = 2000
 
 
 def score_glare(
-    name: str, drives: Iterable[GlareDrive], limits: Limits, *, restore_s: float = RESTORE_S, seed: int = 0
+    name: str,
+    drives: Iterable[GlareDrive],
+    limits: Limits = FMVSS_108,
+    *,
+    restore_s: float = RESTORE_S,
+    seed: int = 0,
 ) -> GlareResults:
     """The figures of all policies of `drives`, which are read once, one after the other.
 
@@ -136,7 +141,7 @@ class _Pool:
         if self.production is not None:
             produced = np.array([_doses(drive, is_oncoming) for drive in self.production])
         bins = []
-        for place, bin_name in enumerate(BIN_NAMES):
+        for place, bin_name in enumerate(BINS.bin_names):
             glare = _sum([eye.bins[place] for eye in eyes])
             bins.append(_bin(bin_name, glare, float(produced[:, place, 0].sum())))
         glare = _sum([one.glare for one in bins])
@@ -191,7 +196,7 @@ class _Pool:
 def _doses(drive: DriveScore, is_oncoming: bool) -> NDArray[np.float64]:
     """Shape (B, 2): by bin, the dose of the policy and of the low beam alone."""
     doses = [[(one.dose_lxs, one.low_dose_lxs) for one in eye.bins] for eye in drive.of_group(is_oncoming)]
-    return np.asarray(np.array(doses, np.float64).reshape(-1, len(BINS_M), 2).sum(axis=0))
+    return np.asarray(np.array(doses, np.float64).reshape(-1, len(BINS.bin_names), 2).sum(axis=0))
 
 
 def _bin(name: str, glare: Glare, production_lxs: float) -> BinGlare:

@@ -3,60 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive
+from foreglow.evaluation.glare_limits import Limits
 from foreglow.geometry import Floats
+from foreglow.photometry.limits import FMVSS_ONCOMING
 
-LimitLx: TypeAlias = Callable[[Floats], Floats]
-"""From ranges, metres, to the most light that may reach an eye there, lux; infinite where there is no limit."""
-
-BINS_M = ((15.0, 30.0), (30.0, 60.0), (60.0, 120.0), (120.0, 220.0))
-"""Bins of the range to an eye, the lower edge inclusive: those of the limits for oncoming drivers."""
+BINS = FMVSS_ONCOMING
+"""By which ranges to an eye are told apart, whatever the limits are."""
 
 MORE_THAN_LOW = 1.05
 """Light counts as more than the low beam's above this many times it: less is not the policy's doing."""
 
 SETTLED_S = 0.5
 """The first glare moment is over after so long without glare, seconds."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """How much light may reach other drivers' eyes, by their range.
-
-    Attributes:
-        name: What they are from.
-        oncoming_lx: For drivers who come towards us.
-        preceding_lx: For drivers whom we follow, at their mirrors.
-        oncoming_reach_m: The ranges between which there is a limit for the former.
-        preceding_reach_m: Likewise for the latter.
-    """
-
-    name: str
-    oncoming_lx: LimitLx
-    preceding_lx: LimitLx
-    oncoming_reach_m: tuple[float, float] = (15.0, 220.0)
-    preceding_reach_m: tuple[float, float] = (15.0, 100.0)
-
-    def at(self, eye: DriverEye) -> Floats:
-        """Shape (T,): the limit for `eye` at each frame; infinite where there is none."""
-        limit = self.oncoming_lx if eye.is_oncoming else self.preceding_lx
-        is_known = ~np.isnan(eye.ranges_m)
-        return np.where(is_known, limit(np.where(is_known, eye.ranges_m, 1.0)), math.inf)
-
-    def extended(self, eye: DriverEye) -> Floats:
-        """Shape (T,): the same, but nearer and further away the limit of the nearest range that has one holds."""
-        limit = self.oncoming_lx if eye.is_oncoming else self.preceding_lx
-        nearest_m, farthest_m = self.oncoming_reach_m if eye.is_oncoming else self.preceding_reach_m
-        is_known = ~np.isnan(eye.ranges_m)
-        ranges_m = np.clip(np.where(is_known, eye.ranges_m, farthest_m), nearest_m, np.nextafter(farthest_m, 0.0))
-        return np.where(is_known, limit(ranges_m), math.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +55,7 @@ class EyeScore:
         lead_s: From its first labelled light to the first sight of us; positive in an occluded approach, NaN without
             either. Light is labelled in our camera's images, sight is from the eye to our lamps: on an open road they
             may differ by a frame, so a lead of one frame says little.
-        bins: Glare by the bins of `BINS_M`.
+        bins: Glare by range, see `BINS`.
         first_glare_s: First glare moment, see `first_glare_s`, from the first sight within the reach of the limits;
             NaN without, or where the eye is in it from the drive's first frame: then the first sight was not seen.
         first_glare_anywhere_s: The same from the first sight at any range, where the limits are taken to go on as they
@@ -120,9 +84,9 @@ class EyeScore:
 def score_eye(drive: GlareDrive, eye: DriverEye, levels: ArrayLike, limits: Limits) -> EyeScore:
     """The glare of `eye` when the lamps shine `levels`, shape (T, 2, L)."""
     lux, low_lx, limit_lx = eye.illuminance_lx(levels), eye.base_lx, limits.at(eye)
+    places = BINS.bins(eye.ranges_m)
     bins = tuple(
-        _glare(lux, low_lx, limit_lx, eye, (eye.ranges_m >= low_m) & (eye.ranges_m < high_m), drive.rate_hz)
-        for low_m, high_m in BINS_M
+        _glare(lux, low_lx, limit_lx, eye, places == place, drive.rate_hz) for place in range(len(BINS.bin_names))
     )
     sights = np.flatnonzero(eye.is_in_sight)
     sights_in_reach = np.flatnonzero(eye.is_in_sight & np.isfinite(limit_lx))

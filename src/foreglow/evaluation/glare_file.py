@@ -110,11 +110,12 @@ def read_glare_drive(path: Path) -> GlareDrive:
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            raise ValueError("it holds one array, not an archive of arrays")
-        with loaded:
-            return {name: loaded[name] for name in loaded.files}
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                raise ValueError("it holds one array, not an archive of arrays")
+            with loaded:
+                return {name: loaded[name] for name in loaded.files}
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, *NPY_ERRORS) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{path}: expected a whole .npz file of a drive: {reason}") from error

@@ -6,12 +6,13 @@ import csv
 import html
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from foreglow.evaluation.glare import PRODUCTION
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive
-from foreglow.evaluation.glare_eyes import MORE_THAN_LOW, SETTLED_S, Limits
+from foreglow.evaluation.glare_eyes import MORE_THAN_LOW, SETTLED_S
 from foreglow.evaluation.glare_results import GlareResults
 from foreglow.evaluation.glare_road import AHEAD_S, FULL_LEVEL
 from foreglow.files import write_atomic, write_json_results
@@ -31,14 +32,16 @@ from foreglow.reports.numbers import number, percent, signed
 VIDEOS = (".mp4", ".webm")
 
 
-def write_report(results: GlareResults, shown: Sequence[GlareDrive], limits: Limits, folder: Path) -> Path:
+def write_report(
+    results: GlareResults, shown: Sequence[GlareDrive], folder: Path, others: Sequence[GlareResults] = ()
+) -> Path:
     """Writes `report.html`, whose path it returns, `results.json`, `drives.csv` and the figures as PNG.
 
     Args:
         results: All figures.
         shown: Drives to look at, such as those of `typical_drives`; the middle one with an eye becomes `readme.png`.
-        limits: Drawn beside the light.
         folder: Is made where it is not there.
+        others: The same drives by other limits.
 
     Raises:
         OSError: If a file cannot be written.
@@ -48,19 +51,20 @@ def write_report(results: GlareResults, shown: Sequence[GlareDrive], limits: Lim
     plots = {"boxes.png": box_figure(results), "bins.png": bin_figure(results)}
     for name in dict.fromkeys(one.parameter for one in results.sensitivity):
         points = [one for one in results.sensitivity if one.parameter == name]
-        plots[f"sensitivity_{name}.png"] = sensitivity_figure(points)
+        plots[_file_name("sensitivity", name)] = sensitivity_figure(points)
     met = [drive for drive in shown if drive.eyes]
-    drive_plots = {drive.name: _drive_plots(drive, limits, results) for drive in met}
+    drive_plots = {drive.name: _drive_plots(drive, results) for drive in met}
     files = plots | {name: plot for one in drive_plots.values() for name, plot in one.items()}
     if met:
         middle = met[len(met) // 2]
-        files["readme.png"] = readme_figure(middle, eye_to_show(middle).vehicle_id, limits)
-    write_json_results(folder / "results.json", {"made_with": provenance()} | results.to_json())
+        files["readme.png"] = readme_figure(middle, eye_to_show(middle).vehicle_id)
+    record = results.to_json() | {"others": [one.to_json() for one in others]}
+    write_json_results(folder / "results.json", {"made_with": provenance()} | record)
     write_atomic(folder / "drives.csv", drives_csv(results).encode())
     for name, plot in files.items():
         write_atomic(folder / name, plot)
     report = folder / "report.html"
-    write_atomic(report, "\n".join(_lines(results, plots, shown, drive_plots)).encode())
+    write_atomic(report, "\n".join(_lines(results, others, plots, shown, drive_plots)).encode())
     return report
 
 
@@ -110,18 +114,19 @@ def drives_csv(results: GlareResults) -> str:
     return text.getvalue()
 
 
-def _drive_plots(drive: GlareDrive, limits: Limits, results: GlareResults) -> dict[str, bytes]:
+def _drive_plots(drive: GlareDrive, results: GlareResults) -> dict[str, bytes]:
     vehicle_id = eye_to_show(drive).vehicle_id
     policies = [one.name for one in results.policies]
     dark = [name for name in policies if name not in UNGUIDED]
-    plots = {f"lux_{drive.name}.png": lux_figure(drive, vehicle_id, limits, policies)}
+    plots = {_file_name("lux", drive.name): lux_figure(drive, vehicle_id, policies)}
     if dark:
-        plots[f"corridor_{drive.name}.png"] = corridor_figure(drive, vehicle_id, dark)
+        plots[_file_name("corridor", drive.name)] = corridor_figure(drive, vehicle_id, dark)
     return plots
 
 
 def _lines(
     results: GlareResults,
+    others: Sequence[GlareResults],
     plots: Mapping[str, bytes],
     shown: Sequence[GlareDrive],
     drive_plots: Mapping[str, Mapping[str, bytes]],
@@ -136,7 +141,7 @@ def _lines(
         yield "<ul>"
         yield from (f"<li>{html.escape(line)}</li>" for line in summary_lines(results))
         yield "</ul>"
-    for heading, remark, table in glare_tables(results):
+    for heading, remark, table in glare_tables(results, others):
         yield f"<h2>{html.escape(heading)}</h2><p>{html.escape(remark)}</p>"
         yield from html_table(table)
     yield "<h2>All drives</h2>"
@@ -166,8 +171,10 @@ def _preamble(results: GlareResults) -> str:
 
 def _notes(results: GlareResults) -> Iterator[str]:
     yield (
-        f"The limits ({results.limits}) are transcribed from public notes, not from the official texts. Light is "
-        "compared frame by frame and is not rounded; nothing here is a statement of compliance."
+        "The limits are transcribed from public notes of the regulations, not from the official texts, and the "
+        "regulations' test procedures are not followed: light is compared frame by frame and is not rounded. Nothing "
+        "here is a statement of compliance. UN R123 limits the intensity towards drivers 50, 100 and 200 m away; what "
+        "is drawn is the illuminance of two such lamps, in between a straight line."
     )
     yield (
         "Glare of all drives is added before it is divided: each second with a driver in range weighs the same. A "
@@ -176,10 +183,10 @@ def _notes(results: GlareResults) -> Iterator[str]:
     )
     yield (
         "A driver's first glare moment is the time with light above the limit, and above "
-        f"{MORE_THAN_LOW:g} times the low beam's, from the first sight until there is none for {SETTLED_S:g} s. Drivers "
-        "who see us in the first frame of their drive are left out. At any range: the farthest limit is taken to go on; "
-        "without that, to come into sight beyond it would count as dark. An approach is occluded if light of the "
-        "vehicle is labelled before its driver can see us."
+        f"{MORE_THAN_LOW:g} times the low beam's, from the first sight until there is none for {SETTLED_S:g} s. "
+        "Drivers who see us in the first frame of their drive are left out. At any range: the farthest limit is taken "
+        "to go on; without that, to come into sight beyond it would count as dark. An approach is occluded if light of "
+        "the vehicle is labelled before its driver can see us."
     )
     yield (
         "A vehicle is present from its first labelled light, or first sight of us, until it has passed. Frames below "
@@ -201,6 +208,11 @@ def _picture(caption: str, path: str) -> str:
     else:
         shown = f'<img style="width: auto; max-width: 100%" alt="{words}" src="{source}">'
     return f'<figure style="margin: 1.5rem 0">{shown}<figcaption>{words}</figcaption></figure>'
+
+
+def _file_name(kind: str, name: str) -> str:
+    """Of a figure: names of scenes and parameters may hold spaces and slashes."""
+    return f"{kind}_{re.sub(r'[^A-Za-z0-9.-]+', '_', name)}.png"
 
 
 def _caption(name: str) -> str:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive, PolicyRun
-from foreglow.evaluation.glare_eyes import BINS_M, Limits
+from foreglow.evaluation.glare_eyes import BINS
+from foreglow.evaluation.glare_limits import LIMITS
 from foreglow.evaluation.glare_results import DriveScore, GlareResults, SensitivityPoint
 from foreglow.geometry import Floats
-from foreglow.reports.figures import AMBER, BLUE, GREY, INK, PALE, png, subplots
+from foreglow.reports.figures import AMBER, BLUE, DPI, GREY, INK, PALE, png, subplots
 
 GREEN, PURPLE, LIT, DARK = "#2c9c4b", "#9a4c8f", "#fdf0c8", "#4a4f5c"
 COLOURS = {"low": GREY, "high": "#e3c02f", "production": AMBER, "paper": BLUE, "foreglow": GREEN, "oracle": PURPLE}
@@ -28,23 +29,23 @@ WORDS = {
 }
 FEWEST_LX = 0.01
 README_WIDTH_PX = 900
-DPI = 130
+TIGHT = {"handlelength": 1.6, "columnspacing": 1.3}
 
 
-def lux_figure(drive: GlareDrive, vehicle_id: int, limits: Limits, policies: Sequence[str]) -> bytes:
-    """Light at one other driver's eye over time, each policy a line, the limit dotted.
+def lux_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str]) -> bytes:
+    """Light at one other driver's eye over time, each policy a line, limits dotted; shaded above the first.
 
     Raises:
         ModuleNotFoundError: If matplotlib is not installed.
         ValueError: If the drive has no such vehicle.
     """
     figure, (axes,) = subplots(1, width_in=9.0, height_in=4.2)
-    _draw_lux(axes, drive, drive.eye(vehicle_id), limits, policies)
-    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + 1, fontsize=9)
+    _draw_lux(axes, drive, drive.eye(vehicle_id), policies)
+    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + len(LIMITS), fontsize=9, **TIGHT)
     return png(figure)
 
 
-def readme_figure(drive: GlareDrive, vehicle_id: int, limits: Limits) -> bytes:
+def readme_figure(drive: GlareDrive, vehicle_id: int) -> bytes:
     """The same for the README, 900 px wide: low beam, production, the paper's and our policy.
 
     Raises:
@@ -53,8 +54,8 @@ def readme_figure(drive: GlareDrive, vehicle_id: int, limits: Limits) -> bytes:
     """
     policies = [name for name in ("low", "production", "paper", "foreglow") if name in drive.runs]
     figure, (axes,) = subplots(1, width_in=README_WIDTH_PX / DPI, height_in=3.5)
-    _draw_lux(axes, drive, drive.eye(vehicle_id), limits, policies)
-    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + 1, fontsize=8.5)
+    _draw_lux(axes, drive, drive.eye(vehicle_id), policies)
+    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + len(LIMITS), fontsize=8, **TIGHT)
     return png(figure)
 
 
@@ -201,11 +202,11 @@ def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
     return png(figure)
 
 
-def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, limits: Limits, policies: Sequence[str]) -> None:
+def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, policies: Sequence[str]) -> None:
     zero_s, (begin_s, end_s) = _zero_s(drive, eye), _shown_s(drive, eye)
     times_s = drive.times_s - zero_s
     is_shown = (drive.times_s >= begin_s) & (drive.times_s <= end_s)
-    limit_lx, highest = limits.at(eye), FEWEST_LX
+    limit_lx, highest = LIMITS[0].at(eye), FEWEST_LX
     for name in policies:
         lux = eye.illuminance_lx(drive.runs[name].levels)
         highest = max(highest, float(lux[is_shown].max(initial=0.0)))
@@ -219,10 +220,12 @@ def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, limits: Limits, poli
         )  # fmt: skip
         if name not in ("low", "high"):
             axes.fill_between(times_s, lux, limit_lx, where=lux > limit_lx, color=colour, alpha=0.15, linewidth=0)
-    axes.plot(
-        times_s, np.where(np.isfinite(limit_lx), limit_lx, math.nan), color=INK, linewidth=1.4,
-        linestyle=(0, (1, 1.4)), drawstyle="steps-mid", label="limit",
-    )  # fmt: skip
+    for one, colour, style in zip(LIMITS, (INK, GREY), ("steps-mid", "default"), strict=True):
+        limit_lx = one.at(eye)
+        axes.plot(
+            times_s, np.where(np.isfinite(limit_lx), limit_lx, math.nan), color=colour, linewidth=1.4,
+            linestyle=(0, (1, 1.4)), drawstyle=style, label=one.name,
+        )  # fmt: skip
     axes.set_yscale("log")
     axes.set(xlim=(begin_s - zero_s, end_s - zero_s), ylim=(FEWEST_LX, max(10.0, 2.0 * highest)))
     axes.set(xlabel="seconds from first sight", ylabel="illuminance at the eye, lx")
@@ -241,7 +244,7 @@ def _range_axis(axes: Any, drive: GlareDrive, eye: DriverEye, zero_s: float, is_
     """An axis above with the ranges at which limits change."""
     frames = np.flatnonzero(is_shown & ~np.isnan(eye.ranges_m))
     ticks: dict[float, str] = {}
-    for edge_m in sorted({edge for low_high in BINS_M for edge in low_high}):
+    for edge_m in BINS.edges_m:
         is_beyond = eye.ranges_m[frames] >= edge_m
         for place in np.flatnonzero(is_beyond[:-1] != is_beyond[1:])[:1]:
             ticks[float(drive.times_s[frames[place]]) - zero_s] = f"{edge_m:g} m"

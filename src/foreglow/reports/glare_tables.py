@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from foreglow.evaluation.glare_results import (
     DriveScore,
@@ -18,17 +19,21 @@ from foreglow.evaluation.glare_road import JUMP
 from foreglow.reports.detector_table import Table
 from foreglow.reports.numbers import number, percent, signed
 
+Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
+"""By head, what stands in a policy's cell."""
+
 UNGUIDED = ("low", "high")
 """Policies that see nothing; they have no gaps, and no column in the table of drives."""
 
 
-def glare_tables(results: GlareResults) -> Iterator[tuple[str, str, Table]]:
+def glare_tables(results: GlareResults, others: Sequence[GlareResults] = ()) -> Iterator[tuple[str, str, Table]]:
     """Heading, remark and table of every section."""
     policies = results.policies
     yield (
         "Policies",
         "Dose: light above the limit at oncoming drivers' eyes, over time. In brackets: 95 % interval over drives. "
-        "First glare: from the first sight in occluded approaches. Road light: share of the full high beam.",
+        "First glare moment of drivers whose light was there before: median, mean, and share that has none. Light "
+        "kept: share of the full high beam's while a vehicle is present, and after. Wrong: dimming for nobody.",
         _table(_MAIN, policies),
     )
     groups: dict[str, Callable[[PolicyScore], GroupGlare]] = {"Oncoming drivers": lambda one: one.oncoming}
@@ -36,64 +41,72 @@ def glare_tables(results: GlareResults) -> Iterator[tuple[str, str, Table]]:
         groups["Preceding drivers"] = lambda one: one.preceding
     for heading, of in groups.items():
         yield (
-            heading + ", by range",
-            "Dose in lx s (share of the time in sight above the limit).",
-            _bin_table(results, of),
-        )
-        yield (
-            heading + ", dose",
-            "Added: what the LEDs add to the low beam while the whole is above the limit.",
-            _table(_dose_columns(of), policies),
+            heading,
+            "Dose in lx s by range (share of the time in sight above the limit); seconds in sight in the head. Added: "
+            "what the LEDs add to the low beam while the whole is above the limit.",
+            _glare_table(policies, of),
         )
         yield (
             heading + ", first glare moment",
             "Seconds: median, mean, 90th percentile; share that is dark from the beginning (number of drivers).",
             _table(_moment_columns(of), policies),
         )
+    for other in others:
+        heading = f"Against other limits: {other.limits}"
+        yield heading, "As the first table.", _table(_GLARE, other.policies)
     yield (
         "Light on the road",
-        f"Share of the full high beam, 40 to 120 m ahead; low beam alone is what nothing above it means. After: from "
-        f"{results.restore_s:g} s after the vehicle has passed.",
+        "Share of the full high beam's, 40 to 120 m ahead, while a vehicle is present; what the low beam alone gives "
+        f"is what no light above it means. After: from {results.restore_s:g} s after the vehicle has passed.",
         _table(_ROAD, policies),
     )
     yield (
         "Wrong dimming",
-        "Nobody there: drives without any other driver, and other drives long before and after.",
-        _table(_DIMMING, policies),
+        "In drives without any other driver.",
+        _table(_dimming_columns(lambda one: one.empty), policies),
+    )
+    yield (
+        "Wrong dimming in other drives",
+        "While nobody is there yet, or any more.",
+        _table(_dimming_columns(lambda one: one.between), policies),
     )
     yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
 
 
-def _table(columns: Mapping[str, Callable[[PolicyScore], str]], policies: Sequence[PolicyScore]) -> Table:
+def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:
     rows = [[one.name, *(cell(one) for cell in columns.values())] for one in policies]
     return Table(["policy", *columns], rows, [""] * len(rows))
 
 
-_MAIN: Mapping[str, Callable[[PolicyScore], str]] = {
+_GLARE: Columns = {
     "dose, lx s": lambda one: number(one.oncoming.all_bins.glare.dose_lxs),
     "of production's": lambda one: interval(one.oncoming.dose_vs_production, percent),
-    "less low beam's, lx s": lambda one: signed(one.oncoming.all_bins.over_low_lxs),
-    "first glare, median s": lambda one: number(one.oncoming.first_occluded.median),
-    "mean s": lambda one: number(one.oncoming.first_occluded.mean),
-    "dark at once": lambda one: percent(one.oncoming.first_occluded.dark_share),
+    "over low beam's": lambda one: signed(one.oncoming.all_bins.over_low_lxs),
+    "first glare, s": lambda one: number(one.oncoming.first_occluded.median),
+    "mean, s": lambda one: number(one.oncoming.first_occluded.mean),
+    "none": lambda one: percent(one.oncoming.first_occluded.dark_share),
+}
+
+_MAIN: Columns = {
+    **_GLARE,
     "own lane kept": lambda one: interval(one.present.own_lane, percent),
     "verge kept": lambda one: percent(one.present.verge.value),
     "own lane after": lambda one: percent(one.passed.own_lane.value),
-    "wrong dimming a minute": lambda one: number(one.empty.events_per_minute.value),
+    "wrong a minute": lambda one: number(one.empty.events_per_minute.value),
 }
 
-_ROAD: Mapping[str, Callable[[PolicyScore], str]] = {
-    "own lane, vehicle present": lambda one: interval(one.present.own_lane, percent),
-    "low beam alone": lambda one: percent(one.present.low_own_lane),
-    "verge, vehicle present": lambda one: interval(one.present.verge, percent),
-    "low beam alone ": lambda one: percent(one.present.low_verge),
-    "own lane, after": lambda one: interval(one.passed.own_lane, percent),
-    "verge, after": lambda one: interval(one.passed.verge, percent),
-    "seconds present": lambda one: number(one.present.seconds, 0),
+_ROAD: Columns = {
+    "own lane": lambda one: interval(one.present.own_lane, percent),
+    "low beam alone, own lane": lambda one: percent(one.present.low_own_lane),
+    "verge": lambda one: interval(one.present.verge, percent),
+    "low beam alone, verge": lambda one: percent(one.present.low_verge),
+    "seconds": lambda one: number(one.present.seconds, 0),
+    "own lane after": lambda one: percent(one.passed.own_lane.value),
+    "verge after": lambda one: percent(one.passed.verge.value),
     "seconds after": lambda one: number(one.passed.seconds, 0),
 }
 
-_SWITCHING: Mapping[str, Callable[[PolicyScore], str]] = {
+_SWITCHING: Columns = {
     "change a second": lambda one: percent(one.smoothness.change_per_s),
     f"falls > {JUMP:.0%} a minute": lambda one: number(one.smoothness.falls_per_minute, 1),
     f"rises > {JUMP:.0%} a minute": lambda one: number(one.smoothness.rises_per_minute, 1),
@@ -101,33 +114,18 @@ _SWITCHING: Mapping[str, Callable[[PolicyScore], str]] = {
 }
 
 
-def _dimming_columns(prefix: str, of: Callable[[PolicyScore], WrongDimming]) -> dict[str, Callable[[PolicyScore], str]]:
+def _dimming_columns(of: Callable[[PolicyScore], WrongDimming]) -> Columns:
     return {
-        f"{prefix}: minutes": lambda one: number(of(one).minutes, 1),
-        f"{prefix}: events": lambda one: str(of(one).num_events),
-        f"{prefix}: a minute": lambda one: interval(of(one).events_per_minute, number),
-        f"{prefix}: time dimmed": lambda one: percent(of(one).dimmed_share),
-        f"{prefix}: area dimmed": lambda one: percent(of(one).area_dimmed),
-        f"{prefix}: road light lost": lambda one: percent(of(one).road_dimmed),
+        "minutes": lambda one: number(of(one).minutes, 1),
+        "events": lambda one: str(of(one).num_events),
+        "a minute": lambda one: interval(of(one).events_per_minute, number),
+        "time dimmed": lambda one: percent(of(one).dimmed_share),
+        "area dimmed": lambda one: percent(of(one).area_dimmed),
+        "road light lost while dimmed": lambda one: percent(of(one).road_dimmed),
     }
 
 
-_DIMMING = _dimming_columns("empty drives", lambda one: one.empty) | _dimming_columns("others", lambda one: one.between)
-
-
-def _dose_columns(of: Callable[[PolicyScore], GroupGlare]) -> dict[str, Callable[[PolicyScore], str]]:
-    return {
-        "seconds in sight": lambda one: number(of(one).all_bins.glare.in_sight_s, 1),
-        "above the limit": lambda one: percent(of(one).all_bins.above_share),
-        "dose, lx s": lambda one: number(of(one).all_bins.glare.dose_lxs),
-        "of production's": lambda one: interval(of(one).dose_vs_production, percent),
-        "of low beam's": lambda one: interval(of(one).dose_vs_low, number),
-        "less low beam's, lx s": lambda one: signed(of(one).all_bins.over_low_lxs),
-        "added, lx s": lambda one: number(of(one).all_bins.glare.added_lxs),
-    }
-
-
-def _moment_columns(of: Callable[[PolicyScore], GroupGlare]) -> dict[str, Callable[[PolicyScore], str]]:
+def _moment_columns(of: Callable[[PolicyScore], GroupGlare]) -> Columns:
     return {
         "occluded, within the limits' reach": lambda one: _moments(of(one).first_occluded),
         "occluded, at any range": lambda one: _moments(of(one).first_anywhere_occluded),
@@ -136,14 +134,16 @@ def _moment_columns(of: Callable[[PolicyScore], GroupGlare]) -> dict[str, Callab
     }
 
 
-def _bin_table(results: GlareResults, of: Callable[[PolicyScore], GroupGlare]) -> Table:
-    """Dose by range, a column a bin with the time in sight in its head."""
-    bins = of(results.policies[0]).bins
-    head = ["policy", *(f"{one.name} ({one.glare.in_sight_s:.0f} s)" for one in bins)]
-    rows = [
-        [policy.name, *(f"{number(one.glare.dose_lxs)} ({percent(one.above_share)})" for one in of(policy).bins)]
-        for policy in results.policies
-    ]
+def _glare_table(policies: Sequence[PolicyScore], of: Callable[[PolicyScore], GroupGlare]) -> Table:
+    """Dose by range, and of all ranges beside others'."""
+    bins = [f"{one.name} ({one.glare.in_sight_s:.0f} s)" for one in of(policies[0]).bins]
+    head = ["policy", *bins, "of production's", "of low beam's", "added, lx s"]
+    rows = []
+    for policy in policies:
+        group = of(policy)
+        doses = [f"{number(one.glare.dose_lxs)} ({percent(one.above_share)})" for one in group.bins]
+        beside = [interval(group.dose_vs_production, percent), interval(group.dose_vs_low, number)]
+        rows.append([policy.name, *doses, *beside, number(group.all_bins.glare.added_lxs)])
     return Table(head, rows, [""] * len(rows))
 
 
@@ -186,6 +186,7 @@ def drive_table(results: GlareResults) -> Table:
 
 
 def interval(one: Interval, words: Callable[[float], str]) -> str:
+    """A figure and, in brackets, its interval."""
     if math.isnan(one.low):
         return words(one.value)
     return f"{words(one.value)} [{words(one.low)}, {words(one.high)}]"
