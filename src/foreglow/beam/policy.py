@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Protocol
 
@@ -18,14 +18,17 @@ from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
-VEHICLE_M = 1.6
+VEHICLE_M = 1.3
 """From a lamp that is seen to the far side of its driver's eye, across the line of sight: a lorry is 2.5 m wide."""
 
 BOX_SHARE = 0.15
 """Standard deviation of where a lamp is in its box, as a share of the box's width."""
 
-NUM_SIGMAS = 1.5
+NUM_SIGMAS = 1.0
 """Ranges are taken as that far off to either side."""
+
+HIDDEN = -1
+"""Stands for the id of a hidden vehicle's gap, and smaller numbers for further ones."""
 
 
 class BeamPolicy(Protocol):
@@ -147,26 +150,32 @@ class ForeglowPolicy:
         """As `BeamPolicy.reset`."""
         self._bearings.reset()
         self._writer.reset()
-        self._held: list[tuple[int, Gap]] = []
+        self._held: dict[int, tuple[int, Gap]] = {}
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
         return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
-        """The gaps that the tracks ask for now, and those of a moment ago."""
+        """The gaps that the tracks ask for now, and those of tracks that asked for one a moment ago."""
         if frame.camera is None:
             return []
-        now_ns = frame.timestamp_ns
-        bearings = self._bearings.update(frame, tracks).values()
-        self._held = [(since_ns, gap) for since_ns, gap in self._held if now_ns - since_ns <= self._hold_ns]
-        acted = [one for one in bearings if one.is_plausible and one.plausible_s >= self._config.confirm_s]
-        if acted or self._held:
-            acted += [one for one in bearings if not one.is_plausible and one.direct > self._config.min_direct]
-        gaps = [self._lamp_gap(one) for one in acted if self._is_lamp(one)]
-        gaps += self._hidden_gaps(frame, acted)
-        self._held += [(now_ns, gap) for gap in gaps]
-        return [gap for _, gap in self._held]
+        now_ns, held = frame.timestamp_ns, self._held
+        bearings = self._bearings.update(frame, tracks)
+        acted = {
+            one: bearing
+            for one, bearing in bearings.items()
+            if bearing.is_plausible and bearing.plausible_s >= self._config.confirm_s
+        }
+        if acted or held:
+            coming = {one: bearing for one, bearing in bearings.items() if bearing.direct > self._config.min_direct}
+            acted = coming | acted
+        self._held = {one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)}
+        self._held |= {HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))}
+        for one, (since_ns, gap) in held.items():
+            if one not in self._held and now_ns - since_ns <= self._hold_ns:
+                self._held[one] = since_ns, gap
+        return [gap for _, gap in self._held.values()]
 
     def _is_lamp(self, bearing: Bearing) -> bool:
         return math.isnan(bearing.direct) or bearing.direct > self._config.min_direct
@@ -181,7 +190,7 @@ class ForeglowPolicy:
             left_rad=now.left_rad + max(lead_rad, 0.0),
         )
 
-    def _hidden_gaps(self, frame: Frame, acted: Sequence[Bearing]) -> list[Gap]:
+    def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
         """The gap for a hidden vehicle, if there is light that nothing in sight explains."""
         lights = [one for one in acted if one.is_plausible and not one.direct > self._config.min_direct]
         lamps_m = [one.range_m for one in acted if one.direct > self._config.min_direct]
