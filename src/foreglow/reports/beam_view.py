@@ -15,6 +15,7 @@ from foreglow.reports.overlay import (
     Colour,
     Picture,
     Rectangle,
+    overlap_px,
     place_label,
     range_text,
 )
@@ -147,18 +148,22 @@ class BeamView:
         outline_px = np.clip(outline_px[np.isfinite(outline_px).all(1)], -1e4, 1e4)
         if len(outline_px) < 3:
             return
-        tinted = picture.copy()
-        cv2.fillPoly(tinted, [np.rint(outline_px).astype(np.int32)], GAP_BGR, cv2.LINE_AA)
-        cv2.addWeighted(tinted, GAP_TINT, picture, 1.0 - GAP_TINT, 0.0, dst=picture)
+        x1, y1 = np.maximum(np.floor(outline_px.min(0)), 0).astype(int).tolist()
+        x2, y2 = np.maximum(np.ceil(outline_px.max(0)), 0).astype(int).tolist()
+        around = picture[y1:y2, x1:x2]
+        if around.size:
+            tinted = around.copy()
+            cv2.fillPoly(tinted, [np.rint(outline_px - (x1, y1)).astype(np.int32)], GAP_BGR, cv2.LINE_AA)
+            around[:] = cv2.addWeighted(tinted, GAP_TINT, around, 1.0 - GAP_TINT, 0.0)
         self._pen.line(picture, outline_px, GAP_BGR)
         if not np.isnan(range_m):
             text = f"{range_m:.0f} m"
             width_px, height_px = self._label_px(text)
-            x1 = round(outline_px[:, 0].mean() - width_px / 2)
-            y1 = round(outline_px[:, 1].min()) - height_px - self._pen.px(3)
-            while any(x1 < x4 and x3 < x1 + width_px and y1 < y4 and y3 < y1 + height_px for x3, y3, x4, y4 in taken):
-                y1 -= height_px  # above the label of the neighbour
-            self._label(picture, text, (x1, y1, x1 + width_px, y1 + height_px), GAP_BGR, taken)
+            left = round(outline_px[:, 0].mean() - width_px / 2)
+            top = round(outline_px[:, 1].min()) - height_px - self._pen.px(3)
+            while any(overlap_px((left, top, left + width_px, top + height_px), label) for label in taken):
+                top -= height_px  # above the label of the neighbour
+            self._label(picture, text, (left, top, left + width_px, top + height_px), GAP_BGR, taken)
 
     def _draw_tracks(self, picture: Picture, tracks: Tracks, scale: float, taken: list[Rectangle]) -> None:
         margin_px = self._pen.px(4)

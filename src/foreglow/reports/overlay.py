@@ -219,10 +219,10 @@ def place_label(
     ]
     places = [(x, y, x + width_px, y + height_px) for x, y in corners]
     inside = [p for p in places if p[0] >= 0 and p[1] >= 0 and p[2] <= size_px[0] and p[3] <= size_px[1]]
-    return min(inside or [(0, 0, width_px, height_px)], key=lambda place: sum(_overlap_px(place, b) for b in taken))
+    return min(inside or [(0, 0, width_px, height_px)], key=lambda place: sum(overlap_px(place, b) for b in taken))
 
 
-def _overlap_px(a: Rectangle, b: Rectangle) -> int:
+def overlap_px(a: Rectangle, b: Rectangle) -> int:
     """Number of pixels that `a` and `b` share."""
     return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
 
