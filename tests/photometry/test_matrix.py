@@ -62,7 +62,7 @@ def test_bad_levels(levels: np.ndarray) -> None:
 
 @pytest.mark.parametrize(("side", "columns"), [("left", slice(287, 437)), ("right", slice(285, 435))])
 def test_the_leds_part_of_the_table_stays(side: Side, columns: slice) -> None:
-    """Another size rounds sums over the LEDs differently where BLAS has threads: drives would not be rendered as before."""
+    """Of another size, sums over the LEDs round differently where BLAS has threads, and drives look different."""
     lamp = matrix_beam(side)
     assert (lamp.rows, lamp.columns) == (slice(276, 356), columns)
     assert lamp.leds_cd.shape == (NUM_LEDS, 80, 150)
