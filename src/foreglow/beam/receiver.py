@@ -31,9 +31,9 @@ class ReceiverConfig(FrozenModel):
 
     Attributes:
         deadline_s: So long after the latest valid and fresh command there is low beam.
-        max_age_s: A command whose image is older when it arrives is late; needs a clock that lamps and camera share. None
-            where they share none: then only order is seen. With the deadline it makes 0.5 s, in which an approving text
-            for adaptive beams wants them dimmed.
+        max_age_s: A command whose image is older when it arrives is late; needs a clock that lamps and camera share.
+            None where they share none: then only order is seen. With the deadline it makes 0.5 s, in which an approving
+            text for adaptive beams wants them dimmed.
         max_counter_step: So many commands on, at most, is the next one; a greater step is not taken at once.
         num_good: Valid and fresh commands in a row that end a low beam, after one to compare with.
         latency_s: From the arrival of a command to its light.
@@ -137,7 +137,7 @@ class LampReceiver:
             raise MessageError(LinkFault.REPEATED, f"part {part.place}: expected another command")
         known = next(iter(self._parts.values())).header if self._parts else part.header
         step = (part.header.counter - known.counter) % NUM_COUNTS
-        if step >= NUM_COUNTS // 2:
+        if step >= NUM_COUNTS // 2 and not self.is_low:  # in low beam, a sender may have begun anew
             raise MessageError(LinkFault.DISORDER, f"part {part.place}: expected no older command")
         if part.header != known:
             self._parts = {part.place: part}
@@ -184,9 +184,10 @@ class LampReceiver:
             return LinkFault.DISORDER
         if not 0 < (header.time_ms - self._latest.time_ms) % NUM_TIMES_MS < NUM_TIMES_MS // 2:
             return LinkFault.STALE
-        if step > 1:
-            self.noticed[LinkFault.LOST] += 1
-        return LinkFault.LOST if step > self._config.max_counter_step else None
+        if step > self._config.max_counter_step:
+            return LinkFault.LOST
+        self.noticed[LinkFault.LOST] += step > 1  # borne, but counted
+        return None
 
     def _notice(self, fault: LinkFault) -> None:
         self.noticed[fault] += 1
