@@ -184,7 +184,7 @@ def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) ->
 
 
 def united(gaps_rad: Floats, ranges_m: Floats) -> tuple[Floats, Floats]:
-    """Gaps, shape (G, 2), from right to left and apart, that cover the given ones, each with the nearest of their ranges.
+    """Gaps, shape (G, 2), from right to left and apart, that cover the given ones, each with its nearest range.
 
     A range is NaN, unknown, where one of them is.
 

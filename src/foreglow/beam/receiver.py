@@ -186,7 +186,8 @@ class LampReceiver:
             return LinkFault.STALE
         if step > self._config.max_counter_step:
             return LinkFault.LOST
-        self.noticed[LinkFault.LOST] += step > 1  # borne, but counted
+        if step > 1:  # borne, but counted
+            self.noticed[LinkFault.LOST] += 1
         return None
 
     def _notice(self, fault: LinkFault) -> None:
