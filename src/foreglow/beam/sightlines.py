@@ -7,8 +7,8 @@ import numpy as np
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats
 
-GRID_STEP_PX = 16
-"""Between pixels whose rays are computed; rays in between are interpolated, to 0.001 degrees with ordinary lenses."""
+NUM_CELLS = 64
+"""Along each axis of the image; rays inside a cell are interpolated, to 0.003 degrees with ordinary lenses."""
 
 _CORNERS = ((0, 1), (2, 1), (0, 3), (2, 3))
 """Places of x and y of each corner in a box x1, y1, x2, y2."""
@@ -23,15 +23,12 @@ class Sightlines:
 
     def __init__(self, camera: Camera, lamps_m: Floats, config: GuardConfig) -> None:
         """Takes the camera, and where the lamps are in the vehicle, shape (2, 3)."""
-        columns = np.arange(-(-camera.width_px // GRID_STEP_PX) + 1) * GRID_STEP_PX
-        rows = np.arange(-(-camera.height_px // GRID_STEP_PX) + 1) * GRID_STEP_PX
+        columns, rows = (np.linspace(0.0, size, NUM_CELLS + 1) for size in (camera.width_px, camera.height_px))
         pixels = np.stack(np.meshgrid(columns, rows), -1)
         mount = camera.vehicle_from_camera
         self._rays = (camera.rays(pixels) @ mount.rotation.T).reshape(-1, 3)
-        self._num_columns = len(columns)
-        self._neighbours = np.array([0, 1, len(columns), len(columns) + 1])
-        self._last_cell = np.array([len(columns), len(rows)]) - 2
-        self._size_px = np.array([camera.width_px, camera.height_px], np.float64)
+        self._neighbours = np.array([0, 1, NUM_CELLS + 1, NUM_CELLS + 2])
+        self._cells_per_px = NUM_CELLS / np.array([camera.width_px, camera.height_px])
         self._offsets_m = (mount.position_m - lamps_m)[:, np.newaxis]
         self._config = config
 
@@ -40,8 +37,8 @@ class Sightlines:
 
         A pixel outside the image is taken as the nearest one inside.
         """
-        places = np.minimum(np.maximum(pixels, 0.0), self._size_px) / GRID_STEP_PX
-        cells = np.minimum(places.astype(np.intp), self._last_cell)
+        places = np.minimum(np.maximum(pixels * self._cells_per_px, 0.0), NUM_CELLS)
+        cells = np.minimum(places.astype(np.intp), NUM_CELLS - 1)
         shares = places - cells
         u, v = shares[..., 0], shares[..., 1]
         both = u * v
@@ -50,7 +47,7 @@ class Sightlines:
         weights[..., 1] = u - both
         weights[..., 2] = v - both
         weights[..., 3] = both
-        firsts = cells[..., 1] * self._num_columns + cells[..., 0]
+        firsts = cells[..., 1] * (NUM_CELLS + 1) + cells[..., 0]
         return np.asarray(
             np.einsum("...n,...nk->...k", weights, self._rays[firsts[..., np.newaxis] + self._neighbours])
         )
