@@ -170,8 +170,12 @@ class ForeglowPolicy:
         if acted or held:
             coming = {one: bearing for one, bearing in bearings.items() if bearing.direct > self._config.min_direct}
             acted = coming | acted
-        self._held = {one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)}
-        self._held |= {HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))}
+        self._held = {
+            one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)
+        }
+        self._held |= {
+            HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))
+        }
         for one, (since_ns, gap) in held.items():
             if one not in self._held and now_ns - since_ns <= self._hold_ns:
                 self._held[one] = since_ns, gap
