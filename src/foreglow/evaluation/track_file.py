@@ -26,6 +26,7 @@ class _TrackRecord(Record):
     range_m: Number | None
     range_sigma_m: Annotated[Number, Field(gt=0)] | None
     detection: Annotated[int, Field(ge=-1)]
+    direct: Annotated[Number, Field(ge=0, le=1)] | None = None
 
 
 class _FrameLine(FrameLine):
@@ -67,4 +68,5 @@ def _tracks(records: tuple[_TrackRecord, ...]) -> Tracks:
             [math.inf if one.range_sigma_m is None else one.range_sigma_m for one in records], np.float64
         ),
         detections=np.array([one.detection for one in records], np.int64),
+        direct_probabilities=np.array([math.nan if one.direct is None else one.direct for one in records], np.float64),
     )
