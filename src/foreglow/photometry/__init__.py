@@ -1,12 +1,17 @@
 """Lamps as lighting engineers describe them: intensity tables, the illuminance that follows, and tables that ship."""
 
+from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, illuminance_lx
 from foreglow.photometry.lamps import high_beam, low_beam, position_lamp, rear_lamp, street_lamp, window
-from foreglow.photometry.matrix import NUM_LEDS, MatrixLamp, matrix_beam
+from foreglow.photometry.ldt import read_ldt
+from foreglow.photometry.matrix import NUM_LEDS, MatrixLamp
+from foreglow.photometry.opening import read_lamp_file
 
 __all__ = [
     "NUM_LEDS",
+    "Headlamp",
+    "Headlamps",
     "IntensityTable",
     "MatrixLamp",
     "high_beam",
@@ -14,7 +19,10 @@ __all__ = [
     "low_beam",
     "matrix_beam",
     "position_lamp",
+    "read_headlamps",
     "read_ies",
+    "read_lamp_file",
+    "read_ldt",
     "rear_lamp",
     "street_lamp",
     "window",

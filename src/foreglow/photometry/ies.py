@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-
-Type: TypeAlias = Literal["A", "B", "C"]
+from foreglow.photometry.resampling import Type, resampled
 
 TYPES: dict[float, Type] = {1.0: "C", 2.0: "B", 3.0: "A"}
 """Photometric types by their number in the file."""
-
-FINEST_STEP_DEG: dict[Type, float] = {"A": 0.05, "B": 0.25, "C": 0.25}
-COARSEST_STEP_DEG = 1.0
-"""The table's steps are the file's finest, within these: finer structure is lost."""
 
 C_SPANS_DEG = ((0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (0.0, 360.0), (90.0, 270.0))
 """First and last horizontal angle of a type C file; all but 0 to 360 leave out what symmetry gives."""
@@ -66,7 +59,7 @@ def read_ies(path: Path) -> IntensityTable:
     span = (float(horizontals[0]), float(horizontals[-1]))
     if TYPES[type_number] == "C" and span not in C_SPANS_DEG:
         raise ValueError(f"{path}: horizontal angles: expected a span of {C_SPANS_DEG}, got {span}")
-    return _resampled(TYPES[type_number], verticals, horizontals, candela.reshape(num_horizontals, num_verticals).T)
+    return resampled(TYPES[type_number], verticals, horizontals, candela.reshape(num_horizontals, num_verticals).T)
 
 
 class _Numbers:
@@ -116,62 +109,3 @@ class _Numbers:
         if not ((np.diff(angles) > 0).all() and (np.abs(angles) <= 360).all()):
             raise ValueError(f"{self._path}: {field}: expected growing angles within 360 degrees")
         return angles
-
-
-def _resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Floats) -> IntensityTable:
-    """The file's intensities, shape (num verticals, num horizontals), over azimuth and elevation in equal steps."""
-    steps = np.concatenate([np.diff(verticals), np.diff(horizontals)])
-    step = float(np.clip(steps.min(), FINEST_STEP_DEG[kind], COARSEST_STEP_DEG))
-    is_one_sided = kind != "C" and horizontals[0] == 0.0
-    if kind == "A":
-        elevation_span = (verticals[0], verticals[-1])
-        azimuth_span = (-horizontals[-1], horizontals[-1] if is_one_sided else -horizontals[0])
-    else:
-        reach = 90.0 if np.abs(verticals).max() <= 90.0 else 180.0
-        elevation_span, azimuth_span = (-90.0, 90.0), (-reach, reach)
-    azimuths, elevations = (
-        np.linspace(first, last, max(2, round((last - first) / step) + 1))
-        for first, last in (azimuth_span, elevation_span)
-    )
-    azimuth, elevation = np.meshgrid(azimuths, elevations)
-    x, y, z = _direction(azimuth, elevation)
-    if kind == "A":
-        vertical, horizontal = elevation, -azimuth
-    elif kind == "B":
-        vertical, horizontal = np.degrees(np.arctan2(z, x)), -np.degrees(np.arcsin(np.clip(y, -1.0, 1.0)))
-    else:
-        vertical, horizontal = np.degrees(np.arccos(np.clip(x, -1.0, 1.0))), np.degrees(np.arctan2(y, z)) % 360.0
-        horizontal = _folded(horizontal, float(horizontals[0]), float(horizontals[-1]))
-    if is_one_sided:
-        horizontal = np.abs(horizontal)
-    return IntensityTable(azimuths, elevations, _bilinear(candela, verticals, horizontals, vertical, horizontal))
-
-
-def _direction(azimuth_deg: Floats, elevation_deg: Floats) -> tuple[Floats, Floats, Floats]:
-    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
-    return np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
-
-
-def _folded(around_deg: Floats, first_deg: float, last_deg: float) -> Floats:
-    """C angles 0..360 led back by symmetry to those in the file."""
-    if first_deg == 90.0:  # the plane through C 90 and C 270 is one of symmetry
-        return np.where(np.abs(around_deg - 180.0) <= 90.0, around_deg, (540.0 - around_deg) % 360.0)
-    half = around_deg if last_deg == 360.0 else np.minimum(around_deg, 360.0 - around_deg)
-    quarter = np.minimum(half, 180.0 - half) if last_deg <= 90.0 else half
-    return quarter if last_deg > 0.0 else np.zeros_like(quarter)
-
-
-def _bilinear(
-    candela: Floats, verticals: Floats, horizontals: Floats, vertical: Floats, horizontal: Floats
-) -> NDArray[np.float32]:
-    """Intensities at angles between those of the file; 0 outside, rounding forgiven."""
-    rows = np.interp(vertical, verticals, np.arange(len(verticals)))
-    columns = np.interp(horizontal, horizontals, np.arange(len(horizontals)))
-    row, column = rows.astype(np.intp), columns.astype(np.intp)
-    below, right = np.minimum(row + 1, len(verticals) - 1), np.minimum(column + 1, len(horizontals) - 1)
-    v, u = rows - row, columns - column
-    upper = candela[row, column] * (1.0 - u) + candela[row, right] * u
-    lower = candela[below, column] * (1.0 - u) + candela[below, right] * u
-    is_inside = (vertical >= verticals[0] - 1e-6) & (vertical <= verticals[-1] + 1e-6)
-    is_inside &= (horizontal >= horizontals[0] - 1e-6) & (horizontal <= horizontals[-1] + 1e-6)
-    return np.where(is_inside, upper * (1.0 - v) + lower * v, 0.0).astype(np.float32)

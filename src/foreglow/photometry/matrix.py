@@ -1,43 +1,51 @@
-"""A matrix headlamp: a low beam and 84 LEDs above it, each with its own level."""
+"""A matrix headlamp: a low beam and LEDs above it, each with its own level."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Literal
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
 
+from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.lamps import low_beam
+from foreglow.photometry.resampling import bilinear
 
-NUM_ROWS = 3
-NUM_COLUMNS = 28
-NUM_LEDS = NUM_ROWS * NUM_COLUMNS
+NUM_LEDS = 84
+"""LEDs of one of the lamps that ship: 3 rows of 28."""
 
-PITCH_DEG = 1.2
-"""Between the columns of a lamp; the two lamps are turned by a quarter of it against each other, so that they mesh."""
+STEPS_ACROSS = 3.0
+"""A table has at least so many steps over half the width or height of a generated LED's light."""
 
-ROW_ELEVATIONS_DEG = (0.1, 1.5, 3.0)
-ROW_PEAKS_CD = (38_000.0, 24_000.0, 9_000.0)
-"""Of the column on the axis. Three rows of 28, the lowest the brightest, are the layout of a production lamp."""
+FINEST_STEP_DEG = 0.05
+"""Finer structure of LEDs from files is lost."""
+
+NOTHING = 1e-7
+"""Share of its peak below which a generated LED's light is cut off."""
+
+Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
+Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
+Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatrixLamp:
-    """One matrix headlamp.
+    """One matrix headlamp, in the lamp's frame: x along its axis, y left, z up.
 
-    LED `row * 28 + column`: row 0 is the lowest, column 0 the one furthest to the right.
+    LED `row * num_columns + column`: row 0 is the lowest, column 0 the one furthest to the right.
 
     Attributes:
         base: What shines at any level: the low beam.
         columns: Which columns of the base's table the LEDs reach.
         rows: Which rows of the base's table they reach.
-        leds_cd: Shape (84, E, A), float32, candela at level 1, on those rows and columns; 0 outside them.
-        azimuths_deg: Shape (84,), middle of each LED's light, positive to the left.
-        elevations_deg: Shape (84,), middle of each LED's light, positive upwards.
+        leds_cd: Shape (L, E, A), float32, candela at level 1, on those rows and columns; 0 outside them.
+        azimuths_deg: Shape (L,), middle of each LED's light, positive to the left.
+        elevations_deg: Shape (L,), middle of each LED's light, positive upwards.
+        num_columns: LEDs in a row.
     """
 
     base: IntensityTable
@@ -46,41 +54,188 @@ class MatrixLamp:
     leds_cd: NDArray[np.float32]
     azimuths_deg: Floats
     elevations_deg: Floats
+    num_columns: int
+
+    @property
+    def num_leds(self) -> int:
+        """L, the number of LEDs."""
+        return len(self.leds_cd)
 
     def table(self, levels: ArrayLike) -> IntensityTable:
-        """The lamp's intensity with the LEDs at `levels`, shape (84,), each 0..1; linear in them.
+        """The lamp's intensity with the LEDs at `levels`, shape (L,), each 0..1; linear in them.
 
         Raises:
-            ValueError: If there are not 84 levels, or one is outside 0..1.
+            ValueError: If there are not L levels, or one is outside 0..1.
         """
         levels = np.asarray(levels, np.float32)
-        if levels.shape != (NUM_LEDS,) or not ((levels >= 0) & (levels <= 1)).all():
-            raise ValueError(f"levels: expected {NUM_LEDS} numbers from 0 to 1, got {levels!r}")
+        if levels.shape != (self.num_leds,) or not ((levels >= 0) & (levels <= 1)).all():
+            raise ValueError(f"levels: expected {self.num_leds} numbers from 0 to 1, got {levels!r}")
         intensities = self.base.intensities_cd.copy()
         intensities[self.rows, self.columns] += np.tensordot(levels, self.leds_cd, 1)
         return IntensityTable(self.base.azimuths_deg, self.base.elevations_deg, intensities)
 
 
-@cache
-def matrix_beam(side: Literal["left", "right"]) -> MatrixLamp:
-    """The left or right lamp of 2 x 84 LEDs: 3 rows of 28 columns, 34 degrees wide, above the low beam."""
-    base = low_beam()
-    towards_left = 0.25 * PITCH_DEG if side == "left" else -0.25 * PITCH_DEG
-    column_azimuths = (np.arange(NUM_COLUMNS) - (NUM_COLUMNS - 1) / 2) * PITCH_DEG + towards_left
-    columns = _reached(base.azimuths_deg, column_azimuths[0] - 2 * PITCH_DEG, column_azimuths[-1] + 2 * PITCH_DEG)
-    rows = _reached(base.elevations_deg, ROW_ELEVATIONS_DEG[0] - 2.5, ROW_ELEVATIONS_DEG[-1] + 2.5)
-    # Super-Gaussians: flat in the middle, steep at the edges, and gapless where neighbours meet at half their peak.
-    across = np.exp(-(np.abs((base.azimuths_deg[columns] - column_azimuths[:, np.newaxis]) / 0.75) ** 2.6))
-    heights = base.elevations_deg[rows] - np.array(ROW_ELEVATIONS_DEG)[:, np.newaxis]
-    along = np.exp(-(np.abs(heights / 0.85) ** 2.6))
-    peaks = np.outer(ROW_PEAKS_CD, np.exp(-0.5 * (column_azimuths / 6.5) ** 2)) + 2_500.0
-    leds = np.einsum("rc,re,ca->rcea", peaks, along, across).reshape(NUM_LEDS, along.shape[1], across.shape[1])
-    leds = leds.astype(np.float32)
+class LedGrid(FrozenModel):
+    """LEDs in rows and columns whose light is a smooth function of the angles.
+
+    Each is a super-Gaussian, exp(-|angle / half width| ^ edge_exponent), across as well as up: flat in the middle and
+    steep at the edges.
+
+    Attributes:
+        num_columns: LEDs in a row.
+        pitch_deg: Between the columns.
+        row_elevations_deg: Middle of each row, the lowest first.
+        row_peaks_cd: Of each row's light on the axis; to the side it falls off as a Gaussian.
+        side_sigma_deg: Standard deviation of that Gaussian.
+        everywhere_cd: What every LED has on top of that.
+        half_width_deg: From the middle of a column to where its light has fallen to 1 / e.
+        half_height_deg: The same for a row.
+        edge_exponent: How steep the edges are; 2 is a Gaussian.
+    """
+
+    num_columns: Annotated[int, Field(ge=1, le=512)]
+    pitch_deg: Width
+    row_elevations_deg: Annotated[tuple[Angle, ...], Field(strict=False, min_length=1, max_length=64)]
+    row_peaks_cd: Annotated[tuple[Candela, ...], Field(strict=False)]
+    side_sigma_deg: Width
+    everywhere_cd: Candela
+    half_width_deg: Width
+    half_height_deg: Width
+    edge_exponent: Annotated[float, Field(ge=1, le=16)]
+
+    @model_validator(mode="after")
+    def _check(self) -> LedGrid:
+        elevations, peaks = self.row_elevations_deg, self.row_peaks_cd
+        if list(elevations) != sorted(set(elevations)):
+            raise ValueError(f"row_elevations_deg: expected growing numbers, got {list(elevations)}")
+        if len(peaks) != len(elevations):
+            raise ValueError(f"row_peaks_cd: expected one for each of {len(elevations)} rows, got {len(peaks)}")
+        return self
+
+
+def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> MatrixLamp:
+    """A lamp with generated LEDs.
+
+    Args:
+        base: What shines beneath them; a table that is too coarse or too small for the LEDs is resampled.
+        grid: The LEDs.
+        turn_deg: How far all columns are turned to the left of the lamp's axis.
+    """
+    row_elevations = np.array(grid.row_elevations_deg, np.float64)
+    column_azimuths = (
+        np.arange(grid.num_columns, dtype=np.float64) - (grid.num_columns - 1) / 2
+    ) * grid.pitch_deg + turn_deg
+    reach = (-np.log(NOTHING)) ** (1.0 / grid.edge_exponent)
+    base = _fine_enough(
+        base,
+        (column_azimuths[0] - reach * grid.half_width_deg, column_azimuths[-1] + reach * grid.half_width_deg),
+        (row_elevations[0] - reach * grid.half_height_deg, row_elevations[-1] + reach * grid.half_height_deg),
+        (grid.half_width_deg / STEPS_ACROSS, grid.half_height_deg / STEPS_ACROSS),
+    )
+    columns = _reached(base.azimuths_deg, column_azimuths, reach * grid.half_width_deg)
+    rows = _reached(base.elevations_deg, row_elevations, reach * grid.half_height_deg)
+    across = _edged(base.azimuths_deg[columns] - column_azimuths[:, np.newaxis], grid.half_width_deg, grid)
+    along = _edged(base.elevations_deg[rows] - row_elevations[:, np.newaxis], grid.half_height_deg, grid)
+    to_the_side = np.exp(-0.5 * (column_azimuths / grid.side_sigma_deg) ** 2)
+    peaks = np.outer(grid.row_peaks_cd, to_the_side) + grid.everywhere_cd
+    leds = np.einsum("rc,re,ca->rcea", peaks, along, across).reshape(peaks.size, along.shape[1], across.shape[1])
+    azimuths, elevations = np.tile(column_azimuths, len(row_elevations)), np.repeat(row_elevations, grid.num_columns)
+    return MatrixLamp(base, columns, rows, _frozen(leds), azimuths, elevations, grid.num_columns)
+
+
+def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_columns: int) -> MatrixLamp:
+    """A lamp with LEDs from tables, such as measured ones.
+
+    Args:
+        base: What shines beneath them; a table that is too coarse or too small for the LEDs is resampled.
+        leds: One table an LED at level 1, row after row, the lowest first; within a row from right to left.
+        num_columns: LEDs in a row.
+
+    Raises:
+        ValueError: If an LED is dark everywhere; the message has its number.
+    """
+    for number, led in enumerate(leds):
+        if not led.intensities_cd.any():
+            raise ValueError(f"LED {number}: expected light in some direction, got 0 cd in all")
+    azimuth_spans = np.array([_lit_span(led.azimuths_deg, led.intensities_cd.max(0)) for led in leds])
+    elevation_spans = np.array([_lit_span(led.elevations_deg, led.intensities_cd.max(1)) for led in leds])
+    base = _fine_enough(
+        base,
+        (azimuth_spans.min(), azimuth_spans.max()),
+        (elevation_spans.min(), elevation_spans.max()),
+        (
+            max(FINEST_STEP_DEG, min(_step(led.azimuths_deg) for led in leds)),
+            max(FINEST_STEP_DEG, min(_step(led.elevations_deg) for led in leds)),
+        ),
+    )
+    columns = _reached(base.azimuths_deg, azimuth_spans, 0.0)
+    rows = _reached(base.elevations_deg, elevation_spans, 0.0)
+    azimuths, elevations = base.azimuths_deg[columns], base.elevations_deg[rows]
+    tables = np.stack([_sampled(led, azimuths, elevations) for led in leds])
+    left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
+    up = np.array([np.average(elevations, weights=table.sum(1)) for table in tables])
+    return MatrixLamp(base, columns, rows, _frozen(tables), left, up, num_columns)
+
+
+def _edged(angles_deg: Floats, half_width_deg: float, grid: LedGrid) -> Floats:
+    return np.asarray(np.exp(-(np.abs(angles_deg / half_width_deg) ** grid.edge_exponent)))
+
+
+def _frozen(leds_cd: NDArray[np.float32] | Floats) -> NDArray[np.float32]:
+    leds = leds_cd.astype(np.float32)
     leds.flags.writeable = False
-    azimuths = np.tile(column_azimuths, NUM_ROWS)
-    return MatrixLamp(base, columns, rows, leds, azimuths, np.repeat(ROW_ELEVATIONS_DEG, NUM_COLUMNS))
+    return leds
 
 
-def _reached(grid_deg: Floats, first_deg: float, last_deg: float) -> slice:
-    """The part of a growing grid between two angles."""
-    return slice(int(np.searchsorted(grid_deg, first_deg)), int(np.searchsorted(grid_deg, last_deg)) + 1)
+def _fine_enough(
+    table: IntensityTable,
+    azimuth_span_deg: tuple[float, float],
+    elevation_span_deg: tuple[float, float],
+    steps_deg: tuple[float, float],
+) -> IntensityTable:
+    """`table` itself where it holds both spans in such steps; else resampled so that it does."""
+    azimuths = _finer(table.azimuths_deg, azimuth_span_deg, steps_deg[0])
+    elevations = _finer(table.elevations_deg, elevation_span_deg, steps_deg[1])
+    if azimuths is table.azimuths_deg and elevations is table.elevations_deg:
+        return table
+    return IntensityTable(azimuths, elevations, _sampled(table, azimuths, elevations))
+
+
+def _finer(grid_deg: Floats, span_deg: tuple[float, float], step_deg: float) -> Floats:
+    """`grid_deg` itself where it holds the span in such steps; else one that does, with the old angles among the new.
+
+    The old step is divided by a whole number, and the grid goes on beyond its ends.
+    """
+    has_step, (first, last) = _step(grid_deg), span_deg
+    if has_step <= step_deg * (1.0 + 1e-6) and grid_deg[0] <= first and last <= grid_deg[-1]:
+        return grid_deg
+    step = has_step / max(1, np.ceil(has_step / step_deg - 1e-6))
+    num_before, num_after = (max(0, np.ceil(gap / step)) for gap in (grid_deg[0] - first, last - grid_deg[-1]))
+    first, last = grid_deg[0] - num_before * step, grid_deg[-1] + num_after * step
+    return np.linspace(first, last, round((last - first) / step) + 1)
+
+
+def _step(grid_deg: Floats) -> float:
+    return float(grid_deg[-1] - grid_deg[0]) / (len(grid_deg) - 1)
+
+
+def _sampled(table: IntensityTable, azimuths_deg: Floats, elevations_deg: Floats) -> NDArray[np.float32]:
+    """The table's intensities on another grid, shape (E, A)."""
+    azimuth, elevation = np.meshgrid(azimuths_deg, elevations_deg)
+    return bilinear(
+        table.intensities_cd.astype(np.float64), table.elevations_deg, table.azimuths_deg, elevation, azimuth
+    )
+
+
+def _lit_span(grid_deg: Floats, candela: NDArray[np.float32]) -> tuple[float, float]:
+    """From one step before the first lit angle to one after the last one, inside the grid."""
+    lit = np.flatnonzero(candela)
+    return float(grid_deg[max(lit[0] - 1, 0)]), float(grid_deg[min(lit[-1] + 1, len(grid_deg) - 1)])
+
+
+def _reached(grid_deg: Floats, angles_deg: Floats, reach_deg: float) -> slice:
+    """The part of a growing grid that holds what lies within `reach_deg` of the angles."""
+    first, last = np.min(angles_deg) - reach_deg, np.max(angles_deg) + reach_deg
+    begin = int(np.searchsorted(grid_deg, first, side="right")) - 1
+    end = int(np.searchsorted(grid_deg, last)) + 1
+    return slice(max(begin, 0), min(end, len(grid_deg)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.photometry import IntensityTable, high_beam, low_beam, matrix_beam, read_ies, rear_lamp
+from foreglow.photometry import IntensityTable, high_beam, low_beam, matrix_beam, read_headlamps, read_ies, rear_lamp
 from foreglow.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.simulation.scenes.scene import EgoSpec, VehicleSpec
 from foreglow.simulation.traffic.kinematics import VehicleState, vehicle_state
@@ -21,9 +21,6 @@ BEHIND_M = 15.0
 
 FARTHEST_M = 900.0
 """Nor is one beyond this distance: at 900 m a low beam lights a wall with less than a hundredth of a lux."""
-
-EGO_LAMPS_M = np.array([[3.65, 0.62, 0.66], [3.65, -0.62, 0.66]])
-"""Our own headlamps in the vehicle: left, right."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,11 +108,12 @@ def ego_tables(ego: EgoSpec, led_levels: Floats) -> tuple[IntensityTable, Intens
 def ego_lamps(
     ego: EgoSpec, pose: Pose, tables: tuple[IntensityTable, IntensityTable], layer: int
 ) -> tuple[PlacedLamp, PlacedLamp]:
-    """Our headlamps in the world."""
-    aim = _aim(ego.yaw_aim_deg, ego.pitch_aim_deg)
+    """Our headlamps in the world: where the shipped description has them, and out of aim as the scene says."""
+    out_of_aim = Pose(np.zeros(3), _aim(ego.yaw_aim_deg, ego.pitch_aim_deg))
+    mounts = read_headlamps()
     left, right = (
-        PlacedLamp(pose @ Pose(place, aim), table, layer, ego.brightness)
-        for place, table in zip(EGO_LAMPS_M, tables, strict=True)
+        PlacedLamp(pose @ lamp.vehicle_from_lamp @ out_of_aim, table, layer, ego.brightness)
+        for lamp, table in zip((mounts.left, mounts.right), tables, strict=True)
     )
     return left, right
 

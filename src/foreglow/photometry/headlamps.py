@@ -1,0 +1,228 @@
+"""A car's headlamps: where they are, where they aim, and what each LED shines; read from a TOML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from foreglow.config import FrozenModel, read_toml, validated
+from foreglow.geometry import Floats, Pose, rotation
+from foreglow.photometry.intensity import IntensityTable
+from foreglow.photometry.lamps import low_beam
+from foreglow.photometry.lookup import PairLookup
+from foreglow.photometry.matrix import Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
+from foreglow.photometry.opening import read_lamp_file
+
+SHIPPED = Path(__file__).with_name("headlamps.toml")
+"""The headlamps of the simulated car."""
+
+FileName: TypeAlias = Annotated[Path, Field(strict=False)]
+"""Of an IES or EULUMDAT file, relative to the TOML file's folder."""
+
+Metres: TypeAlias = Annotated[float, Field(strict=True, ge=-20, le=20)]
+
+Side: TypeAlias = Literal["left", "right"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Headlamp:
+    """One headlamp.
+
+    Attributes:
+        vehicle_from_lamp: Where it is mounted and where its axis points.
+        matrix: What it shines, in its own frame.
+    """
+
+    vehicle_from_lamp: Pose
+    matrix: MatrixLamp
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Headlamps:
+    """A pair of matrix headlamps with the same number L of LEDs.
+
+    Attributes:
+        name: What they are, in words.
+        left: The left one.
+        right: The right one.
+
+    Raises:
+        ValueError: If the lamps have different numbers of LEDs or of columns.
+    """
+
+    name: str
+    left: Headlamp
+    right: Headlamp
+    _lookup: PairLookup = field(init=False, repr=False)
+    _turned: Floats = field(init=False, repr=False)
+    _positions_lamp_m: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        lamps = (self.left, self.right)
+        layouts = [(lamp.matrix.num_leds, lamp.matrix.num_columns) for lamp in lamps]
+        if layouts[0] != layouts[1]:
+            raise ValueError(f"Headlamps: expected as many LEDs and columns left as right, got {layouts}")
+        turned = np.hstack([lamp.vehicle_from_lamp.rotation for lamp in lamps])
+        origins = [lamp.vehicle_from_lamp.position_m @ lamp.vehicle_from_lamp.rotation for lamp in lamps]
+        object.__setattr__(self, "_lookup", PairLookup(self.left.matrix, self.right.matrix))
+        object.__setattr__(self, "_turned", turned)
+        object.__setattr__(self, "_positions_lamp_m", np.stack(origins))
+
+    @property
+    def num_leds(self) -> int:
+        """L, LEDs of one lamp."""
+        return self.left.matrix.num_leds
+
+    @property
+    def num_columns(self) -> int:
+        """LEDs in a row of one lamp; LED `row * num_columns + column`, row 0 lowest, column 0 furthest right."""
+        return self.left.matrix.num_columns
+
+    def intensities_cd(self, directions: ArrayLike) -> tuple[Floats, Floats]:
+        """Luminous intensities towards far points.
+
+        Args:
+            directions: Shape (P, 3), finite, of any length but 0, in the vehicle's frame; the lamps' places do not
+                matter.
+
+        Returns:
+            Of the low beams, shape (P, 2), left and right, cd; and of the LEDs at level 1, shape (P, 2, L), cd. The
+            whole light is base + levels * LEDs, summed over L.
+        """
+        return self._lookup.towards(self._along_lamps(directions))
+
+    def illuminance_lx(self, points_vehicle: ArrayLike) -> tuple[Floats, Floats]:
+        """Illuminance at points, on a plane that faces each lamp, with nothing in between.
+
+        Args:
+            points_vehicle: Shape (P, 3), metres, finite and away from the lamps, in the vehicle's frame.
+
+        Returns:
+            By both low beams together, shape (P,), lx; and by each LED at level 1, shape (P, 2, L), lx. The whole
+            illuminance is base + levels * LEDs, summed over lamps and L.
+        """
+        offsets = self._along_lamps(points_vehicle) - self._positions_lamp_m
+        base_cd, leds_cd = self._lookup.towards(offsets)
+        per_square_m = 1.0 / (offsets * offsets).sum(-1)
+        leds_cd *= per_square_m[..., np.newaxis]
+        return np.asarray((base_cd * per_square_m).sum(-1)), leds_cd
+
+    def _along_lamps(self, vectors: ArrayLike) -> Floats:
+        """Vectors of the vehicle, shape (P, 3), along the axes of both lamps, shape (P, 2, 3)."""
+        return (np.asarray(vectors, np.float64) @ self._turned).reshape(-1, 2, 3)
+
+
+class LampDescription(FrozenModel):
+    """One lamp in the TOML file.
+
+    Attributes:
+        position_m: Its place in the vehicle: forward of the rear axle, left of the middle, above the road.
+        yaw_deg: Aim to the left.
+        pitch_deg: Aim upwards; with aim by the book 0, since the low beam's cut-off lies below the axis in its table.
+        base: The low beam's file; left out: the one that ships.
+        led_files: Files of the LEDs, a list for each row, the lowest first, each from right to left; instead of the
+            grid.
+        turn_deg: How far the grid's columns are turned to the left of the lamp's axis.
+    """
+
+    position_m: Annotated[tuple[Metres, Metres, Metres], Field(strict=False)]
+    yaw_deg: Angle = 0.0
+    pitch_deg: Angle = 0.0
+    base: FileName | None = None
+    led_files: Annotated[
+        tuple[Annotated[tuple[FileName, ...], Field(strict=False, min_length=1)], ...] | None,
+        Field(strict=False, min_length=1),
+    ] = None
+    turn_deg: Angle = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> LampDescription:
+        if self.led_files is not None and len({len(row) for row in self.led_files}) > 1:
+            raise ValueError(f"led_files: expected rows of one length, got {[len(row) for row in self.led_files]}")
+        if self.led_files is not None and self.turn_deg:
+            raise ValueError(f"turn_deg: expected only with [grid], got {self.turn_deg:g} beside led_files")
+        return self
+
+
+class HeadlampsDescription(FrozenModel):
+    """The TOML file of `read_headlamps`.
+
+    Attributes:
+        name: What the headlamps are, in words.
+        left: The left lamp.
+        right: The right one.
+        grid: LEDs of both lamps, where they are generated.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    left: LampDescription
+    right: LampDescription
+    grid: LedGrid | None = None
+
+
+def read_headlamps(path: Path | None = None) -> Headlamps:
+    """The headlamps in the TOML file `path`; None for those that ship, which are the simulated car's.
+
+    Raises:
+        FileNotFoundError: If there is no such file, or one that it names is not there.
+        ValueError: If it is not TOML, a field is unknown, missing or out of range, the lamps do not match, or a file
+            that it names is broken; the message names path, field and what was expected.
+    """
+    return _shipped() if path is None else _read(path)
+
+
+def matrix_beam(side: Side) -> MatrixLamp:
+    """What the left or right lamp that ships shines: 3 rows of 28 LEDs, 34 degrees wide, above the low beam."""
+    return _shipped().left.matrix if side == "left" else _shipped().right.matrix
+
+
+@cache
+def _shipped() -> Headlamps:
+    return _read(SHIPPED)
+
+
+def _read(path: Path) -> Headlamps:
+    given = validated(HeadlampsDescription, read_toml(path), str(path))
+    left, right = (
+        Headlamp(
+            Pose(
+                np.array(lamp.position_m), rotation(float(np.radians(lamp.yaw_deg)), float(np.radians(lamp.pitch_deg)))
+            ),
+            _matrix(path, side, lamp, given.grid),
+        )
+        for side, lamp in (("left", given.left), ("right", given.right))
+    )
+    try:
+        return Headlamps(given.name, left, right)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) -> MatrixLamp:
+    base = low_beam() if lamp.base is None else _table(path, f"{side}.base", lamp.base)
+    if lamp.led_files is None:
+        if grid is None:
+            raise ValueError(f"{path}: {side}.led_files: missing, and there is no [grid] either")
+        return grid_lamp(base, grid, lamp.turn_deg)
+    if grid is not None:
+        raise ValueError(f"{path}: {side}.led_files: expected either these or [grid], got both")
+    leds = [_table(path, f"{side}.led_files", file) for row in lamp.led_files for file in row]
+    try:
+        return measured_lamp(base, leds, len(lamp.led_files[0]))
+    except ValueError as error:
+        raise ValueError(f"{path}: {side}.led_files: {error}") from error
+
+
+def _table(path: Path, field_name: str, file: Path) -> IntensityTable:
+    try:
+        return read_lamp_file(path.parent / file)
+    except ValueError as error:
+        raise ValueError(f"{path}: {field_name}: {error}") from error
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: {field_name}: {error}") from error

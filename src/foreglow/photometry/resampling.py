@@ -1,0 +1,95 @@
+"""Photometric files' intensities, over whatever angles they were measured, as tables over azimuth and elevation."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Floats
+from foreglow.photometry.intensity import IntensityTable
+
+Type: TypeAlias = Literal["A", "B", "C"]
+"""Photometric types, by the axes about which the goniometer turns."""
+
+FINEST_STEP_DEG: dict[Type, float] = {"A": 0.05, "B": 0.25, "C": 0.25}
+COARSEST_STEP_DEG = 1.0
+"""The table's steps are the file's finest, within these: finer structure is lost."""
+
+
+def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Floats) -> IntensityTable:
+    """A file's intensities over azimuth and elevation in equal steps, in the lamp's frame; 0 outside the file's angles.
+
+    `read_ies` says how the angles of each type lie in the lamp's frame.
+
+    Args:
+        kind: The photometric type.
+        verticals: Shape (V,), growing, degrees; type C: from the axis, gamma.
+        horizontals: Shape (H,), growing, degrees; types A and B from 0 on: mirrored to the left. Type C: angles of the
+            half-planes, over 0 alone, 0 to 90, 0 to 180, 90 to 270 or 0 to 360 degrees; symmetry gives the others.
+        candela: Shape (V, H), at least 0.
+    """
+    steps = np.concatenate([np.diff(verticals), np.diff(horizontals)])
+    step = float(np.clip(steps.min(), FINEST_STEP_DEG[kind], COARSEST_STEP_DEG))
+    is_one_sided = kind != "C" and horizontals[0] == 0.0
+    if kind == "A":
+        elevation_span = (verticals[0], verticals[-1])
+        azimuth_span = (-horizontals[-1], horizontals[-1] if is_one_sided else -horizontals[0])
+    else:
+        reach = 90.0 if np.abs(verticals).max() <= 90.0 else 180.0
+        elevation_span, azimuth_span = (-90.0, 90.0), (-reach, reach)
+    azimuths, elevations = (
+        np.linspace(first, last, max(2, round((last - first) / step) + 1))
+        for first, last in (azimuth_span, elevation_span)
+    )
+    azimuth, elevation = np.meshgrid(azimuths, elevations)
+    x, y, z = _direction(azimuth, elevation)
+    if kind == "A":
+        vertical, horizontal = elevation, -azimuth
+    elif kind == "B":
+        vertical, horizontal = np.degrees(np.arctan2(z, x)), -np.degrees(np.arcsin(np.clip(y, -1.0, 1.0)))
+    else:
+        vertical, horizontal = np.degrees(np.arccos(np.clip(x, -1.0, 1.0))), np.degrees(np.arctan2(y, z)) % 360.0
+        horizontal = _folded(horizontal, float(horizontals[0]), float(horizontals[-1]))
+    if is_one_sided:
+        horizontal = np.abs(horizontal)
+    return IntensityTable(azimuths, elevations, bilinear(candela, verticals, horizontals, vertical, horizontal))
+
+
+def _direction(azimuth_deg: Floats, elevation_deg: Floats) -> tuple[Floats, Floats, Floats]:
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    return np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
+
+
+def _folded(around_deg: Floats, first_deg: float, last_deg: float) -> Floats:
+    """C angles 0..360 led back by symmetry to those in the file."""
+    if first_deg == 90.0:  # the plane through C 90 and C 270 is one of symmetry
+        return np.where(np.abs(around_deg - 180.0) <= 90.0, around_deg, (540.0 - around_deg) % 360.0)
+    half = around_deg if last_deg == 360.0 else np.minimum(around_deg, 360.0 - around_deg)
+    quarter = np.minimum(half, 180.0 - half) if last_deg <= 90.0 else half
+    return quarter if last_deg > 0.0 else np.zeros_like(quarter)
+
+
+def bilinear(
+    candela: Floats, verticals: Floats, horizontals: Floats, vertical: Floats, horizontal: Floats
+) -> NDArray[np.float32]:
+    """Intensities at angles between those of a table; 0 outside, rounding forgiven.
+
+    Args:
+        candela: Shape (V, H).
+        verticals: Shape (V,), growing, degrees.
+        horizontals: Shape (H,), growing, degrees.
+        vertical: Any shape, degrees: where to look.
+        horizontal: The same shape, degrees.
+    """
+    rows = np.interp(vertical, verticals, np.arange(len(verticals)))
+    columns = np.interp(horizontal, horizontals, np.arange(len(horizontals)))
+    row, column = rows.astype(np.intp), columns.astype(np.intp)
+    below, right = np.minimum(row + 1, len(verticals) - 1), np.minimum(column + 1, len(horizontals) - 1)
+    v, u = rows - row, columns - column
+    upper = candela[row, column] * (1.0 - u) + candela[row, right] * u
+    lower = candela[below, column] * (1.0 - u) + candela[below, right] * u
+    is_inside = (vertical >= verticals[0] - 1e-6) & (vertical <= verticals[-1] + 1e-6)
+    is_inside &= (horizontal >= horizontals[0] - 1e-6) & (horizontal <= horizontals[-1] + 1e-6)
+    return np.where(is_inside, upper * (1.0 - v) + lower * v, 0.0).astype(np.float32)
