@@ -105,5 +105,3 @@ def _seen_from(place_m: Floats, gap: Gap) -> tuple[float, float]:
         for range_m in (min(gap.near_m, FAR_M), min(gap.far_m, FAR_M))
     ]
     return min(borders), max(borders)
-
-

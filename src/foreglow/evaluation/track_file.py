@@ -33,6 +33,16 @@ class _FrameLine(FrameLine):
     tracks: tuple[_TrackRecord, ...] | None = None
 
 
+def has_tracks(path: Path | str) -> bool:
+    """Whether the file at `path` is the `frames.jsonl` of a run with a tracker, by its first line."""
+    path = Path(path)
+    if path.suffix.lower() != ".jsonl" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        lines = frame_lines(file.readline(), _FrameLine, path)
+        return any(parsed.tracks is not None for _, parsed in lines)
+
+
 def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
     """By image id, the tracks in the `frames.jsonl` at `path`.
 
