@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -120,7 +120,7 @@ class Examination:
     ranking: Ranking | None
     run_time_ms: Mapping[str, RunTime]
     robustness: tuple[RobustnessRow, ...] = ()
-    directness: Directness = Directness()
+    directness: Directness = field(default_factory=Directness)
 
     def to_json(self) -> dict[str, Any]:
         """Everything by name, for JSON: null instead of NaN."""

@@ -84,8 +84,9 @@ def read_predictions(path: Path | str) -> Predictions:
     """The predictions in the file at `path`.
 
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
-    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, and `direct` in any. Any other name holds one JSON
-    object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as the published code writes.
+    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, and `direct` in any line. Any
+    other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as the
+    published code writes.
 
     Raises:
         FileNotFoundError: If there is no such file.
