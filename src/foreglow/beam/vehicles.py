@@ -11,8 +11,11 @@ from foreglow.types import Tracks
 SPACING_M, SPACING_LOG_SIGMA = 1.35, 0.2
 """Between the two lamps of a vehicle, 1.1 to 2 m; an oblique view makes it shorter."""
 
-RISE_SIGMA_M, RISE_SIGMA_PX = 0.1, 2.0
-"""Of one lamp above the other: road, bodies and boxes that are not level."""
+RISE_SIGMA_M, RISE_SIGMA_PX = 0.05, 4.0
+"""Of one lamp above the other: vehicles lean, and glare moves boxes."""
+
+HEIGHT_LOG_SIGMA = 0.5
+"""Of the boxes' heights to each other, relative: lamps of a vehicle are alike."""
 
 MAX_DEVIATION = 3.0
 """Combined standard deviations up to which two lamps are one vehicle's."""
@@ -49,9 +52,10 @@ def group_vehicles(tracks: Tracks, camera: Camera) -> tuple[NDArray[np.int64], .
 def _deviations(tracks: Tracks, camera: Camera, lamps: NDArray[np.int64]) -> Floats:
     """Shape (L, L): standard deviations by which two lamps miss being a vehicle's; infinite on and below the diagonal.
 
-    They combine the two lamps' spacing and rise at their common range, and the difference of their ranges.
+    They combine the spacing and rise at the common range, the boxes' likeness, and the difference of the ranges.
     """
     boxes, ranges_m, sigmas_m = tracks.boxes_xyxy_px[lamps], tracks.ranges_m[lamps], tracks.sigmas_m[lamps]
+    heights_px = boxes[:, 3] - boxes[:, 1]
     rays = camera.rays((boxes[:, :2] + boxes[:, 2:]) / 2.0) @ camera.vehicle_from_camera.rotation.T
     bearings = np.arctan2(rays[:, 1], rays[:, 0])
     slopes = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
@@ -65,6 +69,7 @@ def _deviations(tracks: Tracks, camera: Camera, lamps: NDArray[np.int64]) -> Flo
         deviations = np.sqrt(
             (np.log(spacing_m / SPACING_M) / np.hypot(SPACING_LOG_SIGMA, sigma_m / range_m)) ** 2
             + (rise_m / np.hypot(RISE_SIGMA_M, RISE_SIGMA_PX * pixel_m)) ** 2
+            + (np.log(heights_px[:, None] / heights_px) / HEIGHT_LOG_SIGMA) ** 2
             + (ranges_m[:, None] - ranges_m) ** 2 * weights[:, None] * weights / sums
         )
     is_pair = np.triu(np.ones(deviations.shape, np.bool_), 1) & np.isfinite(deviations)
