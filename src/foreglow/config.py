@@ -6,6 +6,7 @@ Sizes are given for the paper's camera and scale with the image's width; `Propos
 from __future__ import annotations
 
 import tomllib
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
@@ -229,6 +230,94 @@ OUR_TRACKER = TrackerConfig(
 """Chosen on the validation drives of `make drives`; decision 8 says how."""
 
 
+class BeamConfig(FrozenModel):
+    """Parameters of the beam stage; `docs/beam.md` has the policies.
+
+    Attributes:
+        policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone), or
+            `foreglow` (all tracks, and the place where a hidden vehicle will appear).
+        headlamps: TOML file of the lamps, see `foreglow.photometry`; None for those that ship.
+        latency_s: From a frame's exposure to the light that follows from it: vehicles are led by so much.
+        margin_deg: A gap reaches so much beyond what it is for, to either side; also for lamps that are aimed badly.
+        led_limit_lx: What a single LED may give at the eyes that a gap is for.
+        coverage: Of the probability of where a hidden vehicle will appear, the share that the gap for it covers.
+        min_direct: A track is a lamp itself when its probability of that is above this.
+        confirm_s: A gap begins once its track has been plausible for so long.
+        hold_s: A gap stays for so long after what it is for was last seen, and an LED dark after its gap has gone.
+        restore_s: Time in which an LED goes from off to full.
+    """
+
+    policy: Literal["none", "low", "high", "paper", "foreglow"] = "none"
+    headlamps: Annotated[Path, Field(strict=False)] | None = None
+    latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
+    margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.5
+    led_limit_lx: Annotated[float, Field(gt=0)] = 0.03
+    coverage: Annotated[float, Field(ge=0, lt=1)] = 0.8
+    min_direct: Annotated[float, Field(ge=0, le=1)] = 0.5
+    confirm_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
+    restore_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+
+class GuardConfig(FrozenModel):
+    """Parameters of the guard, which checks every beam command; `docs/guard.md` says what it enforces.
+
+    Attributes:
+        max_age_s: An image that is older when its command is checked is too old.
+        max_gap_s: After a longer time between two frames there is low beam, from which light returns slowly.
+        brightening_s: Time of an LED from dark to full, at least; dimming is at once.
+        low_below_mps: Low beam below this speed: 32 km/h, as public notes of 49 CFR 571.108 have it.
+        high_above_mps: And until above this one.
+        needs_speed: Whether an unknown speed is a fault; else it counts as high enough.
+        max_same_images: One more image in a row with the same content is a frozen camera.
+        max_saturated: Largest share of pixels at `white_level`.
+        min_bright: In an image of which no pixel is brighter than this share of `white_level`, nothing can be seen.
+        white_level: Greatest value of a pixel; None for that of its type: 255 or 65,535.
+        led_limits_cd: From which range on (m, the first from 0 on), and how much the LEDs of one lamp may shine towards
+            a vehicle (cd). From 50 m on what UN R123 allows a lamp towards oncoming drivers at 50, 100 and 200 m, less
+            the 350 cd that UN R112 allows its low beam; nearer, what 3.1 lx at 15 m (49 CFR 571.108) leaves of two
+            lamps with 200 cd of stray light each. All of public notes, not the official texts.
+        range_sigmas: A vehicle may be nearer or farther than its range by so many standard deviations.
+        min_range_m: No vehicle is nearer; taken where no range is known.
+        eyes_above_m: Drivers' eyes are up to so far above what shines; of R123's test points.
+    """
+
+    max_age_s: Annotated[float, Field(gt=0, le=10)] = 0.3
+    max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.2
+    brightening_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    low_below_mps: Annotated[float, Field(ge=0)] = 32.0 / 3.6
+    high_above_mps: Annotated[float, Field(ge=0)] = 35.0 / 3.6
+    needs_speed: bool = True
+    max_same_images: Annotated[int, Field(ge=1, le=1000)] = 2
+    max_saturated: Annotated[float, Field(gt=0, le=1)] = 0.25
+    min_bright: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    white_level: Annotated[int | None, Field(ge=1, le=65535)] = None
+    led_limits_cd: Annotated[tuple[tuple[float, float], ...], Field(strict=False, min_length=1)] = (
+        (0.0, 150.0),
+        (50.0, 275.0),
+        (100.0, 1400.0),
+        (200.0, 5100.0),
+    )
+    range_sigmas: Annotated[float, Field(gt=0, le=10)] = 2.0
+    min_range_m: Annotated[float, Field(ge=5, le=100)] = 15.0
+    eyes_above_m: Annotated[float, Field(ge=0, le=5)] = 0.5
+
+    @model_validator(mode="after")
+    def _check(self) -> GuardConfig:
+        if self.low_below_mps > self.high_above_mps:
+            raise ValueError(
+                f"low_below_mps: expected at most high_above_mps, {self.high_above_mps:g}, got {self.low_below_mps:g}"
+            )
+        ranges_m, limits_cd = zip(*self.led_limits_cd, strict=True)
+        is_growing = all(before < after for before, after in pairwise(ranges_m))
+        if ranges_m[0] != 0 or not is_growing or min(limits_cd) <= 0 or list(limits_cd) != sorted(limits_cd):
+            raise ValueError(
+                "led_limits_cd: expected ranges that grow from 0 on, and positive limits that do not fall, got "
+                f"{self.led_limits_cd}"
+            )
+        return self
+
+
 class PipelineConfig(FrozenModel):
     """The configuration of the whole pipeline, one section a stage."""
 
@@ -236,6 +325,8 @@ class PipelineConfig(FrozenModel):
     classifier: ClassifierConfig = ClassifierConfig()
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()
+    beam: BeamConfig = BeamConfig()
+    guard: GuardConfig = GuardConfig()
 
     @property
     def detector_only(self) -> PipelineConfig:

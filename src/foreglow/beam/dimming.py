@@ -20,22 +20,28 @@ LOWEST_RAD, HIGHEST_RAD = math.radians(-0.5), math.radians(4.0)
 matrix above the road is darkened in a gap."""
 
 FAR_M = 1e4
+"""As good as infinitely far, for directions."""
+
+FARTHEST_M = 220.0
+"""What is further away, or may be, is protected as if it were here: the regulations' limits end."""
 
 
 class Dimmer:
     """Dims the LEDs of a pair of headlamps that shine into gaps.
 
-    An LED's level is the highest at which it sends no more than `led_limit_cd` into any gap, so that a gap has edges as
-    soft as the LEDs' own light. A gap for something near lies in another direction from either lamp.
+    An LED's level is the highest at which it gives no more than `led_limit_lx` at the nearest place that a gap may be
+    for, so that a gap has edges as soft as the LEDs' own light, and is wider for what is near. A gap for something near
+    lies in another direction from either lamp.
     """
 
-    def __init__(self, headlamps: Headlamps, led_limit_cd: float) -> None:
+    def __init__(self, headlamps: Headlamps, led_limit_lx: float) -> None:
         """Tables the LEDs' light.
 
         Args:
             headlamps: The lamps.
-            led_limit_cd: What a single LED may send into a gap.
+            led_limit_lx: What a single LED may give in a gap.
         """
+        self._limit_lx = led_limit_lx
         self._places_m = [lamp.vehicle_from_lamp.position_m for lamp in (headlamps.left, headlamps.right)]
         self._azimuths = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD)
         elevations = np.linspace(LOWEST_RAD, HIGHEST_RAD, 10)
@@ -44,24 +50,26 @@ class Dimmer:
         directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], -1)
         leds_cd = headlamps.intensities_cd(directions)[1]
         strongest = leds_cd.reshape(len(self._azimuths), len(elevations), 2, -1).max(1)
-        # The level that each LED may have for the sake of each direction; shape (2, A, L).
-        self._allowed = np.minimum(led_limit_cd / np.maximum(strongest, 1e-9), 1.0).transpose(1, 0, 2).copy()
+        # Shape (2, A, L): each LED's level for 1 cd in each direction.
+        self._per_cd = np.ascontiguousarray((1.0 / np.maximum(strongest, 1e-9)).transpose(1, 0, 2))
 
     @property
     def num_leds(self) -> int:
         """Of one lamp."""
-        return int(self._allowed.shape[2])
+        return int(self._per_cd.shape[2])
 
     def levels(self, gaps: Sequence[Gap]) -> Floats:
         """Shape (2, L): full but for the LEDs that shine into `gaps`."""
         levels = np.ones((2, self.num_leds))
         for gap in gaps:
+            limit_cd = self._limit_lx * min(gap.near_m, FARTHEST_M) ** 2
             for lamp, place_m in enumerate(self._places_m):
                 right, left = _seen_from(place_m, gap)
                 first = max(math.floor((right + REACH_RAD) / STEP_RAD), 0)
                 last = min(math.ceil((left + REACH_RAD) / STEP_RAD), len(self._azimuths) - 1)
                 if first <= last:
-                    np.minimum(levels[lamp], self._allowed[lamp, first : last + 1].min(0), out=levels[lamp])
+                    allowed = limit_cd * self._per_cd[lamp, first : last + 1].min(axis=0)
+                    np.minimum(levels[lamp], allowed, out=levels[lamp])
         return levels
 
 
@@ -77,6 +85,7 @@ class Ramp:
         """
         self._hold_ns, self._restore_s = round(hold_s * 1e9), restore_s
         self._levels: Floats | None = None
+        self._latest_ns = 0
 
     def reset(self) -> None:
         """Forgets the past."""

@@ -156,13 +156,13 @@ def _track_marks(tracks: Tracks, measures: Measures, size_px: tuple[int, int]) -
             _around(np.rint(tracks.boxes_xyxy_px[index]).astype(int).tolist(), measures, size_px, num_margins=2),
             TRACK_BGR,
             measures.bold_px if tracks.states[index] == TrackState.CONFIRMED else measures.thin_px,
-            f"#{tracks.ids[index]}{_range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}",
+            f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}",
         )
         for index in np.flatnonzero(tracks.is_plausible)
     ]
 
 
-def _range_text(range_m: float, sigma_m: float) -> str:
+def range_text(range_m: float, sigma_m: float) -> str:
     """Such as ` 85+-12 m`; empty where the range is unknown."""
     if np.isnan(range_m):
         return ""
@@ -187,7 +187,7 @@ def _draw_labels(picture: Picture, marks: Sequence[_Mark], measures: Measures, s
         if not mark.text:
             continue
         (width_px, height_px), _ = cv2.getTextSize(mark.text, _FONT, measures.label_scale, measures.thin_px)
-        label = _place(mark.rectangle, (width_px + 6, height_px + 6), taken, size_px)
+        label = place_label(mark.rectangle, (width_px + 6, height_px + 6), taken, size_px)
         taken.append(label)
         x1, y1, x2, y2 = label
         ground = picture[y1:y2, x1:x2]
@@ -202,7 +202,7 @@ def _write(
     cv2.putText(picture, text, origin, _FONT, scale, colour_bgr, line_px, cv2.LINE_AA)
 
 
-def _place(
+def place_label(
     box: Rectangle, label_px: tuple[int, int], taken: Sequence[Rectangle], size_px: tuple[int, int]
 ) -> Rectangle:
     """Where a label of `label_px` goes: the place around `box`, inside the picture, that covers least of `taken`."""
@@ -219,10 +219,10 @@ def _place(
     ]
     places = [(x, y, x + width_px, y + height_px) for x, y in corners]
     inside = [p for p in places if p[0] >= 0 and p[1] >= 0 and p[2] <= size_px[0] and p[3] <= size_px[1]]
-    return min(inside or [(0, 0, width_px, height_px)], key=lambda place: sum(_overlap_px(place, b) for b in taken))
+    return min(inside or [(0, 0, width_px, height_px)], key=lambda place: sum(overlap_px(place, b) for b in taken))
 
 
-def _overlap_px(a: Rectangle, b: Rectangle) -> int:
+def overlap_px(a: Rectangle, b: Rectangle) -> int:
     """Number of pixels that `a` and `b` share."""
     return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
 

@@ -1,0 +1,204 @@
+"""An independent check of every beam command: what it lets through keeps the invariants, whatever a policy wants.
+
+It knows no policy. From the command, the tracks, the frame and the time alone it dims what shines at vehicles, lets
+light return slowly, and commands low beam where anything is wrong. `docs/guard.md` has the invariants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.beam.camera_watch import CameraWatch
+from foreglow.beam.faults import GuardFault
+from foreglow.beam.led_bounds import Lamps, led_bounds
+from foreglow.beam.sightlines import Sightlines
+from foreglow.config import GuardConfig
+from foreglow.geometry import Camera, Floats
+from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
+
+
+class Guard:
+    """Checks one command after another. It raises nothing and repairs nothing but the light: doubt is low beam."""
+
+    def __init__(self, config: GuardConfig, lamps: Lamps) -> None:
+        """Takes the limits, and where the lamps are and what their LEDs shine.
+
+        Raises:
+            ValueError: If an LED shines beyond the directions that the guard knows.
+        """
+        self._config = config
+        self._bounds = led_bounds(lamps)
+        self._lamps_m = np.stack([lamps.left.vehicle_from_lamp.position_m, lamps.right.vehicle_from_lamp.position_m])
+        self._limit_ranges_m, self._limits_cd = np.array(config.led_limits_cd).T
+        self._watch = CameraWatch(config)
+        self._sightlines: tuple[Camera, Sightlines] | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets what was before, as at the start of a sequence: begins with low beam."""
+        self._levels = np.zeros((2, self._bounds.num_leds))
+        self._frame_ns: int | None = None
+        self._time_ns: int | None = None
+        self._is_fast = False
+        self._ages_s: dict[int, float] = {}
+        self._watch.reset()
+
+    def check(
+        self,
+        wanted: BeamCommand,
+        tracks: Tracks | None,
+        frame: Frame,
+        *,
+        time_ns: int | None = None,
+        pipeline_faults: Sequence[str] = (),
+        is_vehicle: NDArray[np.bool_] | None = None,
+    ) -> BeamCommand:
+        """What may be shone.
+
+        Args:
+            wanted: What a policy made of the frame.
+            tracks: The frame's tracks; None is a fault.
+            frame: The frame; its image, time, camera and motion are looked at.
+            time_ns: The time now, by the frames' clock; None off line, where no time passes.
+            pipeline_faults: What the pipeline says is wrong with it; any of it means low beam.
+            is_vehicle: Shape (M,), which tracks are of a vehicle's lamps; None for all. Only plausible ones count.
+        """
+        elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
+        faults += self._watch.look(frame.image)
+        faults += self._motion_faults(frame)
+        faults += self._track_faults(tracks, is_vehicle, elapsed_s)
+        faults += self._command_faults(wanted, frame)
+        if faults or pipeline_faults or wanted.mode == BeamMode.LOW or tracks is None or frame.camera is None:
+            self._levels = np.zeros_like(self._levels)
+            names = (*pipeline_faults, *(str(fault) for fault in faults))
+            return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)
+        levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)
+        gaps_rad, gap_ranges_m, mode = wanted.gaps_rad, wanted.gap_ranges_m, wanted.mode
+        is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
+        if is_protected.any():
+            ranges_m = tracks.ranges_m[is_protected]
+            spans_rad, nearest_m = self._sightlines_of(frame.camera).spans_rad(
+                tracks.boxes_xyxy_px[is_protected], ranges_m, tracks.sigmas_m[is_protected]
+            )
+            limits_cd = self._limits_cd[np.searchsorted(self._limit_ranges_m, nearest_m, side="right") - 1]
+            levels = dimmed(levels, self._bounds.towards(spans_rad), limits_cd)
+            borders_rad = np.stack([spans_rad[:, :, 0].min(axis=1), spans_rad[:, :, 1].max(axis=1)], axis=1)
+            gaps_rad, gap_ranges_m = united(
+                np.concatenate([gaps_rad, borders_rad]), np.concatenate([gap_ranges_m, ranges_m])
+            )
+            mode = BeamMode.GLARE_FREE
+        self._levels = levels
+        return BeamCommand(frame.timestamp_ns, mode, levels, gaps_rad, gap_ranges_m)
+
+    def _clock_faults(self, frame_ns: int, time_ns: int) -> tuple[float, list[GuardFault]]:
+        """Time since the frame before, 0 for the first, and what is wrong with the times."""
+        elapsed_s = 0.0 if self._frame_ns is None else (frame_ns - self._frame_ns) / 1e9
+        is_first, has_gone_back = self._frame_ns is None, self._time_ns is not None and time_ns < self._time_ns
+        self._frame_ns, self._time_ns = frame_ns, time_ns
+        faults = []
+        if elapsed_s < 0 or has_gone_back:
+            faults.append(GuardFault.TIME)
+        if elapsed_s == 0 and not is_first:
+            faults.append(GuardFault.FROZEN)
+        if elapsed_s > self._config.max_gap_s:
+            faults.append(GuardFault.GAP)
+        if not 0 <= time_ns - frame_ns <= self._config.max_age_s * 1e9:
+            faults.append(GuardFault.TOO_OLD)
+        return elapsed_s, faults
+
+    def _motion_faults(self, frame: Frame) -> list[GuardFault]:
+        faults = [] if frame.camera is not None else [GuardFault.NO_CAMERA]
+        speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
+        if math.isnan(speed_mps):
+            self._is_fast = not self._config.needs_speed
+            return faults if self._is_fast else [*faults, GuardFault.NO_SPEED]
+        self._is_fast = speed_mps >= (self._config.low_below_mps if self._is_fast else self._config.high_above_mps)
+        return faults if self._is_fast else [*faults, GuardFault.TOO_SLOW]
+
+    def _track_faults(
+        self, tracks: Tracks | None, is_vehicle: NDArray[np.bool_] | None, elapsed_s: float
+    ) -> list[GuardFault]:
+        if tracks is None:
+            self._ages_s = {}
+            return [GuardFault.NO_TRACKS]
+        numbers = (tracks.boxes_xyxy_px, tracks.confidences, tracks.ages_s)
+        is_right = all(np.isfinite(array).all() for array in numbers)
+        if is_vehicle is not None:
+            is_right = is_right and is_vehicle.shape == (len(tracks),) and is_vehicle.dtype == np.bool_
+        faults = [] if is_right else [GuardFault.BAD_TRACKS]
+        ages_s = dict(zip(tracks.ids.tolist(), tracks.ages_s.tolist(), strict=True))
+        if elapsed_s > 0 and any(age_s <= self._ages_s.get(one, -math.inf) for one, age_s in ages_s.items()):
+            faults.append(GuardFault.STALE_TRACKS)
+        self._ages_s = ages_s
+        return faults
+
+    def _command_faults(self, wanted: BeamCommand, frame: Frame) -> list[GuardFault]:
+        levels, gaps_rad = wanted.levels, wanted.gaps_rad.ravel()
+        faults = []
+        is_right = levels.shape == self._levels.shape and bool(((levels >= 0.0) & (levels <= 1.0)).all())
+        is_dark = wanted.mode != BeamMode.LOW or not (levels.any() or len(gaps_rad))
+        if not (is_right and is_dark and np.isfinite(gaps_rad).all() and (gaps_rad[1:] > gaps_rad[:-1]).all()):
+            faults.append(GuardFault.BAD_COMMAND)
+        if wanted.timestamp_ns != frame.timestamp_ns:
+            faults.append(GuardFault.STALE_COMMAND)
+        return faults
+
+    def _sightlines_of(self, camera: Camera) -> Sightlines:
+        """Those of a camera, which is the same in frame after frame."""
+        if self._sightlines is None or self._sightlines[0] is not camera:
+            self._sightlines = camera, Sightlines(camera, self._lamps_m, self._config)
+        return self._sightlines[1]
+
+
+def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) -> Floats:
+    """Levels at most as given, with which neither lamp shines more than the limit in any of the spans.
+
+    In each span and lamp the LEDs that shine most there are dimmed to one intensity, so that the sum is the limit;
+    those that only touch it stay as they are.
+
+    Args:
+        levels: Shape (2, L).
+        bounds_cd: Shape (M, 2, L), what each LED shines in each span at level 1, at most.
+        limits_cd: Shape (M,), for the sum over the LEDs of either lamp.
+
+    >>> levels = dimmed(np.ones((2, 3)), np.array([[[900.0, 100.0, 0.0], [80.0, 0.0, 0.0]]]), np.array([300.0]))
+    >>> np.round(levels * [900.0, 100.0, 1.0])
+    array([[200., 100.,   1.],
+           [900., 100.,   1.]])
+    """
+    shining_cd = levels * bounds_cd
+    if not (np.add.reduce(shining_cd, axis=-1) > limits_cd[:, np.newaxis]).any():
+        return levels
+    shining_cd.sort(axis=-1)
+    # With the j faintest as they are and the others at c, the sum is limit = sum_j + (L - j) c. The right c is the
+    # greatest over j: with a wrong j, more shines than with the right one, so that c has to be less.
+    fainter_cd = np.add.accumulate(shining_cd, axis=-1) - shining_cd
+    num_brighter = np.arange(shining_cd.shape[-1], 0, -1)
+    caps_cd = np.maximum.reduce((limits_cd[:, np.newaxis, np.newaxis] - fainter_cd) / num_brighter, axis=-1)
+    allowed = caps_cd[..., np.newaxis] / np.maximum(bounds_cd, caps_cd[..., np.newaxis])
+    return np.minimum(levels, np.minimum.reduce(allowed, axis=0))
+
+
+def united(gaps_rad: Floats, ranges_m: Floats) -> tuple[Floats, Floats]:
+    """Gaps, shape (G, 2), from right to left and apart, that cover the given ones, each with its nearest range.
+
+    A range is NaN, unknown, where one of them is.
+
+    >>> united(np.array([[0.3, 0.4], [0.0, 0.1], [0.05, 0.2]]), np.array([90.0, 50.0, 70.0]))
+    (array([[0. , 0.2],
+           [0.3, 0.4]]), array([50., 90.]))
+    """
+    apart: list[list[float]] = []
+    order = np.argsort(gaps_rad[:, 0], kind="stable")
+    for (right, left), range_m in zip(gaps_rad[order].tolist(), ranges_m[order].tolist(), strict=True):
+        if apart and right <= apart[-1][1]:
+            nearest_m = math.nan if math.isnan(range_m) else min(apart[-1][2], range_m)
+            apart[-1][1:] = max(apart[-1][1], left), nearest_m
+        else:
+            apart.append([right, left, range_m])
+    rows = np.array(apart)
+    return rows[:, :2], rows[:, 2]

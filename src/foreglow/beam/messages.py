@@ -1,0 +1,368 @@
+"""A `BeamCommand` as CAN FD frames, and back; `docs/beam_can.md` has the layout, `foreglow_beam.dbc` says it to tools.
+
+Four frames tell the level of each LED, one tells cars that take borders where the dark gaps are. All frames of a
+command carry the same counter and time. Each is protected as by AUTOSAR E2E profile 5: CRC, counter and data id. What
+does not fit the steps of a message is rounded so that it is never brighter.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from binascii import crc_hqx
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from foreglow.geometry import Floats
+from foreglow.types import BeamCommand, BeamMode
+
+OWN_DBC = Path(__file__).with_name("foreglow_beam.dbc")
+
+LEVELS_IDS = (0x3B0, 0x3B1, 0x3B2, 0x3B3)
+"""LEDs 0 to 41 and 42 to 83 of the left lamp, then those of the right one."""
+
+GAPS_ID = 0x3B4
+
+NUM_LEDS = 84
+NUM_LEDS_A_FRAME = 2 * NUM_LEDS // len(LEVELS_IDS)
+NUM_COUNTS = 256
+"""The counter goes from 0 to 255 and then to 0."""
+
+NUM_TIMES_MS = 2**16
+"""The time is in milliseconds modulo 65.536 s."""
+
+MAX_NUM_GAPS = 4
+MAX_LEVEL_CODE = 255
+MAX_RANGE_M = 1018.0
+RANGE_STEP_M = 2.0
+UNKNOWN_RANGE_CODE = 511
+
+LEVELS = np.arange(MAX_LEVEL_CODE + 1) / MAX_LEVEL_CODE
+BORDERS_RAD: tuple[float, ...] = tuple(np.radians(np.arange(1021) * 0.04 - 20.4).tolist())
+"""Azimuth to the left by code. Source: GlareFreeBeam in opendbc's ford_lincoln_base_pt.dbc, as are ranges and ramps."""
+
+RAMPS_S = tuple(code * 0.2 for code in range(16))
+
+_INITIAL_CRC = 0xFFFF
+_CRC_SIZE = 2
+_HEADER = struct.Struct("<BBH")
+_GAPS = struct.Struct("<Bx4I")
+_LEVELS_SIZE = _CRC_SIZE + _HEADER.size + NUM_LEDS_A_FRAME
+_GAPS_SIZE = _CRC_SIZE + _HEADER.size + _GAPS.size
+
+
+class CanFrame(NamedTuple):
+    """The identifier (11 bits) and the payload of a CAN FD frame."""
+
+    frame_id: int
+    data: bytes
+
+
+class LinkFault(StrEnum):
+    """What may go wrong between us and the lamps."""
+
+    LENGTH = "length"
+    """A frame of another length than its kind has."""
+    CRC = "crc"
+    """A frame that was changed on its way, or was meant for another id."""
+    CONTENT = "content"
+    """A frame that says what no command says."""
+    TORN = "torn"
+    """Frames of different commands, or not all of one."""
+    LOST = "lost"
+    """Commands are missing."""
+    REPEATED = "repeated"
+    """The same command again."""
+    DISORDER = "disorder"
+    """An older command after a newer one."""
+    STALE = "stale"
+    """A new command that follows from no newer image."""
+    LATE = "late"
+    """A command that follows from too old an image."""
+    TIMEOUT = "timeout"
+    """No valid and fresh command in time."""
+    SENDER = "sender"
+    """The sender itself has commanded low beam for a fault."""
+
+
+class MessageError(ValueError):
+    """A frame, or a set of frames, that is not to be used.
+
+    Attributes:
+        fault: What is wrong.
+    """
+
+    def __init__(self, fault: LinkFault, message: str) -> None:
+        super().__init__(message)
+        self.fault = fault
+
+
+class Header(NamedTuple):
+    """What all frames of a command have in common.
+
+    Attributes:
+        counter: 0..255, one more with each command.
+        time_ms: Time of exposure of the image, whole milliseconds modulo 65,536.
+        mode: Low beam, glare-free or full high beam.
+        has_faults: Whether the sender commands low beam for a fault.
+    """
+
+    counter: int
+    time_ms: int
+    mode: BeamMode
+    has_faults: bool
+
+
+class LevelsPart(NamedTuple):
+    """What one of the four frames with levels says.
+
+    Attributes:
+        header: What it has in common with the others.
+        place: 0..3, which of the four it is.
+        codes: A byte an LED; 255 is full.
+    """
+
+    header: Header
+    place: int
+    codes: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelsMessage:
+    """The levels of a whole command.
+
+    Attributes:
+        header: Its counter, time and mode.
+        levels: Shape (2, 84), float64 in steps of 1/255, never above what was encoded.
+    """
+
+    header: Header
+    levels: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapsMessage:
+    """A command for cars that take borders.
+
+    Attributes:
+        header: Its counter, time and mode.
+        gaps_rad: Shape (G, 2), G <= 4, right and left border in steps of 0.04 degrees; 20.4 degrees stands for that
+            and all beyond.
+        gap_ranges_m: Shape (G,), in steps of 2 m, at most 1018; NaN where unknown.
+        ramp_s: How long the lamps shall take to brighten, in steps of 0.2 s.
+    """
+
+    header: Header
+    gaps_rad: Floats
+    gap_ranges_m: Floats
+    ramp_s: float
+
+
+def crc(frame_id: int, content: bytes) -> int:
+    """The CRC of a frame whose bytes after the CRC are `content`: CRC-16/CCITT-FALSE over them and the identifier.
+
+    As by AUTOSAR E2E profile 5, with the identifier as data id: low byte first, after the content, and not sent.
+
+    >>> hex(crc(0x1234, bytes(6)))  # the profile's own example
+    '0xca1c'
+    """
+    return crc_hqx(content + frame_id.to_bytes(2, "little"), _INITIAL_CRC)
+
+
+class CommandEncoder:
+    """Makes the frames of one command after another, with a counter that goes on.
+
+    Attributes:
+        counter: That of the next command.
+    """
+
+    def __init__(self, ramp_s: float = 0.0) -> None:
+        """Takes how long lamps of cars that take borders shall take to brighten; at most 3 s."""
+        self.counter = 0
+        self._ramp_s = ramp_s
+
+    def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
+        """The four frames with the levels, then the one with the gaps.
+
+        Raises:
+            ValueError: As `encode_levels` and `encode_gaps`.
+        """
+        frames = (*encode_levels(command, self.counter), encode_gaps(command, self.counter, self._ramp_s))
+        self.counter = (self.counter + 1) % NUM_COUNTS
+        return frames
+
+
+def encode_levels(command: BeamCommand, counter: int) -> tuple[CanFrame, ...]:
+    """The command's levels as four frames of 48 bytes; each level is rounded down to a step of 1/255.
+
+    Raises:
+        ValueError: If the command is not for 84 LEDs a lamp, or the counter is outside 0..255.
+    """
+    if command.levels.shape[1] != NUM_LEDS:
+        raise ValueError(f"BeamCommand.levels: expected {NUM_LEDS} LEDs a lamp, got {command.levels.shape[1]}")
+    codes = (LEVELS.searchsorted(command.levels.ravel(), side="right") - 1).astype(np.uint8).tobytes()
+    header = _packed_header(command, counter)
+    return tuple(
+        _protected(frame_id, header + codes[place * NUM_LEDS_A_FRAME : (place + 1) * NUM_LEDS_A_FRAME])
+        for place, frame_id in enumerate(LEVELS_IDS)
+    )
+
+
+def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = 0.0) -> CanFrame:
+    """The command's gaps as one frame of 24 bytes.
+
+    Borders are rounded outwards, ranges nearer, the ramp longer. Gaps that then touch become one, and of more than four
+    those with the least light between them: with the nearer range, unknown where one is.
+
+    Raises:
+        ValueError: If the ramp is not within 0 to 3 s, or the counter is outside 0..255.
+    """
+    if not 0.0 <= ramp_s <= RAMPS_S[-1]:
+        raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {ramp_s}")
+    borders, ranges_m = command.gaps_rad.tolist(), command.gap_ranges_m.tolist()
+    gaps = _joined([_gap_codes(right, left, range_m) for (right, left), range_m in zip(borders, ranges_m, strict=True)])
+    words = [right | left << 10 | range_code << 20 for right, left, range_code in gaps]
+    words += [0] * (MAX_NUM_GAPS - len(words))
+    header = _packed_header(command, counter, len(gaps))
+    return _protected(GAPS_ID, header + _GAPS.pack(bisect_left(RAMPS_S, ramp_s), *words))
+
+
+def decode_part(frame_id: int, data: bytes) -> LevelsPart:
+    """What one of the four frames with levels says.
+
+    Raises:
+        MessageError: If it is broken, or is no such frame.
+    """
+    if frame_id not in LEVELS_IDS:
+        raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected one of levels, 0x3B0 to 0x3B3")
+    content = _checked(frame_id, data, _LEVELS_SIZE)
+    header, _ = _header(frame_id, content)
+    codes = content[_HEADER.size :]
+    if header.mode == BeamMode.LOW and any(codes):
+        raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected levels of 0 with low beam")
+    return LevelsPart(header, LEVELS_IDS.index(frame_id), codes)
+
+
+def decode_levels(frames: Iterable[CanFrame]) -> LevelsMessage:
+    """The levels that four frames say, in any order.
+
+    Raises:
+        MessageError: If one is broken or missing, or they are of different commands.
+    """
+    return join_levels([decode_part(*frame) for frame in frames])
+
+
+def join_levels(parts: Iterable[LevelsPart]) -> LevelsMessage:
+    """The levels that the four parts of a command say, in any order.
+
+    Raises:
+        MessageError: If one is missing or there twice, or they are of different commands.
+    """
+    ordered = sorted(parts, key=lambda part: part.place)
+    if [part.place for part in ordered] != list(range(len(LEVELS_IDS))):
+        raise MessageError(LinkFault.TORN, f"levels: expected parts 0 to 3, got {[part.place for part in ordered]}")
+    if len({part.header for part in ordered}) > 1:
+        raise MessageError(LinkFault.TORN, "levels: expected parts of one command, got several")
+    codes = np.frombuffer(b"".join(part.codes for part in ordered), np.uint8)
+    return LevelsMessage(ordered[0].header, LEVELS[codes].reshape(2, NUM_LEDS))
+
+
+def decode_gaps(frame_id: int, data: bytes) -> GapsMessage:
+    """What the frame with gaps says.
+
+    Raises:
+        MessageError: If it is broken, or is no such frame.
+    """
+    if frame_id != GAPS_ID:
+        raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected that of gaps, 0x{GAPS_ID:X}")
+    content = _checked(frame_id, data, _GAPS_SIZE)
+    header, num_gaps = _header(frame_id, content)
+    if num_gaps > (0 if header.mode == BeamMode.LOW else MAX_NUM_GAPS):
+        raise MessageError(LinkFault.CONTENT, f"gaps: expected at most 4, and none with low beam, got {num_gaps}")
+    ramp, *words = _GAPS.unpack(content[_HEADER.size :])
+    codes = [(word & 0x3FF, word >> 10 & 0x3FF, word >> 20 & 0x1FF) for word in words[:num_gaps]]
+    borders = [border for right, left, _ in codes for border in (right, left)]
+    is_ordered = all(before < after for before, after in pairwise(borders))
+    if not is_ordered or max(borders, default=0) >= len(BORDERS_RAD):
+        raise MessageError(LinkFault.CONTENT, f"gaps: expected borders in order, 0 to 1020, got {borders}")
+    if any(code == UNKNOWN_RANGE_CODE - 1 for _, _, code in codes):
+        raise MessageError(LinkFault.CONTENT, "gaps: expected ranges up to 1018 m, or 511 for unknown, got 510")
+    return GapsMessage(
+        header,
+        np.array([BORDERS_RAD[code] for code in borders], np.float64).reshape(-1, 2),
+        np.array([math.nan if code == UNKNOWN_RANGE_CODE else code * RANGE_STEP_M for _, _, code in codes], np.float64),
+        RAMPS_S[ramp & 0xF],
+    )
+
+
+def _packed_header(command: BeamCommand, counter: int, num_gaps: int = 0) -> bytes:
+    if not 0 <= counter < NUM_COUNTS:
+        raise ValueError(f"counter: expected 0 to {NUM_COUNTS - 1}, got {counter}")
+    flags = int(command.mode) | bool(command.faults) << 2 | num_gaps << 3
+    return _HEADER.pack(counter, flags, time_ms(command.timestamp_ns))
+
+
+def time_ms(timestamp_ns: int) -> int:
+    """A time as the messages tell it.
+
+    >>> time_ms(65_537_999_999)
+    1
+    """
+    return timestamp_ns // 1_000_000 % NUM_TIMES_MS
+
+
+def _header(frame_id: int, content: bytes) -> tuple[Header, int]:
+    """The header, and the number of gaps beside it."""
+    counter, flags, told_ms = _HEADER.unpack_from(content)
+    mode = flags & 3
+    if mode > BeamMode.FULL:
+        raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: mode: expected 0 to 2, got {mode}")
+    return Header(counter, told_ms, BeamMode(mode), bool(flags & 4)), flags >> 3 & 7
+
+
+def _protected(frame_id: int, content: bytes) -> CanFrame:
+    return CanFrame(frame_id, crc(frame_id, content).to_bytes(_CRC_SIZE, "little") + content)
+
+
+def _checked(frame_id: int, data: bytes, size: int) -> bytes:
+    """The frame's bytes after the CRC."""
+    if len(data) != size:
+        raise MessageError(LinkFault.LENGTH, f"frame 0x{frame_id:X}: expected {size} bytes, got {len(data)}")
+    content = data[_CRC_SIZE:]
+    told, expected = int.from_bytes(data[:_CRC_SIZE], "little"), crc(frame_id, content)
+    if told != expected:
+        raise MessageError(LinkFault.CRC, f"frame 0x{frame_id:X}: CRC: expected 0x{expected:04X}, got 0x{told:04X}")
+    return content
+
+
+def _gap_codes(right_rad: float, left_rad: float, range_m: float) -> tuple[int, int, int]:
+    """Codes of the borders, outwards and at least a step apart, and of the range, nearer."""
+    last = len(BORDERS_RAD) - 1
+    right = min(max(bisect_right(BORDERS_RAD, right_rad) - 1, 0), last - 1)
+    left = max(min(bisect_left(BORDERS_RAD, left_rad), last), 1)
+    if math.isnan(range_m):
+        return right, left, UNKNOWN_RANGE_CODE
+    return right, left, int(min(max(range_m, 0.0), MAX_RANGE_M) // RANGE_STEP_M)
+
+
+def _joined(gaps: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+    """At most four gaps, from right to left and apart, which are dark wherever the given ones are."""
+    kept = list(gaps)
+    while len(kept) > 1:
+        lights = [after[0] - before[1] for before, after in pairwise(kept)]
+        least = min(lights)
+        if least > 0 and len(kept) <= MAX_NUM_GAPS:
+            break
+        place = lights.index(least)
+        before, after = kept[place], kept[place + 1]
+        ranges = (before[2], after[2])
+        nearer = UNKNOWN_RANGE_CODE if UNKNOWN_RANGE_CODE in ranges else min(ranges)
+        kept[place : place + 2] = [(before[0], max(before[1], after[1]), nearer)]
+    return kept

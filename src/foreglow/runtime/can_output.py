@@ -1,0 +1,153 @@
+"""Result sinks that put each frame's beam command on a CAN bus: into a log file, or onto a live one."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foreglow.beam.messages import CanFrame, CommandEncoder
+from foreglow.files import naming, open_atomic
+from foreglow.types import Frame, FrameResult
+
+if TYPE_CHECKING:
+    import can
+
+LOG_SUFFIXES = (".asc", ".blf", ".log")
+"""Vector's text and binary logs, and candump's."""
+
+
+class CanLogSink:
+    """Writes the commands into a log, each frame at the time of its image; the log appears whole, or not at all.
+
+    An .asc log counts its times from the first frame.
+    """
+
+    def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = 0.0) -> None:
+        """Opens the log.
+
+        Args:
+            path: The file.
+            suffix: Its kind, .asc, .blf or .log; None for what the path ends in.
+            ramp_s: How long lamps of cars that take borders shall take to brighten.
+
+        Raises:
+            ModuleNotFoundError: If python-can is not installed (extra `can`).
+            ValueError: If it is of another kind.
+            OSError: If it cannot be written; the message names the path.
+        """
+        import can
+
+        kind = (path.suffix if suffix is None else suffix).lower()
+        if kind not in LOG_SUFFIXES:
+            raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {kind!r}")
+        self._path = path
+        self._encoder = CommandEncoder(ramp_s)
+        self._closing = contextlib.ExitStack()
+        file: Any = self._closing.enter_context(open_atomic(path))
+        if kind == ".blf":
+            self._log: Any = can.BLFWriter(file)
+        else:
+            text = io.TextIOWrapper(file, encoding="latin-1", newline="\n")
+            self._log = can.ASCWriter(text) if kind == ".asc" else can.CanutilsLogWriter(text)
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Adds the frames of the result's command, if it has one.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+            ValueError: If the command is not for lamps of 84 LEDs.
+        """
+        if result.beam is not None:
+            with naming(self._path):
+                for message in _messages(self._encoder.frames(result.beam), frame.timestamp_ns):
+                    self._log(message)
+
+    def close(self) -> None:
+        """Completes the log.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        with naming(self._path):
+            self._log.stop()
+            self._closing.close()
+
+    def discard(self) -> None:
+        """Lets go of what was written: nothing of it remains, unless it was completed before."""
+        with contextlib.suppress(OSError, ValueError):  # a full disk, or closed before
+            self._log.stop()
+        with contextlib.suppress(_DiscardedError), self._closing:
+            raise _DiscardedError
+
+
+class CanBusSink:
+    """Sends the commands onto a live bus, as soon as they are there."""
+
+    def __init__(self, interface: str, channel: str | int, *, ramp_s: float = 0.0) -> None:
+        """Opens the bus.
+
+        Args:
+            interface: As python-can calls it: `virtual`, `socketcan`, `udp_multicast` ...
+            channel: Name, number or address of the bus.
+            ramp_s: How long lamps of cars that take borders shall take to brighten.
+
+        Raises:
+            ModuleNotFoundError: If python-can is not installed (extra `can`).
+            ValueError: If there is no such interface.
+            OSError: If the bus cannot be opened.
+        """
+        import can
+
+        self._name = f"{interface}:{channel}"
+        self._encoder = CommandEncoder(ramp_s)
+        try:
+            self._bus: Any = can.Bus(interface=interface, channel=channel, fd=True)
+        except can.CanInterfaceNotImplementedError as error:
+            raise ValueError(f"{self._name}: expected an interface of python-can: {error}") from None
+        except can.CanError as error:
+            raise OSError(f"{self._name}: {error}") from error
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Sends the frames of the result's command, if it has one.
+
+        Raises:
+            OSError: If the bus does not take them; the lamps then go to low beam by themselves.
+            ValueError: If the command is not for lamps of 84 LEDs.
+        """
+        import can
+
+        if result.beam is not None:
+            try:
+                for message in _messages(self._encoder.frames(result.beam), frame.timestamp_ns):
+                    self._bus.send(message)
+            except can.CanError as error:
+                raise OSError(f"{self._name}: {error}") from error
+
+    def close(self) -> None:
+        """Leaves the bus."""
+        self._bus.shutdown()
+
+    def discard(self) -> None:
+        """Leaves the bus."""
+        self._bus.shutdown()
+
+
+class _DiscardedError(Exception):
+    """Ends a file that shall not remain."""
+
+
+def _messages(frames: tuple[CanFrame, ...], timestamp_ns: int) -> Iterator[can.Message]:
+    import can
+
+    for frame in frames:
+        yield can.Message(
+            timestamp=timestamp_ns / 1e9,
+            arbitration_id=frame.frame_id,
+            is_extended_id=False,
+            is_fd=True,
+            bitrate_switch=True,
+            data=frame.data,
+        )

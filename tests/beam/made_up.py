@@ -1,0 +1,123 @@
+"""Lamps, tracks, frames and commands without images of the road, for the tests of the fifth stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from foreglow.geometry import Camera, Floats, Pose
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
+
+FRAME_NS = 55_555_556
+FAST_MPS = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class FakeLamp:
+    vehicle_from_lamp: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class FakeLamps:
+    """LEDs with Gaussian light: `num_rows` rows 1.5 degrees apart, each of columns 2 degrees apart."""
+
+    num_rows: int = 2
+    num_columns: int = 8
+    left: FakeLamp = field(default_factory=lambda: FakeLamp(Pose(np.array([3.6, 0.6, 0.7]), np.eye(3))))
+    right: FakeLamp = field(default_factory=lambda: FakeLamp(Pose(np.array([3.6, -0.6, 0.7]), np.eye(3))))
+
+    @property
+    def num_leds(self) -> int:
+        return self.num_rows * self.num_columns
+
+    def intensities_cd(self, directions: Floats, /) -> tuple[Floats, Floats]:
+        x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+        azimuths, elevations = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+        columns = (np.arange(self.num_columns) - (self.num_columns - 1) / 2) * 2.0
+        rows = np.arange(self.num_rows) * 1.5 + 0.2
+        turns = np.array([0.4, -0.4])  # the lamps mesh
+        across = np.exp(-0.5 * ((azimuths[:, None, None] - columns - turns[:, None]) / 0.8) ** 2)
+        along = np.exp(-0.5 * ((elevations[:, None] - rows) / 0.7) ** 2)
+        leds = 20_000.0 * along[:, None, :, None] * across[:, :, None, :]
+        return np.full((len(azimuths), 2), 200.0), leds.reshape(len(azimuths), 2, -1)
+
+
+def camera(distortion: tuple[float, float, float, float, float] = (-0.07, 0.015, 1e-4, -2e-5, 0.0)) -> Camera:
+    """As those of simulated drives: a little turned, with distortion."""
+    mount = Pose(np.array([1.8, 0.02, 1.35]), np.eye(3))
+    return Camera(1280, 960, (1350.0, 1350.0), (640.0, 490.0), distortion, mount)
+
+
+CAMERA = camera()
+
+
+def noisy_image(seed: int) -> Image:
+    """A dark image of noise."""
+    return np.random.default_rng(seed).integers(5, 60, (960, 1280), np.uint8)
+
+
+IMAGES = [noisy_image(seed) for seed in range(3)]
+
+
+def frame_at(
+    number: int,
+    *,
+    speed_mps: float | None = FAST_MPS,
+    image: Image | None = None,
+    timestamp_ns: int | None = None,
+    with_camera: bool = True,
+) -> Frame:
+    """Frame `number` of a drive at 18 Hz; each image is another than the one before."""
+    return Frame(
+        IMAGES[number % len(IMAGES)] if image is None else image,
+        number * FRAME_NS if timestamp_ns is None else timestamp_ns,
+        frame=number,
+        camera=CAMERA if with_camera else None,
+        motion=None if speed_mps is None else EgoMotion(speed_mps, 0.0),
+    )
+
+
+def box_around(azimuth_rad: float, elevation_rad: float, width_rad: float) -> Floats:
+    """The box in the camera's image whose middle is seen in a direction of the vehicle's frame, as wide as high."""
+    ahead = np.array(
+        [
+            np.cos(elevation_rad) * np.cos(azimuth_rad),
+            np.cos(elevation_rad) * np.sin(azimuth_rad),
+            np.sin(elevation_rad),
+        ]
+    )
+    x, y = CAMERA.project(ahead @ CAMERA.vehicle_from_camera.rotation)
+    half_px = CAMERA.focal_px[0] * np.tan(width_rad / 2)
+    return np.array([x - half_px, y - half_px, x + half_px, y + half_px])
+
+
+def tracks_of(
+    boxes: list[Floats],
+    ranges_m: list[float],
+    *,
+    sigmas_m: list[float] | None = None,
+    ages_s: float = 1.0,
+    states: list[TrackState] | None = None,
+    first_id: int = 0,
+) -> Tracks:
+    """Confirmed tracks, all equally old; the sigma is a tenth of the range where none is given."""
+    count, ranges = len(boxes), np.array(ranges_m, np.float64)
+    sigmas = np.where(np.isnan(ranges), np.inf, 0.1 * ranges) if sigmas_m is None else np.array(sigmas_m, np.float64)
+    return Tracks(
+        ids=np.arange(first_id, first_id + count),
+        states=np.array(states if states is not None else [TrackState.CONFIRMED] * count, np.int64),
+        boxes_xyxy_px=np.array(boxes, np.float64).reshape(-1, 4),
+        confidences=np.full(count, 0.9),
+        num_hits=np.full(count, 9),
+        num_misses=np.zeros(count, np.int64),
+        ages_s=np.full(count, ages_s),
+        ranges_m=ranges,
+        sigmas_m=sigmas,
+        detections=np.full(count, -1),
+    )
+
+
+def full(frame: Frame, num_leds: int, level: float = 1.0) -> BeamCommand:
+    """Full high beam, as far as a level tells."""
+    return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.full((2, num_leds), level))

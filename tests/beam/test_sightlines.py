@@ -1,0 +1,97 @@
+"""Directions from the lamps: as by the camera's own rays, and monotone in what is not known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foreglow.beam.sightlines import Sightlines
+from foreglow.config import GuardConfig
+from foreglow.geometry import Camera, Pose, rotation
+from tests.beam.made_up import CAMERA
+
+LAMPS_M = np.array([[3.6, 0.6, 0.7], [3.6, -0.6, 0.7]])
+MOUNT = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.02, -0.01, 0.015))
+TURNED = Camera(640, 481, (600.0, 610.0), (310.0, 260.0), (-0.09, 0.02, 2e-4, 1e-4, 0.0), MOUNT)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, TURNED])
+def test_rays_are_those_of_the_camera(camera: Camera) -> None:
+    lines = Sightlines(camera, LAMPS_M, GuardConfig())
+    size = np.array([camera.width_px, camera.height_px])
+    pixels = np.concatenate([np.random.default_rng(0).random((500, 2)) * size, [[0.0, 0.0]], [size]])
+    expected = camera.rays(pixels) @ camera.vehicle_from_camera.rotation.T
+    angles = np.degrees(np.linalg.norm(np.cross(lines.rays(pixels), expected), axis=-1))
+    assert angles.max() < 0.003
+    outside = np.array([[-50.0, 100.0], [1e5, 200.0], [300.0, -7.0], [300.0, 1e9]])
+    np.testing.assert_allclose(lines.rays(outside), lines.rays(np.clip(outside, 0, size)))
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(
+    st.floats(0, 1200),
+    st.floats(100, 800),
+    st.floats(1, 80),
+    st.floats(20, 400),
+    st.floats(0.1, 60),
+    st.integers(0, 99),
+)
+def test_spans_hold_all_that_may_be_seen(
+    x: float, y: float, size: float, range_m: float, sigma: float, seed: int
+) -> None:
+    """Any point of the box within two sigmas, and up to the eyes above it, is inside, from both lamps."""
+    config = GuardConfig(eyes_above_m=0.5)
+    box = np.array([[x, y, x + size, y + size]])
+    spans, nearest_m = Sightlines(CAMERA, LAMPS_M, config).spans_rad(box, np.array([range_m]), np.array([sigma]))
+    assert nearest_m == pytest.approx(max(range_m - 2 * sigma, 15.0))
+    random = np.random.default_rng(seed)
+    pixels = np.minimum(box[0, :2] + size * random.random((200, 2)), [1280, 960])
+    rays = CAMERA.rays(pixels) @ CAMERA.vehicle_from_camera.rotation.T
+    ranges_m = np.maximum(range_m + sigma * random.uniform(-2, 2, (200, 1)), 15.0)
+    points = CAMERA.vehicle_from_camera.position_m + rays * ranges_m + random.random((200, 1)) * [0.0, 0.0, 0.5]
+    for lamp in range(2):
+        seen = points - LAMPS_M[lamp]
+        azimuths = np.arctan2(seen[:, 1], seen[:, 0])
+        elevations = np.arctan2(seen[:, 2], np.hypot(seen[:, 0], seen[:, 1]))
+        least, most, lowest, highest = spans[0, lamp]
+        slack = np.radians(0.01)
+        assert (least - slack <= azimuths).all()
+        assert (azimuths <= most + slack).all()
+        assert (lowest - slack <= elevations).all()
+        assert (elevations <= highest + slack).all()
+
+
+def test_spans_are_no_wider_than_the_box_needs() -> None:
+    """A far point is seen as from the camera; the lamps' offset shows at 50 m."""
+    lines = Sightlines(CAMERA, LAMPS_M, GuardConfig(eyes_above_m=0.0))
+    box = np.array([[640.0, 490.0, 641.0, 491.0]] * 2)
+    spans, _ = lines.spans_rad(box, np.array([1e7, 50.0]), np.array([1e-3, 1e-3]))
+    assert np.degrees(np.abs(spans[0])).max() < 0.05
+    middles = np.degrees(spans[1, :, :2].mean(axis=1))
+    assert middles == pytest.approx(np.degrees([(0.02 - 0.6) / 48.2, (0.02 + 0.6) / 48.2]), abs=0.05)
+    assert np.degrees(spans[1, :, 2:].mean(axis=1)) == pytest.approx(np.degrees([0.65 / 48.2] * 2), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "sigma_m", "nearest_m"),
+    [(math.nan, math.inf, 15.0), (80.0, math.inf, 15.0), (80.0, math.nan, 15.0), (80.0, 5.0, 70.0), (3.0, 0.1, 15.0)],
+)
+def test_what_is_not_known_may_be_anywhere(range_m: float, sigma_m: float, nearest_m: float) -> None:
+    lines = Sightlines(CAMERA, LAMPS_M, GuardConfig())
+    box = np.array([[700.0, 500.0, 720.0, 520.0]])
+    spans, told_m = lines.spans_rad(box, np.array([range_m]), np.array([sigma_m]))
+    assert told_m == nearest_m
+    if nearest_m == 15.0:
+        known, _ = lines.spans_rad(box, np.array([15.0]), np.array([1e-6]))
+        assert (spans[..., [0, 2]] <= known[..., [0, 2]] + 1e-9).all()
+        assert (spans[..., [1, 3]] >= known[..., [1, 3]] - 1e-9).all()
+
+
+def test_no_tracks() -> None:
+    spans, nearest_m = Sightlines(CAMERA, LAMPS_M, GuardConfig()).spans_rad(np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+    assert spans.shape == (0, 2, 4)
+    assert nearest_m.shape == (0,)
