@@ -80,7 +80,7 @@ SMALL = guard_sweep.Grid(
     ("name", "replacement", "invariant"),
     [
         ("dimmed", lambda levels, *_: levels, "no more than the limit towards a vehicle"),
-        ("dimmed", lambda levels, *_: levels * 0.5, "an LED that does not shine there is not dimmed"),
+        ("dimmed", lambda levels, *_: levels * 0.5, "an LED that shines elsewhere is not dimmed"),
         ("dimmed", lambda levels, *_: np.minimum(levels + 0.01, 1.0), "no LED brightens faster than allowed"),
         ("dimmed", lambda levels, *_: levels * 0.0, "light where nothing is wrong"),
         ("united", lambda gaps, ranges: (gaps + 0.02, ranges), "a gap covers the vehicle"),
