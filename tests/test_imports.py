@@ -12,7 +12,7 @@ import pytest
 import foreglow
 
 SOURCE = Path(foreglow.__file__).parent
-VALUES = {"types", "geometry", "photometry", "config", "calibration", "street"}
+VALUES = {"types", "geometry", "rays", "photometry", "config", "calibration", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 BASE = {"files", "provenance"}
 TOOLS = {"evaluation", "learning", "experiments", "runtime"}
@@ -23,6 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "provenance": set(),
     "geometry": set(),
     "types": {"geometry"},
+    "rays": {"types", "geometry"},
     "photometry": {"types", "geometry", "config"},
     "config": {"types", "geometry"},
     "street": {"types", "geometry", "config"},

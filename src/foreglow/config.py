@@ -230,6 +230,35 @@ OUR_TRACKER = TrackerConfig(
 """Chosen on the validation drives of `make drives`; decision 8 says how."""
 
 
+class BeamConfig(FrozenModel):
+    """Parameters of the beam stage; `docs/beam.md` has the policies.
+
+    Attributes:
+        policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone), or
+            `foreglow` (all tracks, and the place where a hidden vehicle will appear).
+        headlamps: TOML file of the lamps, see `foreglow.photometry`; None for those that ship.
+        latency_s: From a frame's exposure to the light that follows from it: vehicles are led by so much.
+        margin_deg: A gap reaches so much beyond what it is for, to either side; also for lamps that are aimed badly.
+        led_limit_lx: What a single LED may give at the eyes that a gap is for.
+        coverage: Of the probability of where a hidden vehicle will appear, the share that the gap for it covers.
+        min_direct: A track is a lamp itself when its probability of that is above this.
+        confirm_s: A gap begins once its track has been plausible for so long.
+        hold_s: A gap stays for so long after what it is for was last seen, and an LED dark after its gap has gone.
+        restore_s: Time in which an LED goes from off to full.
+    """
+
+    policy: Literal["none", "low", "high", "paper", "foreglow"] = "none"
+    headlamps: Annotated[Path, Field(strict=False)] | None = None
+    latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
+    margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.5
+    led_limit_lx: Annotated[float, Field(gt=0)] = 0.03
+    coverage: Annotated[float, Field(ge=0, lt=1)] = 0.8
+    min_direct: Annotated[float, Field(ge=0, le=1)] = 0.5
+    confirm_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
+    restore_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+
 class GuardConfig(FrozenModel):
     """Parameters of the guard, which checks every beam command; `docs/guard.md` says what it enforces.
 
@@ -296,6 +325,8 @@ class PipelineConfig(FrozenModel):
     classifier: ClassifierConfig = ClassifierConfig()
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()
+    beam: BeamConfig = BeamConfig()
+    guard: GuardConfig = GuardConfig()
 
     @property
     def detector_only(self) -> PipelineConfig:

@@ -202,14 +202,18 @@ class Detections:
         proposals: The proposals that were scored.
         scores: Shape (N,), float32 in [0, 1], one for each proposal: how sure the classifier is of a light artifact.
         score_threshold: A proposal is accepted when its score is above this.
+        direct_probabilities: Shape (N,), float32 in [0, 1]: how sure the classifier is that it is the lamp itself, if
+            it is light at all, before anything is known of how often either is seen; NaN where the model does not
+            say. An empty array becomes NaNs.
 
     Raises:
-        ValueError: If the scores' shape or dtype is wrong, or one is outside [0, 1] or NaN.
+        ValueError: If an array's shape or dtype is wrong, or a score is outside [0, 1] or NaN.
     """
 
     proposals: Proposals
     scores: NDArray[np.float32]
     score_threshold: float
+    direct_probabilities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def __post_init__(self) -> None:
         scores, count = self.scores, len(self.proposals)
@@ -219,7 +223,16 @@ class Detections:
             )
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
+        direct = self.direct_probabilities
+        if not len(direct):
+            direct = np.full(count, np.nan, np.float32)
+        if direct.shape != (count,) or direct.dtype != np.float32:
+            raise ValueError(
+                f"Detections.direct_probabilities: expected float32 of shape ({count},), got {direct.dtype} of shape "
+                f"{direct.shape}"
+            )
         object.__setattr__(self, "scores", _frozen(scores))
+        object.__setattr__(self, "direct_probabilities", _frozen(direct))
 
     def __len__(self) -> int:
         return len(self.proposals)
@@ -304,6 +317,8 @@ class Tracks:
         ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray; NaN where unknown.
         sigmas_m: Shape (M,), float64, standard deviation of the range; infinite where unknown.
         detections: Shape (M,), int64, place of the box in this frame's `Detections`; -1 without one.
+        direct_probabilities: Shape (M,), float64 in [0, 1], filtered: that it is a lamp itself and not its light on
+            something; NaN where unknown. An empty array becomes NaNs.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, ids do not ascend, or a box is not in order or not finite.
@@ -319,9 +334,12 @@ class Tracks:
     ranges_m: NDArray[np.float64]
     sigmas_m: NDArray[np.float64]
     detections: NDArray[np.int64]
+    direct_probabilities: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         count = len(self.ids)
+        if not len(self.direct_probabilities):
+            object.__setattr__(self, "direct_probabilities", np.full(count, np.nan))
         for name, dtype in _TRACK_DTYPES.items():
             array = getattr(self, name)
             shape = (count, 4) if name == "boxes_xyxy_px" else (count,)
@@ -358,6 +376,7 @@ _TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
         "ranges_m": np.float64,
         "sigmas_m": np.float64,
         "detections": np.int64,
+        "direct_probabilities": np.float64,
     }
 )
 

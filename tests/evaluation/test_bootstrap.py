@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from foreglow.evaluation import evaluate_boxes
-from foreglow.evaluation.bootstrap import f1, paired_bootstrap, precision, recall, scene_counts
+from foreglow.evaluation.bootstrap import (
+    f1,
+    paired_bootstrap,
+    percentile_interval,
+    precision,
+    ratio,
+    recall,
+    scene_counts,
+)
 from foreglow.evaluation.matching import match_boxes
 from tests.evaluation.scored_boxes import random_case
 
@@ -82,3 +90,18 @@ def test_the_same_scenes_are_needed() -> None:
         paired_bootstrap(np.ones((2, 3)), np.ones((3, 3)))
     with pytest.raises(ValueError, match="same shape"):
         paired_bootstrap(np.ones((0, 3)), np.ones((0, 3)))
+
+
+def test_the_interval_of_one_figure() -> None:
+    counts = np.stack([np.random.default_rng(3).uniform(0, 10, 60), np.full(60, 10.0)], axis=1)
+    low, high = percentile_interval(counts, ratio, num_resamples=4000)
+    error = counts[:, 0].std() / 10 / math.sqrt(60)
+    assert high - low == pytest.approx(2 * 1.96 * error, rel=0.06)
+    assert low < float(ratio(counts.sum(axis=0))) < high
+    value = float(ratio(counts[0]))
+    assert percentile_interval(counts[:1], ratio) == (value, value)
+
+
+def test_an_interval_of_nothing() -> None:
+    for counts in (np.ones((0, 2)), np.array([[1.0, 0.0]]), np.full((3, 2), math.nan)):
+        assert np.isnan(percentile_interval(counts, ratio)).all()

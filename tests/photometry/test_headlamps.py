@@ -38,6 +38,8 @@ everywhere_cd = 0.0
 half_width_deg = 1.8
 half_height_deg = 1.2
 edge_exponent = 2.5
+reach_width_deg = 5.0
+reach_height_deg = 3.5
 """
 IES = "IESNA:LM-63-2002\nTILT=NONE\n1 -1 1 3 3 3 2 0 0 0\n1 1 0\n{up} \n{right}\n0 0 0 0 {peak} 0 0 0 0\n"
 
@@ -177,6 +179,7 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("", GRID.replace("[0.0, 2.0]", "[2.0, 0.0]"), "grid.row_elevations_deg: expected growing"),
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),
         ("", GRID.replace("edge_exponent = 2.5", ""), "grid.edge_exponent: missing"),
+        ("", GRID.replace("5.0", "1.0"), "grid.reach_width_deg: expected at least half_width_deg, 1.8, got 1"),
     ],
 )
 def test_faults_are_named(tmp_path: Path, left: str, grid: str, complaint: str) -> None:

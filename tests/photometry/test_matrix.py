@@ -58,3 +58,11 @@ def test_no_gaps_between_the_columns_and_the_lamps_mesh() -> None:
 def test_bad_levels(levels: np.ndarray) -> None:
     with pytest.raises(ValueError, match="84 numbers from 0 to 1"):
         matrix_beam("left").table(levels)
+
+
+@pytest.mark.parametrize(("side", "columns"), [("left", slice(287, 437)), ("right", slice(285, 435))])
+def test_the_leds_part_of_the_table_stays(side: Side, columns: slice) -> None:
+    """Of another size, sums over the LEDs round differently where BLAS has threads, and drives look different."""
+    lamp = matrix_beam(side)
+    assert (lamp.rows, lamp.columns) == (slice(276, 356), columns)
+    assert lamp.leds_cd.shape == (NUM_LEDS, 80, 150)

@@ -1,1 +1,18 @@
 """The fifth stage: what our headlamps shall shine, checked, and as messages on the car's bus."""
+
+from foreglow.beam.gaps import Gap
+from foreglow.beam.guard import Guard
+from foreglow.beam.occurrence import Occurrence, occurrence
+from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy
+
+__all__ = [
+    "POLICIES",
+    "BeamPolicy",
+    "Gap",
+    "GapWriter",
+    "Guard",
+    "Occurrence",
+    "PaperPolicy",
+    "make_policy",
+    "occurrence",
+]

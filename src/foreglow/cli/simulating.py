@@ -69,7 +69,7 @@ def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) ->
     if ego_beam is not None:
         if ego_beam not in EGO_BEAMS:
             raise ValueError(f"--ego-beam: expected one of {', '.join(EGO_BEAMS)}, got {ego_beam!r}")
-        scenes = tuple(with_beam(one, cast("simulation.EgoBeam", ego_beam)) for one in scenes)
+        scenes = tuple(with_beam(one, ego_beam) for one in scenes)
     return tuple(without_traffic(one) for one in scenes) if is_empty else scenes
 
 

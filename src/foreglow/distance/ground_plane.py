@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from foreglow.distance.pixelwise import PixelwiseEstimator
-from foreglow.distance.rays import Rays
 from foreglow.geometry import Floats
+from foreglow.rays import Rays
 from foreglow.types import Frame
 
 ROAD_SIGMA_RAD = math.radians(0.8)

@@ -9,8 +9,8 @@ import numpy as np
 from foreglow.config import DistanceConfig
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pitch import make_pitch_source
-from foreglow.distance.rays import RayCaster, Rays, calibrated
 from foreglow.geometry import Floats
+from foreglow.rays import RayCaster, Rays, calibrated
 from foreglow.types import Detections, Frame, Ranges
 
 

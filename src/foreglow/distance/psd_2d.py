@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from foreglow.distance.pixelwise import PixelwiseEstimator, no_ranges
-from foreglow.distance.rays import Rays
 from foreglow.distance.road_line import closest_approach, dense, nearest_points
 from foreglow.geometry import Floats
+from foreglow.rays import Rays
 from foreglow.types import Frame
 
 YAW_SIGMA_RAD = math.radians(1.0)

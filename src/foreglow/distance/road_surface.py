@@ -21,10 +21,10 @@ from foreglow.distance.hypotheses import (
 )
 from foreglow.distance.lamp_pairs import SPACING_M, pair_spacings_rad
 from foreglow.distance.pitch import MarkingsPitch, make_pitch_source
-from foreglow.distance.rays import RayCaster, calibrated
 from foreglow.distance.ribbon import Ribbon, ribbon
 from foreglow.distance.weighing import Weigher
 from foreglow.geometry import Floats
+from foreglow.rays import RayCaster, calibrated
 from foreglow.types import Detections, Frame, Ranges
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -78,6 +79,15 @@ def precision(counts: Counts) -> NDArray[np.float64]:
     return _ratio(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
+def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of two columns, the first over the second; NaN where that is 0.
+
+    >>> ratio(np.array([[1.0, 4.0], [1.0, 0.0]])).tolist()
+    [0.25, nan]
+    """
+    return _ratio(counts[..., 0], counts[..., 1])
+
+
 def scene_counts(matches: Matches, sequence_of: Mapping[int, int], threshold: float) -> Counts:
     """Shape (S, 3): tp, fp and fn of each scene as `evaluate_boxes` counts them, scenes in the order of their ids.
 
@@ -126,14 +136,10 @@ def paired_bootstrap(
     """
     if counts_a.shape != counts_b.shape or counts_a.ndim != 2 or not len(counts_a):
         raise ValueError(f"counts: expected the same shape (S, C), S >= 1, got {counts_a.shape} and {counts_b.shape}")
-    rng = np.random.default_rng(seed)
     num_scenes = len(counts_a)
-    differences = []
-    for start in range(0, num_resamples, CHUNK):
-        num = min(CHUNK, num_resamples - start)
-        weights = rng.multinomial(num_scenes, np.full(num_scenes, 1.0 / num_scenes), num).astype(np.float64)
-        differences.append(figure(weights @ counts_a) - figure(weights @ counts_b))
-    drawn = np.concatenate(differences)
+    drawn = np.concatenate(
+        [figure(weights @ counts_a) - figure(weights @ counts_b) for weights in _draws(num_scenes, num_resamples, seed)]
+    )
     drawn = drawn[~np.isnan(drawn)]
     if not len(drawn):
         raise ValueError("counts: expected scenes for which the figure is defined, got none")
@@ -149,6 +155,37 @@ def paired_bootstrap(
         num_resamples=len(drawn),
         seed=seed,
     )
+
+
+def percentile_interval(
+    counts: NDArray[np.float64], figure: Figure, *, num_resamples: int = 10_000, seed: int = 0
+) -> tuple[float, float]:
+    """The 95 % interval of one figure, had other scenes of the same sort been drawn; NaN where it is never defined.
+
+    Args:
+        counts: Shape (S, C), of each scene, that add up.
+        figure: What is made of summed counts.
+        num_resamples: How often scenes are drawn; those in which the figure is not defined are left out.
+        seed: Of the draws; the same seed, the same scenes, whatever the counts.
+
+    Source: as for `paired_bootstrap`.
+    """
+    if not len(counts):
+        return math.nan, math.nan
+    drawn = np.concatenate([figure(weights @ counts) for weights in _draws(len(counts), num_resamples, seed)])
+    drawn = drawn[~np.isnan(drawn)]
+    if not len(drawn):
+        return math.nan, math.nan
+    low, high = np.percentile(drawn, (2.5, 97.5)).tolist()
+    return low, high
+
+
+def _draws(num_scenes: int, num_resamples: int, seed: int) -> Iterator[NDArray[np.float64]]:
+    """How often each scene is drawn, shape (R, S), a chunk of resamples at a time."""
+    rng = np.random.default_rng(seed)
+    for start in range(0, num_resamples, CHUNK):
+        num = min(CHUNK, num_resamples - start)
+        yield rng.multinomial(num_scenes, np.full(num_scenes, 1.0 / num_scenes), num).astype(np.float64)
 
 
 def _ratio(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:

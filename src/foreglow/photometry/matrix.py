@@ -24,9 +24,6 @@ STEPS_ACROSS = 3.0
 FINEST_STEP_DEG = 0.05
 """Finer structure of LEDs from files is lost."""
 
-NOTHING = 1e-7
-"""Share of its peak below which a generated LED's light is cut off."""
-
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
 Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
@@ -91,6 +88,8 @@ class LedGrid(FrozenModel):
         half_width_deg: From the middle of a column to where its light has fallen to 1 / e.
         half_height_deg: The same for a row.
         edge_exponent: How steep the edges are; 2 is a Gaussian.
+        reach_width_deg: From the middle of a column to where its light is cut off.
+        reach_height_deg: The same for a row.
     """
 
     num_columns: Annotated[int, Field(ge=1, le=512)]
@@ -102,6 +101,8 @@ class LedGrid(FrozenModel):
     half_width_deg: Width
     half_height_deg: Width
     edge_exponent: Annotated[float, Field(ge=1, le=16)]
+    reach_width_deg: Width
+    reach_height_deg: Width
 
     @model_validator(mode="after")
     def _check(self) -> LedGrid:
@@ -110,6 +111,12 @@ class LedGrid(FrozenModel):
             raise ValueError(f"row_elevations_deg: expected growing numbers, got {list(elevations)}")
         if len(peaks) != len(elevations):
             raise ValueError(f"row_peaks_cd: expected one for each of {len(elevations)} rows, got {len(peaks)}")
+        for side in ("width", "height"):
+            reach_deg, half_deg = getattr(self, f"reach_{side}_deg"), getattr(self, f"half_{side}_deg")
+            if reach_deg < half_deg:
+                raise ValueError(
+                    f"reach_{side}_deg: expected at least half_{side}_deg, {half_deg:g}, got {reach_deg:g}"
+                )
         return self
 
 
@@ -125,15 +132,14 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
     column_azimuths = (
         np.arange(grid.num_columns, dtype=np.float64) - (grid.num_columns - 1) / 2
     ) * grid.pitch_deg + turn_deg
-    reach = (-np.log(NOTHING)) ** (1.0 / grid.edge_exponent)
     base = _fine_enough(
         base,
-        (column_azimuths[0] - reach * grid.half_width_deg, column_azimuths[-1] + reach * grid.half_width_deg),
-        (row_elevations[0] - reach * grid.half_height_deg, row_elevations[-1] + reach * grid.half_height_deg),
+        (column_azimuths[0] - grid.reach_width_deg, column_azimuths[-1] + grid.reach_width_deg),
+        (row_elevations[0] - grid.reach_height_deg, row_elevations[-1] + grid.reach_height_deg),
         (grid.half_width_deg / STEPS_ACROSS, grid.half_height_deg / STEPS_ACROSS),
     )
-    columns = _reached(base.azimuths_deg, column_azimuths, reach * grid.half_width_deg)
-    rows = _reached(base.elevations_deg, row_elevations, reach * grid.half_height_deg)
+    columns = _reached(base.azimuths_deg, column_azimuths, grid.reach_width_deg)
+    rows = _reached(base.elevations_deg, row_elevations, grid.reach_height_deg)
     across = _edged(base.azimuths_deg[columns] - column_azimuths[:, np.newaxis], grid.half_width_deg, grid)
     along = _edged(base.elevations_deg[rows] - row_elevations[:, np.newaxis], grid.half_height_deg, grid)
     to_the_side = np.exp(-0.5 * (column_azimuths / grid.side_sigma_deg) ** 2)
@@ -168,8 +174,8 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
             max(FINEST_STEP_DEG, min(_step(led.elevations_deg) for led in leds)),
         ),
     )
-    columns = _reached(base.azimuths_deg, azimuth_spans, 0.0)
-    rows = _reached(base.elevations_deg, elevation_spans, 0.0)
+    columns = _reached(base.azimuths_deg, azimuth_spans, _step(base.azimuths_deg))
+    rows = _reached(base.elevations_deg, elevation_spans, _step(base.elevations_deg))
     azimuths, elevations = base.azimuths_deg[columns], base.elevations_deg[rows]
     tables = np.stack([_sampled(led, azimuths, elevations) for led in leds])
     left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
@@ -234,8 +240,6 @@ def _lit_span(grid_deg: Floats, candela: NDArray[np.float32]) -> tuple[float, fl
 
 
 def _reached(grid_deg: Floats, angles_deg: Floats, reach_deg: float) -> slice:
-    """The part of a growing grid that holds what lies within `reach_deg` of the angles."""
+    """The part of a growing grid within `reach_deg` of the angles, and one step more at its end."""
     first, last = np.min(angles_deg) - reach_deg, np.max(angles_deg) + reach_deg
-    begin = int(np.searchsorted(grid_deg, first, side="right")) - 1
-    end = int(np.searchsorted(grid_deg, last)) + 1
-    return slice(max(begin, 0), min(end, len(grid_deg)))
+    return slice(int(np.searchsorted(grid_deg, first)), min(int(np.searchsorted(grid_deg, last)) + 1, len(grid_deg)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import dataclasses
 import html
@@ -20,7 +19,7 @@ from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import processor_name, provenance
 from foreglow.reports.detector_table import Table, markdown
 from foreglow.reports.distance_plots import alt_text, distance_plots
-from foreglow.reports.html import STYLE, html_table
+from foreglow.reports.html import STYLE, html_figure, html_table
 from foreglow.reports.numbers import number, percent, signed
 
 SIGN = "Relative error is (estimate - truth) / truth: positive where the light seems too far."
@@ -179,11 +178,7 @@ def _html_lines(results: DistanceResults, findings: Sequence[Finding], plots: Ma
     yield from (f"<li>{html.escape(line)}</li>" for line in headline(findings))
     yield "</ul>"
     for name, plot in plots.items():
-        source, words = base64.b64encode(plot).decode(), html.escape(alt_text(name))
-        yield (
-            f'<figure style="margin: 1.5rem 0"><img style="max-width: 100%; width: auto; background: #fff" '
-            f'alt="{words}" src="data:image/png;base64,{source}"><figcaption>{words}</figcaption></figure>'
-        )
+        yield html_figure(plot, alt_text(name))
     for heading, remark, table in _tables(findings):
         yield f"<h2>{html.escape(heading)}</h2><p>{html.escape(remark)}</p>"
         yield from html_table(table)

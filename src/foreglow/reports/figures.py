@@ -7,6 +7,7 @@ from io import BytesIO
 from typing import Any
 
 INK, AMBER, BLUE, GREY, PALE = "#222222", "#d9822b", "#3b6fb6", "#888888", "#d5d9e0"
+DPI = 130
 
 
 def require_matplotlib() -> None:
@@ -36,5 +37,5 @@ def subplots(num: int, width_in: float = 5.0, height_in: float = 3.4) -> tuple[A
 def png(figure: Any) -> bytes:
     """The figure as PNG; the same figure gives the same bytes."""
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()

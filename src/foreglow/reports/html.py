@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Iterator
 
@@ -35,3 +36,12 @@ def html_table(table: Table) -> Iterator[str]:
             cells.append(f'<td class="why" colspan="{len(row) - 1}">{html.escape(reason)}</td>')
         yield f"<tr>{''.join(cells)}</tr>"
     yield "</tbody></table></div>"
+
+
+def html_figure(png: bytes, words: str) -> str:
+    """A plot within the page, on white, with `words` beneath."""
+    source, caption = base64.b64encode(png).decode(), html.escape(words)
+    return (
+        f'<figure style="margin: 1.5rem 0"><img style="max-width: 100%; width: auto; background: #fff" '
+        f'alt="{caption}" src="data:image/png;base64,{source}"><figcaption>{caption}</figcaption></figure>'
+    )

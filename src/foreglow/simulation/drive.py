@@ -16,6 +16,7 @@ from foreglow.simulation.labels.categories import ImageCategories
 from foreglow.simulation.labels.production import ProductionSystem
 from foreglow.simulation.light.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER, mesh_name
 from foreglow.simulation.light.render import QUALITIES, Renderer, RenderSettings
+from foreglow.simulation.recording.street_data import STREET_STREAM, StreetDataError, StreetMap
 from foreglow.simulation.scenes.scene import CameraSpec, Scene
 from foreglow.simulation.traffic.actors import Actor, actors_at, ego_lamps, ego_tables
 from foreglow.simulation.traffic.eyes import Eyes
@@ -25,7 +26,9 @@ from foreglow.simulation.traffic.sightings import Sightings
 from foreglow.simulation.truth import DriveFrame, LampTruth, VehicleTruth
 from foreglow.simulation.world.bodies import BODIES
 from foreglow.simulation.world.mesh import Mesh
+from foreglow.simulation.world.road import Road
 from foreglow.simulation.world.world import build_world
+from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
 
 
@@ -135,6 +138,7 @@ class _Run:
         self._annotator = Annotator(scene, camera)
         self._categories = ImageCategories(scene.vehicles, scene.labels)
         self._production = ProductionSystem()
+        self._map = StreetMap(Road(scene.road), StreetDataError(), np.random.default_rng([scene.seed, STREET_STREAM]))
 
     def frame(self, number: int, led_levels: Floats) -> DriveFrame:
         """Renders, exposes and labels one frame; they come in the order of time."""
@@ -180,6 +184,7 @@ class _Run:
                 f"{scene.name}/{scene.seed}",
                 camera=self._camera,
                 motion=EgoMotion(ego.speed_mps, ego.yaw_rate_radps),
+                road=road_from_message(self._map.message(ego.s_m)),
             ),
             camera=self._camera,
             ego_pose=ego.pose,

@@ -33,7 +33,7 @@ from foreglow.files import write_atomic
 from foreglow.simulation.labels.production import ProductionConfig
 from foreglow.simulation.recording.lidar import LidarConfig, lidar_depth
 from foreglow.simulation.recording.pvdn_labels import LabelCounts, write_labels
-from foreglow.simulation.recording.street_data import StreetDataError, StreetMap
+from foreglow.simulation.recording.street_data import STREET_STREAM, StreetDataError, StreetMap
 from foreglow.simulation.recording.truth_files import (
     MAX_FRAMES,
     InfoFile,
@@ -56,9 +56,8 @@ SIMULATOR_VERSION = 1
 
 GENERATOR = f"foreglow {version('foreglow')}, simulator {SIMULATOR_VERSION}"
 
-STREET_STREAM = 901
 LIDAR_STREAM = 902
-"""Random streams of a scene, `np.random.default_rng([scene.seed, stream])`."""
+"""Random stream of a scene's scanner, `np.random.default_rng([scene.seed, LIDAR_STREAM])`."""
 
 MAX_JITTER_NS = 1_000_000
 """A frame's time may be this far from its place over the frame rate, which is the time that readers will see."""

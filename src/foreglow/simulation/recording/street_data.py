@@ -28,6 +28,9 @@ from foreglow.street import (
     slope_code,
 )
 
+STREET_STREAM = 901
+"""Random stream of a scene's map, `np.random.default_rng([scene.seed, STREET_STREAM])`."""
+
 # Within a segment the map's curvature may leave its chord, and the slope its mean, by this much: half a step of slope,
 # and a curvature that bends the road by 0.25 m in 50 m.
 _CURVATURE_TOLERANCE_PER_M = 2e-4
@@ -72,7 +75,7 @@ class StreetMap:
         Args:
             road: The road as it is.
             error: How wrong the position is.
-            rng: Used here only, such as `np.random.default_rng([scene.seed, STREAM])`.
+            rng: Used here only, such as `np.random.default_rng([scene.seed, STREET_STREAM])`.
         """
         self._error = error
         self._starts_m, self._segments = _segments(road)

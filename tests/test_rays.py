@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from foreglow.distance.rays import RayCaster
 from foreglow.geometry import Camera, Pose, rotation
+from foreglow.rays import RayCaster
 from tests.distance.places import camera
 
 PVDN_LIKE = Camera(

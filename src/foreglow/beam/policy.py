@@ -1,0 +1,240 @@
+"""From tracks to LED levels: the paper's policy, ours, and the plain beams to compare with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+
+from foreglow.beam.bearings import Bearing, Bearings, range_bounds_m
+from foreglow.beam.dimming import Dimmer, Ramp
+from foreglow.beam.gaps import Gap, merged
+from foreglow.beam.occurrence import occurrence
+from foreglow.config import BeamConfig
+from foreglow.geometry import Floats
+from foreglow.photometry import Headlamps
+from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
+
+VEHICLE_M = 1.3
+"""From a lamp that is seen to the far side of its driver's eye, across the line of sight: a lorry is 2.5 m wide."""
+
+BOX_SHARE = 0.15
+"""Standard deviation of where a lamp is in its box, as a share of the box's width."""
+
+NUM_SIGMAS = 1.0
+"""Ranges are taken as that far off to either side."""
+
+HIDDEN = -1
+"""Stands for the id of a hidden vehicle's gap, and smaller numbers for further ones."""
+
+
+class BeamPolicy(Protocol):
+    """Decides what our headlamps shine."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None: ...
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+        """The command that follows from `frame` and its tracks."""
+        ...
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        ...
+
+
+class LowBeam:
+    """Low beam, always."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
+        self._num_leds = headlamps.num_leds
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        """As `BeamPolicy.command`."""
+        return BeamCommand.low(frame.timestamp_ns, self._num_leds)
+
+    def reset(self) -> None:
+        """As `BeamPolicy.reset`."""
+
+
+class HighBeam:
+    """High beam, always."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
+        self._num_leds = headlamps.num_leds
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        """As `BeamPolicy.command`."""
+        return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
+
+    def reset(self) -> None:
+        """As `BeamPolicy.reset`."""
+
+
+class GapWriter:
+    """Turns gaps into commands, frame after frame: dims the LEDs at once and lets them return slowly."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._dimmer = Dimmer(headlamps, config.led_limit_lx)
+        self._ramp = Ramp(config.hold_s, config.restore_s)
+
+    def reset(self) -> None:
+        """Forgets earlier levels."""
+        self._ramp.reset()
+
+    def command(self, timestamp_ns: int, gaps: Sequence[Gap]) -> BeamCommand:
+        """High beam with `gaps`."""
+        apart = merged(list(gaps))
+        levels = self._ramp.step(self._dimmer.levels(apart), timestamp_ns)
+        mode = BeamMode.FULL if not apart and levels.min() >= 1.0 else BeamMode.GLARE_FREE
+        borders = np.array([gap[:2] for gap in apart], np.float64).reshape(-1, 2)
+        ranges_m = np.array([gap.near_m if math.isfinite(gap.near_m) else math.nan for gap in apart], np.float64)
+        return BeamCommand(timestamp_ns, mode, levels, borders, ranges_m)
+
+
+class PaperPolicy:
+    """The paper's: the brightest plausible track is sent to the headlamps, with a margin, and nothing else is.
+
+    In the paper's car it is mute while the production system sees a vehicle, which then has the beam to itself; who
+    has such a system passes on its gaps while it sees one.
+
+    Source: Ewecker et al., arXiv 2107.11302, section on the use case.
+    """
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._margin_rad = math.radians(config.margin_deg)
+        self._bearings = Bearings()
+        self._writer = GapWriter(config, headlamps)
+
+    def reset(self) -> None:
+        """As `BeamPolicy.reset`."""
+        self._bearings.reset()
+        self._writer.reset()
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+        """As `BeamPolicy.command`."""
+        return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
+
+    def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
+        """The gap for the brightest plausible track, if there is one."""
+        places = np.flatnonzero(tracks.is_plausible)
+        if frame.camera is None or not len(places):
+            return []
+        brightest = max(places.tolist(), key=lambda place: brightness(frame.image, tracks.boxes_xyxy_px[place]))
+        bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]
+        return [_around(bearing, bearing.half_width_rad + self._margin_rad, range_bounds_m(bearing, NUM_SIGMAS))]
+
+
+class ForeglowPolicy:
+    """Ours: a gap for every lamp that is followed, and one where a vehicle is expected whose light is all that is seen.
+
+    * A lamp's gap leads it by the latency, and holds the whole vehicle at the nearest range that is likely.
+    * Light on other things is not what is to be protected. Its vehicle is further along the road: the gap covers most
+      of the probability of where it will appear (`occurrence`). Without a road the light itself is taken for the place.
+    * Light that a lamp in sight explains opens nothing.
+    * While a gap is open, lamps that are not confirmed yet are taken for true: a vehicle that comes into sight needs
+      a few frames until it is believed, and what is done for it is under way already.
+    """
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._config = config
+        self._margin_rad = math.radians(config.margin_deg)
+        self._hold_ns = round(config.hold_s * 1e9)
+        self._bearings = Bearings()
+        self._writer = GapWriter(config, headlamps)
+        self.reset()
+
+    def reset(self) -> None:
+        """As `BeamPolicy.reset`."""
+        self._bearings.reset()
+        self._writer.reset()
+        self._held: dict[int, tuple[int, Gap]] = {}
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+        """As `BeamPolicy.command`."""
+        return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
+
+    def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
+        """The gaps that the tracks ask for now, and those of tracks that asked for one a moment ago."""
+        if frame.camera is None:
+            return []
+        now_ns, held = frame.timestamp_ns, self._held
+        bearings = self._bearings.update(frame, tracks)
+        acted = {
+            one: bearing
+            for one, bearing in bearings.items()
+            if bearing.is_plausible and bearing.plausible_s >= self._config.confirm_s
+        }
+        if acted or held:
+            coming = {one: bearing for one, bearing in bearings.items() if bearing.direct > self._config.min_direct}
+            acted = coming | acted
+        self._held = {
+            one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)
+        }
+        self._held |= {
+            HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))
+        }
+        for one, (since_ns, gap) in held.items():
+            if one not in self._held and now_ns - since_ns <= self._hold_ns:
+                self._held[one] = since_ns, gap
+        return [gap for _, gap in self._held.values()]
+
+    def _is_lamp(self, bearing: Bearing) -> bool:
+        return math.isnan(bearing.direct) or bearing.direct > self._config.min_direct
+
+    def _lamp_gap(self, bearing: Bearing) -> Gap:
+        near_m, far_m = range_bounds_m(bearing, NUM_SIGMAS)
+        half_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + math.atan2(VEHICLE_M, near_m) + self._margin_rad
+        now = _around(bearing, half_rad, (near_m, far_m))
+        lead_rad = bearing.rate_radps * self._config.latency_s
+        return now._replace(
+            right_rad=now.right_rad + min(lead_rad, 0.0),
+            left_rad=now.left_rad + max(lead_rad, 0.0),
+        )
+
+    def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
+        """The gap for a hidden vehicle, if there is light that nothing in sight explains."""
+        lights = [one for one in acted if one.is_plausible and not one.direct > self._config.min_direct]
+        lamps_m = [one.range_m for one in acted if one.direct > self._config.min_direct]
+        lights = [one for one in lights if not any(lamp_m >= one.range_m - one.sigma_m for lamp_m in lamps_m)]
+        if not lights:
+            return []
+        if frame.road is not None:
+            farthest_m = max((one.range_m for one in lights if not math.isnan(one.range_m)), default=math.nan)
+            expected = occurrence(frame.road, farthest_m)
+            if expected is not None:
+                rest = 0.5 * (1.0 - self._config.coverage)
+                right, left = expected.quantiles_rad((rest, 1.0 - rest))
+                half_rad = math.atan2(VEHICLE_M, float(expected.ranges_m[0])) + self._margin_rad
+                return [Gap(right - half_rad, left + half_rad, float(expected.ranges_m[0]), math.inf)]
+        return [_around(one, one.half_width_rad + self._margin_rad, range_bounds_m(one, NUM_SIGMAS)) for one in lights]
+
+
+def _around(bearing: Bearing, half_rad: float, bounds_m: tuple[float, float]) -> Gap:
+    return Gap(bearing.azimuth_rad - half_rad, bearing.azimuth_rad + half_rad, *bounds_m)
+
+
+def brightness(image: Image, box_xyxy_px: Floats) -> float:
+    """The greatest grey level in a box, of its part in the image; 0 outside."""
+    x1, y1, x2, y2 = (max(int(edge), 0) for edge in box_xyxy_px)
+    inside = image[y1 : y2 + 1, x1 : x2 + 1]
+    return float(inside.max()) if inside.size else 0.0
+
+
+POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(
+    {"low": LowBeam, "high": HighBeam, "paper": PaperPolicy, "foreglow": ForeglowPolicy}
+)
+"""Every policy by name."""
+
+
+def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
+    """The policy that `config` names.
+
+    Raises:
+        ValueError: If there is no such policy; the message lists those that exist.
+    """
+    if config.policy not in POLICIES:
+        raise ValueError(f"beam.policy: expected one of {', '.join(POLICIES)}, got {config.policy!r}")
+    return POLICIES[config.policy](config, headlamps)

@@ -1,0 +1,243 @@
+"""What a drive with headlamps was like: the light at other drivers' eyes and on the road, and what each policy shone.
+
+Light is linear in the levels of the LEDs. For each frame it is enough to know what the low beam gives, and what each
+LED gives at level 1, everything in between accounted for; the light of any levels follows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foreglow.geometry import Floats
+
+AREAS = ("own lane", "verge")
+"""What the light on the road is measured on, 40 to 120 m ahead: the order of the areas in `RoadLight`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriverEye:
+    """Another driver's eye over T frames: where it is, and what light of ours reaches it.
+
+    Attributes:
+        vehicle_id: The vehicle.
+        kind: What it is, such as `car`.
+        is_oncoming: Whether it comes towards us; else we follow it, and the eye is what its mirrors show.
+        ranges_m: Shape (T,), from our vehicle's origin to the eye; NaN where the vehicle is absent, behind or far away.
+        azimuths_rad: Shape (T,), of the vehicle in our vehicle's frame, positive to the left; NaN as the range.
+        is_in_sight: Shape (T,), whether the eye sees at least one of our lamps, however far away it is.
+        base_lx: Shape (T,), illuminance by both low beams; 0 where they are hidden.
+        leds_lx: Shape (T, 2, L), float32, by each LED at level 1, left and right lamp; 0 where it is hidden.
+
+    Raises:
+        ValueError: If shapes differ, a range is not positive, or light is negative or not finite.
+    """
+
+    vehicle_id: int
+    kind: str
+    is_oncoming: bool
+    ranges_m: Floats
+    azimuths_rad: Floats
+    is_in_sight: NDArray[np.bool_]
+    base_lx: Floats
+    leds_lx: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        num_frames = len(np.atleast_1d(self.ranges_m))
+        for name in ("ranges_m", "azimuths_rad"):
+            _keep(self, name, np.float64, (num_frames,))
+        _keep(self, "is_in_sight", np.bool_, (num_frames,))
+        _keep(self, "base_lx", np.float64, (num_frames,))
+        _keep(self, "leds_lx", np.float32, (num_frames, 2, None))
+        if (self.ranges_m <= 0).any() or np.isinf(self.ranges_m).any():
+            raise ValueError("DriverEye.ranges_m: expected positive ranges, NaN where there is none")
+        if np.isnan(self.azimuths_rad[~np.isnan(self.ranges_m)]).any():
+            raise ValueError("DriverEye.azimuths_rad: expected an angle wherever there is a range")
+        _check_light(self, "base_lx", "leds_lx")
+
+    def illuminance_lx(self, levels: ArrayLike) -> Floats:
+        """Shape (T,): the light at the eye when the lamps shine `levels`, shape (T, 2, L) or what broadcasts to it."""
+        return _shone_lx(self.base_lx, self.leds_lx, levels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadLight:
+    """Mean illuminance of the road 40 to 120 m ahead, on a plane that faces the lamps.
+
+    Attributes:
+        base_lx: Shape (T, 2), by both low beams, by the areas of `AREAS`.
+        leds_lx: Shape (T, 2, 2, L), float32, on each area by each LED at level 1: frame, area, lamp, LED.
+
+    Raises:
+        ValueError: If shapes differ, or light is negative or not finite.
+    """
+
+    base_lx: Floats
+    leds_lx: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        num_frames = len(np.atleast_1d(self.base_lx))
+        _keep(self, "base_lx", np.float64, (num_frames, len(AREAS)))
+        _keep(self, "leds_lx", np.float32, (num_frames, len(AREAS), 2, None))
+        _check_light(self, "base_lx", "leds_lx")
+
+    def illuminance_lx(self, levels: ArrayLike) -> Floats:
+        """Shape (T, 2): the light on each area when the lamps shine `levels`, shape (T, 2, L)."""
+        levels = np.asarray(levels)
+        return _shone_lx(self.base_lx, self.leds_lx, levels[:, np.newaxis] if levels.ndim == 3 else levels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolicyRun:
+    """What one policy made the lamps shine over T frames.
+
+    Attributes:
+        name: The policy.
+        levels: Shape (T, 2, L), float32 in [0, 1], as the lamps shone at each frame, their latency included.
+        gaps_rad: Shape (T, G, 2), right and left border of each dark gap, azimuth to the left in the vehicle's frame;
+            rows from `num_gaps` on are NaN.
+        num_gaps: Shape (T,), gaps of each frame.
+
+    Raises:
+        ValueError: If shapes differ, a level is outside [0, 1], or gaps are not as `num_gaps` says.
+    """
+
+    name: str
+    levels: NDArray[np.float32]
+    gaps_rad: Floats
+    num_gaps: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        num_frames = len(np.atleast_1d(self.levels))
+        _keep(self, "levels", np.float32, (num_frames, 2, None))
+        _keep(self, "gaps_rad", np.float64, (num_frames, None, 2))
+        _keep(self, "num_gaps", np.int64, (num_frames,))
+        if not ((self.levels >= 0) & (self.levels <= 1)).all():
+            raise ValueError("PolicyRun.levels: expected values in [0, 1], got NaN or a value outside")
+        is_gap = np.arange(self.gaps_rad.shape[1]) < self.num_gaps[:, np.newaxis]
+        if (self.num_gaps < 0).any() or (self.num_gaps > self.gaps_rad.shape[1]).any():
+            raise ValueError(f"PolicyRun.num_gaps: expected 0 to {self.gaps_rad.shape[1]}, the size of gaps_rad")
+        if (np.isnan(self.gaps_rad) != ~is_gap[:, :, np.newaxis]).any():
+            raise ValueError("PolicyRun.gaps_rad: expected borders for the first num_gaps gaps and NaN for the others")
+        if not (self.gaps_rad[is_gap][:, 0] < self.gaps_rad[is_gap][:, 1]).all():
+            raise ValueError("PolicyRun.gaps_rad: expected the right border to be right of the left one")
+
+    @classmethod
+    def of(cls, name: str, levels: ArrayLike, gaps_rad: Sequence[ArrayLike] | None = None) -> PolicyRun:
+        """From the levels, and each frame's gaps of shape (G, 2) such as `BeamCommand.gaps_rad`; None is no gaps."""
+        levels = np.asarray(levels)
+        if gaps_rad is None:
+            gaps_rad = [()] * len(levels)
+        gaps = [np.asarray(one, np.float64).reshape(-1, 2) for one in gaps_rad]
+        padded = np.full((len(gaps), max((len(one) for one in gaps), default=0), 2), math.nan)
+        for row, one in zip(padded, gaps, strict=True):
+            row[: len(one)] = one
+        return cls(name, levels, padded, np.array([len(one) for one in gaps], np.int64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlareDrive:
+    """One drive through one scene, with what every policy shone on the way.
+
+    Attributes:
+        name: The scene.
+        scenario: What was drawn, such as `crest`.
+        rate_hz: Frames a second.
+        times_s: Shape (T,), growing, from the first frame on.
+        speeds_mps: Shape (T,), of our vehicle; NaN where unknown.
+        eyes: One an other driver, ids differ.
+        road: The light on the road.
+        runs: What was shone, by the policy's name.
+        light_s: By vehicle id, when its first light is labelled, be it a reflection; without entry, never.
+        pictures: Pictures or videos of the drive, by caption: paths relative to the folder of the report.
+
+    Raises:
+        ValueError: If frames or LEDs differ in number, times do not grow, or an id is there twice.
+    """
+
+    name: str
+    scenario: str
+    rate_hz: float
+    times_s: Floats
+    speeds_mps: Floats
+    eyes: tuple[DriverEye, ...]
+    road: RoadLight
+    runs: Mapping[str, PolicyRun]
+    light_s: Mapping[int, float] = field(default_factory=dict)
+    pictures: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        num_frames = len(np.atleast_1d(self.times_s))
+        for name in ("times_s", "speeds_mps"):
+            _keep(self, name, np.float64, (num_frames,))
+        if not num_frames or not (np.diff(self.times_s) > 0).all() or not np.isfinite(self.times_s).all():
+            raise ValueError("GlareDrive.times_s: expected at least one frame, and times that grow")
+        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
+            raise ValueError(f"GlareDrive.rate_hz: expected a positive number, got {self.rate_hz}")
+        shape = (num_frames, 2, self.num_leds)
+        parts = [("road", self.road.leds_lx[:, 0].shape)]
+        parts += [(f"eyes: vehicle {one.vehicle_id}", one.leds_lx.shape) for one in self.eyes]
+        parts += [(f"runs: {name}", one.levels.shape) for name, one in self.runs.items()]
+        for what, its_shape in parts:
+            if its_shape != shape:
+                raise ValueError(f"GlareDrive.{what}: expected frames, lamps and LEDs {shape}, got {its_shape}")
+        if not np.isfinite(list(self.light_s.values())).all():
+            raise ValueError("GlareDrive.light_s: expected finite times, no entry for a vehicle that is never seen")
+        ids = [one.vehicle_id for one in self.eyes]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"GlareDrive.eyes: expected each vehicle once, got {ids}")
+        for name, run in self.runs.items():
+            if run.name != name:
+                raise ValueError(f"GlareDrive.runs: expected {name!r} to be called that, its name is {run.name!r}")
+        for light in ("runs", "light_s", "pictures"):
+            object.__setattr__(self, light, MappingProxyType(dict(getattr(self, light))))
+        object.__setattr__(self, "eyes", tuple(self.eyes))
+
+    @property
+    def num_leds(self) -> int:
+        """LEDs of each lamp."""
+        return int(self.road.leds_lx.shape[-1])
+
+    def eye(self, vehicle_id: int) -> DriverEye:
+        """That of a vehicle.
+
+        Raises:
+            ValueError: If there is no such vehicle.
+        """
+        for one in self.eyes:
+            if one.vehicle_id == vehicle_id:
+                return one
+        raise ValueError(f"drive {self.name}: no eye of vehicle {vehicle_id}")
+
+
+def _shone_lx(base_lx: Floats, leds_lx: NDArray[np.float32], levels: ArrayLike) -> Floats:
+    """Base plus LEDs: the last two axes of `leds_lx` are lamps and LEDs."""
+    levels = np.broadcast_to(np.asarray(levels, np.float64), leds_lx.shape)
+    return np.asarray(base_lx + np.einsum("...le,...le->...", leds_lx, levels))
+
+
+def _keep(owner: Any, name: str, dtype: type[np.generic], shape: tuple[int | None, ...]) -> None:
+    """Replaces a field by a read-only array of `dtype`, once its shape is right; None is any length."""
+    array: NDArray[Any] = np.asarray(getattr(owner, name))
+    label = f"{type(owner).__name__}.{name}"
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        words = ", ".join("any" if one is None else str(one) for one in shape)
+        raise ValueError(f"{label}: expected shape ({words}), got {array.shape}")
+    if array.dtype.kind not in ("b" if dtype is np.bool_ else "fiu"):
+        raise ValueError(f"{label}: expected {np.dtype(dtype).name}, got {array.dtype}")
+    array = array.astype(dtype)
+    array.flags.writeable = False
+    object.__setattr__(owner, name, array)
+
+
+def _check_light(owner: Any, *names: str) -> None:
+    for name in names:
+        values = getattr(owner, name)
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise ValueError(f"{type(owner).__name__}.{name}: expected finite values of at least 0")
