@@ -35,7 +35,7 @@ def drive(num_lamps: int) -> list[tuple[BeamCommand, Tracks, Frame]]:
     images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(3)]
     drawn = []
     for number in range(NUM_FRAMES):
-        ranges_m = np.full(num_lamps, 250.0 - 0.4 * number) + 10 * np.arange(num_lamps)
+        ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lamps, dtype=np.float64)
         lefts = 640.0 - 1350.0 * (3.0 + 1.3 * (np.arange(num_lamps) % 2)) / ranges_m - 60 * (np.arange(num_lamps) // 2)
         half_px = 1350.0 * 0.4 / ranges_m
         boxes = np.stack([lefts - half_px, 500 - half_px, lefts + half_px, 500 + half_px], -1)
@@ -49,7 +49,7 @@ def drive(num_lamps: int) -> list[tuple[BeamCommand, Tracks, Frame]]:
             num_misses=np.zeros(num_lamps, np.int64),
             ages_s=np.full(num_lamps, 1.0 + number / 18),
             ranges_m=ranges_m,
-            sigmas_m=0.1 * ranges_m,
+            sigmas_m=ranges_m / 10,
             detections=np.arange(num_lamps),
         )
         drawn.append((BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, 84))), tracks, frame))
@@ -102,9 +102,8 @@ def measure(rounds: int) -> list[Row]:
     rows = []
     for name, its in times.items():
         reference = times.get(f"{name}, cantools")
-        rows.append(
-            {"what": name, "speed_up": None if reference is None else its.speed_up_over(reference)} | its.figures()
-        )
+        row: Row = {"what": name, "speed_up": None if reference is None else its.speed_up_over(reference)}
+        rows.append(row | its.figures())
     return rows
 
 

@@ -243,17 +243,17 @@ def _check_light(
         "no LED brightens faster than allowed": levels <= before + FRAME_S + 1e-12,
     }
     for invariant, is_kept in holds.items():
-        for number in np.flatnonzero(~is_kept.all(axis=(1, 2))):
+        for number in np.flatnonzero(~is_kept.all(axis=(1, 2))).tolist():
             outcome.broken(invariant, states[number])
     if not place.is_plausible:
-        for number in np.flatnonzero((np.abs(levels - slow) > 1e-12).any(axis=(1, 2))):
+        for number in np.flatnonzero((np.abs(levels - slow) > 1e-12).any(axis=(1, 2))).tolist():
             outcome.broken("nothing is dimmed without a vehicle", states[number])
         return
     shares = np.einsum("psl,nsl->nps", place.leds_cd, levels).max(axis=(1, 2)) / place.limit_cd
     outcome.greatest_share_of_limit = max(outcome.greatest_share_of_limit, float(shares.max()))
-    for number in np.flatnonzero(shares > EXCESS):
+    for number in np.flatnonzero(shares > EXCESS).tolist():
         outcome.broken("no more than the limit towards a vehicle", states[number])
-    for number in np.flatnonzero((place.is_far & (np.abs(levels - slow) > 1e-12)).any(axis=(1, 2))):
+    for number in np.flatnonzero((place.is_far & (np.abs(levels - slow) > 1e-12)).any(axis=(1, 2))).tolist():
         outcome.broken("an LED that shines elsewhere is not dimmed", states[number])
     for (_, _, checked), state in zip(lit, states, strict=True):
         right, left = checked.gaps_rad[0]

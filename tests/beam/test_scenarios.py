@@ -45,7 +45,7 @@ def moment_at(number: int, frame: Frame | None = None) -> Moment:
     return Moment(frame, tracks, full(frame, LAMPS.num_leds))
 
 
-def new_track(tracks: Any, **arrays: Any) -> Tracks:
+def with_arrays(tracks: Tracks, **arrays: Any) -> Tracks:
     for name, value in arrays.items():
         object.__setattr__(tracks, name, value)
     return tracks
@@ -66,7 +66,8 @@ DISTURBANCES: dict[str, Callable[[int], Moment]] = {
     "speed lost": lambda n: moment_at(n, frame_at(n, speed_mps=None)),
     "slow": lambda n: moment_at(n, frame_at(n, speed_mps=8.0)),
     "NaN box": lambda n: replace(
-        moment_at(n), tracks=new_track(tracks_of([CAR], [50.0], ages_s=float(n)), boxes_xyxy_px=np.full((1, 4), np.nan))
+        moment_at(n),
+        tracks=with_arrays(tracks_of([CAR], [50.0], ages_s=float(n)), boxes_xyxy_px=np.full((1, 4), np.nan)),
     ),
     "stale track": lambda n: replace(moment_at(n), tracks=tracks_of([CAR], [120.0], ages_s=1.0)),
     "tracker gone": lambda n: replace(moment_at(n), tracks=None),

@@ -42,7 +42,8 @@ def read(path: Path, suffix: str) -> list[Any]:
 @pytest.mark.parametrize("suffix", LOG_SUFFIXES)
 def test_log_comes_back(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"beam{suffix}"
-    sink, encoder, expected = CanLogSink(path, ramp_s=1.0), CommandEncoder(1.0), []
+    sink, encoder = CanLogSink(path, ramp_s=1.0), CommandEncoder(1.0)
+    expected: list[CanFrame] = []
     for number in range(6):
         frame, result = result_at(1_700_000_000 * 10**9 + number * PERIOD, number / 5)
         sink.write(frame, result)
