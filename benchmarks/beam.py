@@ -19,7 +19,7 @@ from foreglow.beam.receiver import LampReceiver
 from foreglow.config import GuardConfig
 from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.geometry import Camera, Pose
-from foreglow.photometry.headlamps import read_headlamps
+from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Tracks, TrackState
 
 FRAME_NS = 55_555_556

@@ -22,6 +22,7 @@ from foreglow.beam.guard import Guard
 from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose, rotation
+from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Tracks, TrackState
 
 FRAME_S = 0.05
@@ -275,8 +276,6 @@ def outcome_table(outcome: Outcome) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from foreglow.photometry.headlamps import read_headlamps
-
     given = options(__doc__, "guard_sweep", arguments)
     outcome = sweep(read_headlamps(), QUICK if given.quick else Grid())
     CONSOLE.print(outcome_table(outcome))

@@ -75,6 +75,15 @@ def test_begins_low_and_takes_the_fourth_command() -> None:
     assert not receiver.noticed
 
 
+def test_other_frames_on_the_bus_are_none_of_its_business() -> None:
+    receiver = LampReceiver()
+    for number in range(4):
+        for frame in (*only_gaps(number), *frames_of(number), CanFrame(0x3A0, bytes(8)), *other_frames(number)):
+            receiver.receive(arrival(number), *frame)
+    assert not receiver.is_low
+    assert not receiver.noticed
+
+
 def test_counter_and_time_come_round() -> None:
     receiver = LampReceiver()
     for number in range(1500):  # six times the counter, once the time
