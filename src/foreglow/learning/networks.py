@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
 
 from foreglow.classifier.inputs import InputSpec
+from foreglow.learning.recipes import Recipe
 
 
 class ArtifactNetwork(nn.Module):
     """The paper's classifier: is the light artifact in this crop the light of an oncoming vehicle?
 
-    Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N,). No convolution is padded. Batch normalisation follows
+    Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N, 1). No convolution is padded. Batch normalisation follows
     ReLU and pooling, as in the published code, whose names of the parameters are kept.
 
     Source: Ewecker et al., arXiv 2107.11302, figure of the network; published code for what it leaves open.
@@ -47,17 +49,18 @@ class ArtifactNetwork(nn.Module):
         x = self.dropout(torch.relu(self.int_out["afc1"](x.flatten(1))))
         x = torch.relu(self.int_out["afc2"](x))
         logits: Tensor = self.int_out["afc3"](x)
-        return logits[:, 0]
+        return logits
 
 
 class CompactNetwork(nn.Module):
     """Our classifier for one processor core: 1.3 million multiply-adds a crop.
 
-    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N,). The last
-    convolutions keep where in the crop things are: the box is always its middle.
+    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N, 1), of light,
+    or (N, 2), of light and of a lamp itself. The last convolutions keep where in the crop things are: the box is
+    always its middle.
     """
 
-    def __init__(self, num_channels: int, num_features: int) -> None:
+    def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__()
         self.body = nn.Sequential(
             *_block(num_channels, 16, 5, stride=2),  # 32 -> 16
@@ -67,13 +70,13 @@ class CompactNetwork(nn.Module):
         )
         self.hidden = nn.Linear(32 * 4 * 4 + num_features, 48)
         self.dropout = nn.Dropout(0.2)
-        self.last = nn.Linear(48, 1)
+        self.last = nn.Linear(48, num_outputs)
 
     def forward(self, crops: Tensor, features: Tensor) -> Tensor:
-        """One logit a crop."""
+        """One logit of each output a crop."""
         x = torch.cat([self.body(crops).flatten(1), features], dim=1)
         logits: Tensor = self.last(self.dropout(torch.relu(self.hidden(x))))
-        return logits[:, 0]
+        return logits
 
 
 def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
@@ -81,8 +84,31 @@ def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Mod
     return [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
 
 
-NETWORKS: dict[str, Callable[[InputSpec], nn.Module]] = {
-    "paper": lambda spec: ArtifactNetwork(),  # noqa: ARG005
-    "compact": lambda spec: CompactNetwork(spec.num_channels, spec.num_features),
+NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
+    "paper": lambda spec, num_outputs: ArtifactNetwork(),  # noqa: ARG005
+    "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
-"""Untrained networks by name, for what they shall read."""
+"""Untrained networks by name, for what they shall read and how many logits they shall write."""
+
+
+def recipe_network(recipe: Recipe) -> nn.Module:
+    """The untrained network that the recipe names.
+
+    Raises:
+        ValueError: If there is no such network, or it cannot read the recipe's inputs.
+    """
+    if recipe.network not in NETWORKS:
+        raise ValueError(f"recipe: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
+    spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs, recipe.num_outputs)
+    try:
+        with torch.inference_mode():
+            crops = torch.zeros(2, spec.num_channels, spec.size_px, spec.size_px)
+            logits = copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
+    except RuntimeError as error:
+        raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
+    if logits.shape[1] != recipe.num_outputs:
+        raise ValueError(
+            f"recipe: direct_weight: expected 0, the network {recipe.network} does not say what is direct, "
+            f"got {recipe.direct_weight:g}"
+        )
+    return network
