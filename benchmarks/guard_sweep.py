@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
@@ -21,6 +22,7 @@ from foreglow.beam.guard import Guard
 from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose, rotation
+from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Tracks, TrackState
 
 FRAME_S = 0.05
@@ -35,7 +37,11 @@ IMAGES = [
 ]
 
 EXCESS = 1.02
-"""A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees, between which LEDs may be brighter."""
+"""A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees; LEDs may be brighter in between."""
+
+
+NEAR_DEG = 2.0
+"""An LED that shines only further than this, and half the box, from the box has nothing to do with it."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,7 @@ class Place:
         tracks: The track alone.
         is_plausible: Whether the guard has to protect it.
         leds_cd: Shape (P, 2, L): what the LEDs of each lamp shine towards sampled points of the box.
+        is_far: Shape (2, L): which LEDs shine nowhere near the box.
         limit_cd: The limit of either lamp.
         azimuths_rad: Shape (2,): the least and the greatest of the sampled directions.
     """
@@ -82,6 +89,7 @@ class Place:
     tracks: Tracks
     is_plausible: bool
     leds_cd: Floats
+    is_far: NDArray[np.bool_]
     limit_cd: float
     azimuths_rad: Floats
 
@@ -129,6 +137,8 @@ def places(lamps: Lamps, grid: Grid) -> Iterator[tuple[Any, Place]]:
         box = np.array([x - half_px, y - half_px, x + half_px, y + half_px])
         sigma_m = math.inf if math.isnan(range_m) else relative * range_m
         leds, azimuths = _towards(lamps, box, range_m, sigma_m)
+        around = box + np.array([-1, -1, 1, 1]) * (np.radians(NEAR_DEG) * CAMERA.focal_px[0] + half_px / 2)
+        is_far = _towards(lamps, around, range_m, sigma_m, 15)[0].max(axis=0) < 1e-3
         tracks = Tracks(
             ids=np.arange(1),
             states=np.array([TrackState.CONFIRMED if is_plausible else TrackState.TENTATIVE], np.int64),
@@ -142,12 +152,12 @@ def places(lamps: Lamps, grid: Grid) -> Iterator[tuple[Any, Place]]:
             detections=np.zeros(1, np.int64),
         )
         state = (azimuth_deg, elevation_deg, width_deg, range_m, relative, is_plausible)
-        yield state, Place(tracks, is_plausible, leds, limit_cd(range_m, sigma_m), azimuths)
+        yield state, Place(tracks, is_plausible, leds, is_far, limit_cd(range_m, sigma_m), azimuths)
 
 
-def _towards(lamps: Lamps, box: Floats, range_m: float, sigma_m: float) -> tuple[Floats, Floats]:
+def _towards(lamps: Lamps, box: Floats, range_m: float, sigma_m: float, count: int = 5) -> tuple[Floats, Floats]:
     """What the LEDs shine towards points of the box, shape (P, 2, L), and the extremes of their azimuths."""
-    columns, rows = np.clip(np.linspace(box[:2], box[2:], 5), 0, [CAMERA.width_px, CAMERA.height_px]).T
+    columns, rows = np.clip(np.linspace(box[:2], box[2:], count), 0, [CAMERA.width_px, CAMERA.height_px]).T
     rays = CAMERA.rays(np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)) @ MOUNT.rotation.T
     ranges_m = np.array([15.0, 25.0, 60.0, 1e6])
     if not math.isnan(range_m):
@@ -234,19 +244,18 @@ def _check_light(
         "no LED brightens faster than allowed": levels <= before + FRAME_S + 1e-12,
     }
     for invariant, is_kept in holds.items():
-        for number in np.flatnonzero(~is_kept.all(axis=(1, 2))):
+        for number in np.flatnonzero(~is_kept.all(axis=(1, 2))).tolist():
             outcome.broken(invariant, states[number])
     if not place.is_plausible:
-        for number in np.flatnonzero((np.abs(levels - slow) > 1e-12).any(axis=(1, 2))):
+        for number in np.flatnonzero((np.abs(levels - slow) > 1e-12).any(axis=(1, 2))).tolist():
             outcome.broken("nothing is dimmed without a vehicle", states[number])
         return
     shares = np.einsum("psl,nsl->nps", place.leds_cd, levels).max(axis=(1, 2)) / place.limit_cd
     outcome.greatest_share_of_limit = max(outcome.greatest_share_of_limit, float(shares.max()))
-    for number in np.flatnonzero(shares > EXCESS):
+    for number in np.flatnonzero(shares > EXCESS).tolist():
         outcome.broken("no more than the limit towards a vehicle", states[number])
-    is_far = place.leds_cd.max(axis=0) < 1e-9
-    for number in np.flatnonzero((is_far & (np.abs(levels - slow) > 1e-12)).any(axis=(1, 2))):
-        outcome.broken("an LED that does not shine there is not dimmed", states[number])
+    for number in np.flatnonzero((place.is_far & (np.abs(levels - slow) > 1e-12)).any(axis=(1, 2))).tolist():
+        outcome.broken("an LED that shines elsewhere is not dimmed", states[number])
     for (_, _, checked), state in zip(lit, states, strict=True):
         right, left = checked.gaps_rad[0]
         if not (right <= place.azimuths_rad[0] + 1e-4 and place.azimuths_rad[1] - 1e-4 <= left):
@@ -267,8 +276,6 @@ def outcome_table(outcome: Outcome) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from foreglow.photometry.headlamps import read_headlamps
-
     given = options(__doc__, "guard_sweep", arguments)
     outcome = sweep(read_headlamps(), QUICK if given.quick else Grid())
     CONSOLE.print(outcome_table(outcome))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import distance, simulator, tracking
+from benchmarks import beam, distance, guard_sweep, simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -89,6 +89,21 @@ def test_trackers_are_timed(tmp_path: Path) -> None:
     rows = json.loads((tmp_path / "tracking.json").read_text())["tracking"]
     assert {row["tracker"] for row in rows} >= {"published", "paper", "ours"}
     assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+
+
+def test_beam_commands_are_timed(tmp_path: Path) -> None:
+    pytest.importorskip("cantools")
+    beam.main(["--quick", "--out", str(tmp_path / "beam.json")])
+    rows = json.loads((tmp_path / "beam.json").read_text())["beam"]
+    assert {row["what"] for row in rows} >= {"guard and encode, 4 lamps", "encode", "decode"}
+    assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+
+
+def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
+    guard_sweep.main(["--quick", "--out", str(tmp_path / "sweep.json")])
+    results = json.loads((tmp_path / "sweep.json").read_text())
+    assert results["num_states"] > 10_000
+    assert results["num_counter_examples"] == 0
 
 
 def test_estimators_are_timed(tmp_path: Path) -> None:

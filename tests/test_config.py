@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from foreglow.config import (
     PRESETS,
     ClassifierConfig,
+    GuardConfig,
     PipelineConfig,
     ProposalConfig,
     TrackerConfig,
@@ -45,7 +46,20 @@ tracker_configs = st.builds(
     range_gate=st.just(float("inf")) | st.floats(0.1, 9),
     compensate_yaw=st.booleans(),
 )
-configs = st.builds(PipelineConfig, proposals=proposal_configs, classifier=classifier_configs, tracker=tracker_configs)
+guard_configs = st.builds(
+    GuardConfig,
+    white_level=st.none() | st.integers(1, 65535),
+    led_limits_cd=st.lists(st.floats(1, 9e3), min_size=1, max_size=5).map(
+        lambda limits: tuple((50.0 * place, limit) for place, limit in enumerate(sorted(limits)))
+    ),
+)
+configs = st.builds(
+    PipelineConfig,
+    proposals=proposal_configs,
+    classifier=classifier_configs,
+    tracker=tracker_configs,
+    guard=guard_configs,
+)
 
 
 def read_text(text: str, base: PipelineConfig | None = None) -> PipelineConfig:
@@ -104,7 +118,7 @@ def test_empty_file_is_the_base() -> None:
         ("[tracker]\nconfirmation = 'm_of_n'\nnum_looks = 4", "min_hits: expected at most num_looks, 4, got 5"),
         ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 1.5, got 3.5"),
         ("[tracker]\nrange_gate = nan", "tracker.range_gate: .*got nan"),
-        ("[beam]\na = 1", "beam: unknown, expected one of proposals, classifier, distance, tracker"),
+        ("[lamps]\na = 1", "lamps: unknown, expected one of proposals, classifier, distance, tracker"),
         ("proposals = 3", "proposals: .*got 3"),
         ("kappa =", "expected TOML: Invalid value"),
         ("[classifier]\nmodel = 3", "classifier.model: .*got 3"),
@@ -155,3 +169,26 @@ def test_the_detector_alone() -> None:
     assert (alone.distance.estimator, alone.tracker.method) == ("none", "none")
     assert (alone.proposals, alone.classifier) == (config.proposals, config.classifier)
     assert config.tracker.method != "none"
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("low_below_mps = 50.0", "low_below_mps: expected at most high_above_mps, 9.72222, got 50"),
+        ("led_limits_cd = []", "led_limits_cd: Tuple should have at least 1 item"),
+        ("led_limits_cd = [[1.0, 100.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
+        ("led_limits_cd = [[0.0, 100.0], [0.0, 200.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
+        ("led_limits_cd = [[0.0, 100.0], [50.0, 90.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
+        ("led_limits_cd = [[0.0, 0.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
+        ("led_limits_cd = [[0.0]]", "led_limits_cd.0"),
+    ],
+)
+def test_guard_that_makes_no_sense(line: str, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        read_text(f"[guard]\n{line}")
+
+
+def test_limits_of_the_guard() -> None:
+    guard = read_text("[guard]\nled_limits_cd = [[0, 100], [60, 100.0]]").guard
+    assert guard.led_limits_cd == ((0.0, 100.0), (60.0, 100.0))
+    assert GuardConfig(low_below_mps=9.0, high_above_mps=9.0).low_below_mps == 9.0

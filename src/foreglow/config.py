@@ -22,6 +22,10 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 """A row or column of a frame, pixels."""
 
 
+RangeLimit: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
+"""From which range on, metres, and the limit there."""
+
+
 class FrozenModel(BaseModel):
     """A frozen set of parameters: unknown fields, NaN, infinity and values of another type are errors."""
 
@@ -296,7 +300,7 @@ class GuardConfig(FrozenModel):
     max_saturated: Annotated[float, Field(gt=0, le=1)] = 0.25
     min_bright: Annotated[float, Field(ge=0, lt=1)] = 0.05
     white_level: Annotated[int | None, Field(ge=1, le=65535)] = None
-    led_limits_cd: Annotated[tuple[tuple[float, float], ...], Field(strict=False, min_length=1)] = (
+    led_limits_cd: Annotated[tuple[RangeLimit, ...], Field(strict=False, min_length=1)] = (
         (0.0, 150.0),
         (50.0, 275.0),
         (100.0, 1400.0),

@@ -80,7 +80,7 @@ SMALL = guard_sweep.Grid(
     ("name", "replacement", "invariant"),
     [
         ("dimmed", lambda levels, *_: levels, "no more than the limit towards a vehicle"),
-        ("dimmed", lambda levels, *_: levels * 0.5, "an LED that does not shine there is not dimmed"),
+        ("dimmed", lambda levels, *_: levels * 0.5, "an LED that shines elsewhere is not dimmed"),
         ("dimmed", lambda levels, *_: np.minimum(levels + 0.01, 1.0), "no LED brightens faster than allowed"),
         ("dimmed", lambda levels, *_: levels * 0.0, "light where nothing is wrong"),
         ("united", lambda gaps, ranges: (gaps + 0.02, ranges), "a gap covers the vehicle"),
@@ -118,7 +118,7 @@ def test_guard_imports_no_policy() -> None:
             if parts[:2] == ["foreglow", "beam"]:
                 own += [parts[2]] if parts[2] not in seen else []
             elif parts[0] == "foreglow":
-                assert parts[1] in {"config", "geometry", "types"}
+                assert parts[1] in {"config", "geometry", "rays", "types"}
     assert seen == {"guard", "faults", "camera_watch", "led_bounds", "sightlines"}
 
 
@@ -320,6 +320,12 @@ def test_tracks_that_do_not_age() -> None:
     assert not next_check(guard, frame_at(29), tracks_of([AHEAD], [50.0], ages_s=0.1, first_id=7)).faults
 
 
+def test_a_frame_that_came_twice_has_no_stale_tracks() -> None:
+    guard, tracks = running(), tracks_of([AHEAD], [50.0])
+    next_check(guard, frame_at(25), tracks)
+    assert_low(next_check(guard, frame_at(26, timestamp_ns=25 * FRAME_NS), tracks), GuardFault.FROZEN)
+
+
 def test_one_stale_track_of_several() -> None:
     guard = running()
     next_check(guard, frame_at(25), tracks_of([AHEAD, AHEAD + 50], [50.0, 60.0], ages_s=1.0))
@@ -351,7 +357,7 @@ def test_gaps_that_are_none(gaps: Any) -> None:
     assert_low(running().check(wanted, NOBODY, frame), GuardFault.BAD_COMMAND)
 
 
-@pytest.mark.parametrize("arrays", [{"levels": np.full((2, NUM_LEDS), 0.1)}, {"gaps_rad": np.array([[0.1, 0.2]])}])
+@pytest.mark.parametrize("arrays", [{"levels": np.eye(2, NUM_LEDS)}, {"gaps_rad": np.array([[0.1, 0.2]])}])
 def test_light_with_low_beam(arrays: Any) -> None:
     frame = frame_at(25)
     wanted = with_arrays(BeamCommand.low(frame.timestamp_ns, NUM_LEDS), **arrays)
@@ -376,8 +382,10 @@ def test_reset() -> None:
     first = next_check(guard, frame_at(25, timestamp_ns=5), tracks_of([AHEAD], [50.0], ages_s=0.1))
     assert not first.faults
     assert not first.levels.any()
+    assert not next_check(guard, frame_at(25, timestamp_ns=6), tracks_of([AHEAD], [50.0], ages_s=0.2)).faults
     guard.reset()
-    assert_low(next_check(guard, frame_at(26, timestamp_ns=6, speed_mps=9.0)), GuardFault.TOO_SLOW)
+    frame = frame_at(25, timestamp_ns=6, speed_mps=9.0)  # the third time the same image
+    assert_low(next_check(guard, frame), GuardFault.TOO_SLOW)
     guard.reset()
     assert not next_check(guard, frame_at(26, timestamp_ns=6)).faults
 

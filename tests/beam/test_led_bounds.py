@@ -35,13 +35,13 @@ def bound(least_deg: Floats, most_deg: Floats) -> Floats:
 @given(st.floats(-30, 30), st.floats(-6, 10), st.floats(0, 12), st.floats(0, 8))
 def test_above_what_is_shone(azimuth: float, elevation: float, width: float, height: float) -> None:
     least = np.array([azimuth, elevation])
-    most = least + [width, height]
+    most = least + np.array([width, height])
     told = bound(least, most)
     # At worst the peak lies in the middle of a cell, 0.1 degrees from its corners along both axes.
     assert (told * 1.02 + 1e-3 >= shone(least, most)).all()
     # A span of more than eight cells is looked up in larger ones, up to a quarter as large as the span.
     grown = 0.2 + np.array([width, height]).max() / 3.5
-    assert (told <= shone(least - grown, most + grown) * 1.02 + 1e-3).all()
+    assert (told <= shone(least - grown, most + grown, 160) * 1.02 + 1e-3).all()
 
 
 @pytest.mark.parametrize("azimuth", [-60.0, -44.95, 44.95, 60.0, 179.0])

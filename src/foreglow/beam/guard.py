@@ -17,12 +17,12 @@ from foreglow.beam.faults import GuardFault
 from foreglow.beam.led_bounds import Lamps, led_bounds
 from foreglow.beam.sightlines import Sightlines
 from foreglow.config import GuardConfig
-from foreglow.geometry import Camera, Floats
+from foreglow.geometry import Floats
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 
 
 class Guard:
-    """Checks one command after another. It raises nothing and repairs nothing but the light: doubt is low beam."""
+    """Checks one command after another: doubt is low beam."""
 
     def __init__(self, config: GuardConfig, lamps: Lamps) -> None:
         """Takes the limits, and where the lamps are and what their LEDs shine.
@@ -32,10 +32,10 @@ class Guard:
         """
         self._config = config
         self._bounds = led_bounds(lamps)
-        self._lamps_m = np.stack([lamps.left.vehicle_from_lamp.position_m, lamps.right.vehicle_from_lamp.position_m])
+        lamps_m = np.stack([lamps.left.vehicle_from_lamp.position_m, lamps.right.vehicle_from_lamp.position_m])
+        self._sightlines = Sightlines(lamps_m, config)
         self._limit_ranges_m, self._limits_cd = np.array(config.led_limits_cd).T
         self._watch = CameraWatch(config)
-        self._sightlines: tuple[Camera, Sightlines] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -66,6 +66,9 @@ class Guard:
             time_ns: The time now, by the frames' clock; None off line, where no time passes.
             pipeline_faults: What the pipeline says is wrong with it; any of it means low beam.
             is_vehicle: Shape (M,), which tracks are of a vehicle's lamps; None for all. Only plausible ones count.
+
+        Raises:
+            ValueError: If the camera's distortion cannot be undone; nothing else is an error here.
         """
         elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
         faults += self._watch.look(frame.image)
@@ -81,8 +84,8 @@ class Guard:
         is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
         if is_protected.any():
             ranges_m = tracks.ranges_m[is_protected]
-            spans_rad, nearest_m = self._sightlines_of(frame.camera).spans_rad(
-                tracks.boxes_xyxy_px[is_protected], ranges_m, tracks.sigmas_m[is_protected]
+            spans_rad, nearest_m = self._sightlines.spans_rad(
+                frame.camera, tracks.boxes_xyxy_px[is_protected], ranges_m, tracks.sigmas_m[is_protected]
             )
             limits_cd = self._limits_cd[np.searchsorted(self._limit_ranges_m, nearest_m, side="right") - 1]
             levels = dimmed(levels, self._bounds.towards(spans_rad), limits_cd)
@@ -123,7 +126,6 @@ class Guard:
         self, tracks: Tracks | None, is_vehicle: NDArray[np.bool_] | None, elapsed_s: float
     ) -> list[GuardFault]:
         if tracks is None:
-            self._ages_s = {}
             return [GuardFault.NO_TRACKS]
         numbers = (tracks.boxes_xyxy_px, tracks.confidences, tracks.ages_s)
         is_right = all(np.isfinite(array).all() for array in numbers)
@@ -146,12 +148,6 @@ class Guard:
         if wanted.timestamp_ns != frame.timestamp_ns:
             faults.append(GuardFault.STALE_COMMAND)
         return faults
-
-    def _sightlines_of(self, camera: Camera) -> Sightlines:
-        """Those of a camera, which is the same in frame after frame."""
-        if self._sightlines is None or self._sightlines[0] is not camera:
-            self._sightlines = camera, Sightlines(camera, self._lamps_m, self._config)
-        return self._sightlines[1]
 
 
 def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) -> Floats:

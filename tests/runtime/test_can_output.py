@@ -1,0 +1,188 @@
+"""Commands into CAN logs and onto buses: what is read back says the same."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
+from foreglow.beam.receiver import LampReceiver
+from foreglow.runtime.can_output import LOG_SUFFIXES, CanBusSink, CanLogSink
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Proposals
+
+can = pytest.importorskip("can")
+
+MS = 1_000_000
+PERIOD = 55 * MS
+IMAGE = np.zeros((2, 2), np.uint8)
+
+
+def result_at(time_ns: int, level: float = 1.0) -> tuple[Frame, FrameResult]:
+    beam = BeamCommand(
+        time_ns, BeamMode.GLARE_FREE, np.full((2, 84), level), np.array([[-0.1, 0.05]]), np.array([77.0])
+    )
+    return Frame(IMAGE, time_ns), FrameResult(0, time_ns, Proposals(np.zeros((0, 4), np.int32)), None, beam=beam)
+
+
+def without_beam(time_ns: int) -> tuple[Frame, FrameResult]:
+    return Frame(IMAGE, time_ns), FrameResult(0, time_ns, Proposals(np.zeros((0, 4), np.int32)), None)
+
+
+def read(path: Path, suffix: str) -> list[Any]:
+    reader = {".asc": can.ASCReader, ".blf": can.BLFReader, ".log": can.CanutilsLogReader}[suffix]
+    with path.open("rb" if suffix == ".blf" else "r") as file, reader(file) as log:
+        return list(log)
+
+
+@pytest.mark.parametrize("suffix", LOG_SUFFIXES)
+def test_log_comes_back(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"beam{suffix}"
+    sink, encoder = CanLogSink(path, ramp_s=1.0), CommandEncoder(1.0)
+    expected: list[CanFrame] = []
+    for number in range(6):
+        frame, result = result_at(1_700_000_000 * 10**9 + number * PERIOD, number / 5)
+        sink.write(frame, result)
+        assert result.beam is not None
+        expected += encoder.frames(result.beam)
+        sink.write(*without_beam(frame.timestamp_ns + MS))
+    assert not path.exists()
+    sink.close()
+    assert list(tmp_path.iterdir()) == [path]
+    messages = read(path, suffix)
+    assert [(one.arbitration_id, bytes(one.data)) for one in messages] == expected
+    assert all(one.is_fd and not one.is_extended_id for one in messages)
+    times_s = np.array([one.timestamp for one in messages])
+    np.testing.assert_allclose(times_s - times_s[0], np.repeat(np.arange(6), 5) * PERIOD / 1e9, atol=2e-6)
+    if suffix != ".asc":
+        assert times_s[0] == pytest.approx(1_700_000_000, abs=2e-3)
+
+
+@pytest.mark.parametrize("suffix", LOG_SUFFIXES)
+def test_times_from_zero(tmp_path: Path, suffix: str) -> None:
+    sink = CanLogSink(tmp_path / "beam.partial", suffix=suffix)
+    for number in range(3):
+        sink.write(*result_at(number * PERIOD))
+    sink.close()
+    messages = read(tmp_path / "beam.partial", suffix)
+    np.testing.assert_allclose([one.timestamp for one in messages[::5]], [0, 0.055, 0.11], atol=2e-6)
+    assert decode_levels([CanFrame(one.arbitration_id, bytes(one.data)) for one in messages[:4]]).levels.min() == 1.0
+    assert decode_gaps(messages[4].arbitration_id, bytes(messages[4].data)).gap_ranges_m == [76.0]
+
+
+@pytest.mark.parametrize("suffix", LOG_SUFFIXES)
+def test_without_commands(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"beam{suffix}"
+    sink = CanLogSink(path)
+    sink.write(*without_beam(0))
+    sink.close()
+    assert read(path, suffix) == []
+
+
+@pytest.mark.parametrize("suffix", LOG_SUFFIXES)
+@pytest.mark.parametrize("num_written", [0, 3])
+def test_discarded_log_leaves_nothing(tmp_path: Path, suffix: str, num_written: int) -> None:
+    path = tmp_path / f"beam{suffix}"
+    path.write_text("older")
+    sink = CanLogSink(path)
+    for number in range(num_written):
+        sink.write(*result_at(number * PERIOD))
+    sink.discard()
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == "older"
+
+
+def test_discarding_after_closing_does_nothing(tmp_path: Path) -> None:
+    sink = CanLogSink(tmp_path / "beam.log")
+    sink.write(*result_at(0))
+    sink.close()
+    sink.discard()
+    assert len(read(tmp_path / "beam.log", ".log")) == 5
+
+
+def test_other_kinds_of_logs(tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"beam\.csv: expected a CAN log that ends in \.asc, \.blf, \.log, got '\.csv'"
+    ):
+        CanLogSink(tmp_path / "beam.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"beam\.log"):
+        CanLogSink(tmp_path / "no" / "beam.log")
+
+
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sink = CanLogSink(tmp_path / "beam.log")
+
+    def fail(_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sink, "_log", fail)
+    with pytest.raises(OSError, match=r"No space left on device.*beam\.log"):
+        sink.write(*result_at(0))
+
+
+@pytest.mark.parametrize("make", [lambda: CanLogSink(Path("beam.log")), lambda: CanBusSink("virtual", "x")])
+def test_without_the_extra(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "can", None)
+    with pytest.raises(ModuleNotFoundError) as error:
+        make()
+    assert error.value.name == "can"
+
+
+@pytest.mark.parametrize(("interface", "channel"), [("virtual", "foreglow-beam"), ("udp_multicast", "239.74.163.2")])
+def test_bus_with_lamps(interface: str, channel: str) -> None:
+    if interface == "udp_multicast":
+        pytest.importorskip("msgpack")
+    try:
+        lamps_bus = can.Bus(interface=interface, channel=channel, fd=True)
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no such bus on this machine: {error}")
+    with lamps_bus:
+        sink, lamps = CanBusSink(interface, channel), LampReceiver()
+        for number in range(6):
+            sink.write(*result_at(number * PERIOD, 1.0))
+            for _ in range(5):
+                message = lamps_bus.recv(timeout=2.0)
+                assert message is not None
+                assert message.arbitration_id in (*LEVELS_IDS, GAPS_ID)
+                lamps.receive(number * PERIOD + 20 * MS, message.arbitration_id, bytes(message.data))
+        sink.write(*without_beam(6 * PERIOD))
+        assert lamps_bus.recv(timeout=0.01) is None
+        sink.close()
+        levels, faults = lamps.shining(5 * PERIOD + 20 * MS)
+        assert (levels == 1.0).all()
+        assert faults == ()
+        assert not lamps.shining(5 * PERIOD + 221 * MS)[0].any()
+
+
+def test_other_interfaces() -> None:
+    with pytest.raises(ValueError, match="nonsense:can0: expected an interface of python-can"):
+        CanBusSink("nonsense", "can0")
+
+
+def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    sink = CanBusSink("virtual", "foreglow-full")
+
+    def fail(_: Any) -> None:
+        raise can.CanOperationError("buffer full")
+
+    monkeypatch.setattr(sink, "_bus", type("Bus", (), {"send": staticmethod(fail), "shutdown": lambda _: None})())
+    with pytest.raises(OSError, match="virtual:foreglow-full: buffer full"):
+        sink.write(*result_at(0))
+    sink.discard()
+
+
+def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(**_: Any) -> None:
+        raise can.CanInitializationError("no such device")
+
+    monkeypatch.setattr(can, "Bus", fail)
+    with pytest.raises(OSError, match="socketcan:can7: no such device"):
+        CanBusSink("socketcan", "can7")
