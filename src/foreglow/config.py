@@ -306,7 +306,7 @@ class GuardConfig(FrozenModel):
         (100.0, 1400.0),
         (200.0, 5100.0),
     )
-    range_sigmas: Annotated[float, Field(gt=0, le=10)] = 2.0
+    range_sigmas: Annotated[float, Field(gt=0, le=10)] = 0.5
     min_range_m: Annotated[float, Field(ge=5, le=100)] = 15.0
     eyes_above_m: Annotated[float, Field(ge=0, le=5)] = 0.5
 

@@ -20,6 +20,7 @@ class Bearing:
 
     Attributes:
         azimuth_rad: Of the box's centre, to the left.
+        elevation_rad: Likewise, upwards.
         half_width_rad: Of the box.
         rate_radps: How fast it moves to the left.
         range_m: From the camera; NaN where unknown.
@@ -29,6 +30,7 @@ class Bearing:
     """
 
     azimuth_rad: float
+    elevation_rad: float
     half_width_rad: float
     rate_radps: float
     range_m: float
@@ -56,10 +58,11 @@ class Bearings:
         known, self._timestamp_ns, self._bearings = self._bearings, frame.timestamp_ns, {}
         if not len(tracks):
             return self._bearings
-        azimuths, halves = self._directions(frame.camera, tracks)
+        azimuths, elevations, halves = self._directions(frame.camera, tracks)
         rows = zip(
             tracks.ids.tolist(),
             azimuths,
+            elevations,
             halves,
             tracks.ranges_m.tolist(),
             tracks.direct_probabilities.tolist(),
@@ -67,22 +70,23 @@ class Bearings:
             tracks.is_plausible.tolist(),
             strict=True,
         )
-        for one, azimuth, half, range_m, direct, confidence, is_plausible in rows:
+        for one, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
             before, rate = known.get(one), 0.0
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
                     rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)
-            self._bearings[one] = Bearing(azimuth, half, rate, range_m, direct, confidence, is_plausible)
+            self._bearings[one] = Bearing(azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible)
         return self._bearings
 
-    def _directions(self, camera: Camera, tracks: Tracks) -> tuple[list[float], list[float]]:
-        """Azimuth of each box's centre, and half its width, radians."""
+    def _directions(self, camera: Camera, tracks: Tracks) -> tuple[list[float], list[float], list[float]]:
+        """Azimuth and elevation of each box's centre, and half its width, radians."""
         boxes = tracks.boxes_xyxy_px
         middles_px = 0.5 * (boxes[:, 1] + boxes[:, 3])
         pixels = np.empty((2 * len(boxes), 2))
         pixels[: len(boxes), 0], pixels[len(boxes) :, 0] = boxes[:, 0], boxes[:, 2]
         pixels[: len(boxes), 1] = pixels[len(boxes) :, 1] = middles_px
-        forward, left, _ = self._caster.cast(camera, pixels).directions.T
+        forward, left, up = self._caster.cast(camera, pixels).directions.T
         lefts, rights = np.arctan2(left, forward).reshape(2, -1)
-        return (0.5 * (lefts + rights)).tolist(), (0.5 * (lefts - rights)).tolist()
+        elevations = np.arcsin(up[: len(boxes)])
+        return (0.5 * (lefts + rights)).tolist(), elevations.tolist(), (0.5 * (lefts - rights)).tolist()

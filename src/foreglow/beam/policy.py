@@ -24,6 +24,12 @@ VEHICLE_M = 1.3
 BOX_SHARE = 0.15
 """Standard deviation of where a lamp is in its box, as a share of the box's width."""
 
+NEAREST_M = 20.0
+"""Nearer vehicles are beside the brightest part of the beam; a gap for one at 10 m would be as wide as all of it."""
+
+LOWEST_LAMP_RAD = math.radians(-5.0)
+"""No lamp is seen further down: at 10 m one of 0.5 m height is at this angle. What is, is light on the road."""
+
 UNKNOWN_NEAR_M = 40.0
 """What has no range may be as near as this, and at any distance beyond."""
 
@@ -170,9 +176,10 @@ class ForeglowPolicy:
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
-        acted = {one: bearing for one, bearing in bearings.items() if self._is_sure(bearing)}
+        seen = {one: bearing for one, bearing in bearings.items() if not self._is_road(bearing)}
+        acted = {one: bearing for one, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
-            acted |= {one: bearing for one, bearing in bearings.items() if _is_coming(bearing)}
+            acted |= {one: bearing for one, bearing in seen.items() if _is_coming(bearing)}
         self._held = {
             one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)
         }
@@ -180,7 +187,7 @@ class ForeglowPolicy:
             HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))
         }
         for one, (since_ns, gap) in held.items():
-            if one not in self._held and now_ns - since_ns <= self._hold_ns:
+            if one not in self._held and 0 <= now_ns - since_ns <= self._hold_ns:
                 self._held[one] = since_ns, gap
         return [gap for _, gap in self._held.values()]
 
@@ -190,8 +197,12 @@ class ForeglowPolicy:
         wanted = config.min_confidence if self._is_lamp(bearing) else config.min_hidden_confidence
         return bearing.is_plausible and bearing.confidence >= wanted
 
+    def _is_road(self, bearing: Bearing) -> bool:
+        """Whether a track that seems to be a lamp can be none."""
+        return self._is_lamp(bearing) and bearing.elevation_rad < LOWEST_LAMP_RAD
+
     def _is_lamp(self, bearing: Bearing) -> bool:
-        return math.isnan(bearing.direct) or bearing.direct > self._config.min_direct
+        return not bearing.direct <= self._config.min_direct
 
     def _lamp_gap(self, bearing: Bearing) -> Gap:
         near_m, _ = _bounds_m(bearing)
@@ -230,7 +241,10 @@ def _around(bearing: Bearing, half_rad: float) -> Gap:
 
 def _bounds_m(bearing: Bearing) -> tuple[float, float]:
     """Nearest and farthest range."""
-    return (UNKNOWN_NEAR_M, math.inf) if math.isnan(bearing.range_m) else (bearing.range_m, bearing.range_m)
+    if math.isnan(bearing.range_m):
+        return UNKNOWN_NEAR_M, math.inf
+    range_m = max(bearing.range_m, NEAREST_M)
+    return range_m, range_m
 
 
 def brightness(image: Image, box_xyxy_px: Floats) -> float:
