@@ -35,13 +35,15 @@ ROAD = RoadAhead(np.stack([np.arange(0.0, 400.0, 5.0), np.arange(0.0, 400.0, 5.0
 
 
 def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
-    """So many lights that come nearer: lamps, two a vehicle, by their probability `direct`, or light on things."""
+    """Lights that come nearer: lamps, two a vehicle, by their probability `direct`, or light on things."""
     random = np.random.default_rng(0)
     images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(3)]
     drawn = []
     for number in range(NUM_FRAMES):
         ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lights, dtype=np.float64)
-        lefts = 640.0 - 1350.0 * (3.0 + 1.3 * (np.arange(num_lights) % 2)) / ranges_m - 60 * (np.arange(num_lights) // 2)
+        lefts = (
+            640.0 - 1350.0 * (3.0 + 1.3 * (np.arange(num_lights) % 2)) / ranges_m - 60 * (np.arange(num_lights) // 2)
+        )
         half_px = 1350.0 * 0.4 / ranges_m
         boxes = np.stack([lefts - half_px, 500 - half_px, lefts + half_px, 500 + half_px], -1)
         frame = Frame(images[number % 3], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0), road=ROAD)
