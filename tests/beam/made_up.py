@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
 
 FRAME_NS = 55_555_556
 FAST_MPS = 20.0
+
+
+def guard_config(**changes: Any) -> GuardConfig:
+    """A guard that takes ranges as two sigmas off, and a second to brighten: the numbers of these tests."""
+    return GuardConfig(**({"range_sigmas": 2.0, "brightening_s": 1.0} | changes))
 
 
 @dataclass(frozen=True, eq=False)
