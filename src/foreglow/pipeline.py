@@ -40,9 +40,7 @@ class Pipeline:
         self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
         self._estimator = make_estimator(distance) if distance.estimator != "none" else None
         self._tracker = make_tracker(tracker) if tracker.method != "none" else None
-        self._beam = (
-            BeamStage(self.config.beam, self.config.guard) if self.config.beam.policy != "none" else None
-        )
+        self._beam = BeamStage(self.config.beam, self.config.guard) if self.config.beam.policy != "none" else None
 
     @property
     def dispatch(self) -> str | None:
