@@ -117,8 +117,8 @@ def test_scores_are_float32_with_column_of_logits(tmp_path: Path) -> None:
         ({"shape": (1, 1, 16, 16), "output_shape": (1,)}, "fixed batch of 1"),
         ({"shape": ("N", 16, 16), "axes": (1, 2)}, "got 3 dimensions"),
         ({"kind": TensorProto.DOUBLE}, r"expected float32, got tensor\(double\)"),
-        ({"output_shape": ("N", 16), "axes": (1, 2)}, r"output logits: expected shape \(N,\) or \(N, 1\)"),
-        ({"output_shape": ("N", 1, 16), "axes": (2,)}, r"output logits: expected shape \(N,\) or \(N, 1\)"),
+        ({"output_shape": ("N", 16), "axes": (1, 2)}, r"output logits: expected shape \(N,\), \(N, 1\) or \(N, 2\)"),
+        ({"output_shape": ("N", 1, 16), "axes": (2,)}, r"output logits: expected shape \(N,\), \(N, 1\) or \(N, 2\)"),
     ],
 )
 def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -131,7 +131,7 @@ def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> N
 
 def test_wrong_output_found_when_run(tmp_path: Path) -> None:
     model = write_model(tmp_path / "model.onnx", output_shape=("K",), copies=2)
-    with pytest.raises(ValueError, match="expected one logit for each of 3 crops"):
+    with pytest.raises(ValueError, match="expected one or two logits for each of 3 crops"):
         OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(3))
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
+from foreglow.runtime.records import FrameRecords
+from foreglow.types import Frame
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
-from tests.stand_ins import night_image
+from tests.stand_ins import night_image, result_of, tracks_of
 
 
 def write_split(root: Path) -> Path:
@@ -96,6 +100,23 @@ def test_report_on_predictions(tmp_path: Path, split: Path, predictions: Path) -
     assert foreglow_command("evaluate", split, "--predictions", predictions, "--out", again).exit_code == 0
     for name in names(out):
         assert (out / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_direct_light_is_rated_where_a_run_says_it(tmp_path: Path, split: Path) -> None:
+    records = FrameRecords(tmp_path / "frames.jsonl")
+    for image_id in (2, 4):
+        frame = Frame(night_image(image_id), image_id, frame=image_id)
+        result = result_of(frame, [[5, 5, 15, 15]], [0.9])
+        assert result.detections is not None
+        said = dataclasses.replace(result.detections, direct_probabilities=np.array([0.8], np.float32))
+        tracks = dataclasses.replace(tracks_of([[5, 5, 15, 15]]), direct_probabilities=np.array([0.4]))
+        records.write(frame, dataclasses.replace(result, detections=said, tracks=tracks))
+    records.close()
+    result = foreglow_command("evaluate", split, "--predictions", tmp_path / "frames.jsonl")
+    assert result.exit_code == 0, result.output
+    assert "direct or indirect, accepted boxes: balanced accuracy – (1.000 of 2 direct, – of 0" in result.stdout
+    assert "direct or indirect, plausible tracks: balanced accuracy – (0.000 of 2 direct, – of 0" in result.stdout
+    assert "pairs of tracks" not in result.stdout
 
 
 def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:

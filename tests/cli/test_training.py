@@ -90,6 +90,18 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     assert quality.recall > 0.8
 
 
+def test_several_data_sets_are_joined(data: Path, tmp_path: Path, options: list[object]) -> None:
+    """Their images may have the same numbers."""
+    more = make_drives(tmp_path / "more", num_images=2)
+    done = foreglow_command("train", data, more, *options[2:], "--out", tmp_path / "run", "--epochs", 1)
+    assert done.exit_code == 0, done.output
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["data"] == [str(data), str(more)]
+    assert summary["samples"]["train"] == {"positive": 24 + 8, "negative": 48 + 16, "ignored": 0}
+    assert summary["samples"]["val"] == {"positive": 12 + 4, "negative": 24 + 8, "ignored": 0}
+    assert len(list((tmp_path / "run" / "samples").iterdir())) == 4
+
+
 def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options: list[object]) -> None:
     out = tmp_path / "run"
     first = foreglow_command(*options, "--out", out, "--epochs", 2)
@@ -148,7 +160,7 @@ def test_the_paper_recipe_exports_its_network(data: Path, tmp_path: Path) -> Non
     """One step of the paper's network: exported in its own layout, calibrated, and checked against torch."""
     recipe = RECIPES["paper"].model_copy(update={"epochs": 1, "max_negatives_per_positive": 1.0})
     proposals = preset("paper").proposals.model_copy(update={"reference_width_px": 160})
-    trained = train_model(data, recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
+    trained = train_model([data], recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
     assert trained.summary["num_parameters"] == 942_209
     assert trained.summary["largest_difference_of_export"] < 1e-4
     assert np.isfinite(trained.result.val_logits).all()

@@ -28,6 +28,7 @@ def write_run(path: Path, *followed: Tracks | None) -> Path:
 
 def test_tracks_come_back_as_they_were(tmp_path: Path) -> None:
     written = tracks_of(BOXES, STATES, ids=[3, 8], ranges_m=[np.nan, 81.5], detections=[0, -1])
+    written = dataclasses.replace(written, direct_probabilities=np.array([0.123456789, np.nan]))
     tracks = read_tracks(write_run(tmp_path / "frames.jsonl", written, tracks_of([])))
     assert list(tracks) == [0, 2]
     assert len(tracks[2]) == 0

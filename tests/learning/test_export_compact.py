@@ -14,34 +14,38 @@ from foreglow.types import Frame, Proposals
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from foreglow.learning.calibrator import Calibrator  # noqa: E402
 from foreglow.learning.export_compact import write_compact  # noqa: E402
 from foreglow.learning.model_counts import count_model  # noqa: E402
+from foreglow.learning.model_export import calibrated, write_model  # noqa: E402
 from foreglow.learning.networks import CompactNetwork  # noqa: E402
 
 SPEC = InputSpec(32, 2, 0.25, len(FEATURES))
 
 
-def network(seed: int = 0) -> CompactNetwork:
+def network(seed: int = 0, num_outputs: int = 1) -> CompactNetwork:
     """A network whose batch normalisations have seen something."""
     torch.manual_seed(seed)
-    made = CompactNetwork(SPEC.num_channels, SPEC.num_features)
+    made = CompactNetwork(SPEC.num_channels, SPEC.num_features, num_outputs)
     made.train()
     for _ in range(3):
         made(torch.rand(64, 2, 32, 32), torch.rand(64, SPEC.num_features))
     return made.eval()
 
 
-def test_same_logits_as_in_torch(tmp_path: Path) -> None:
+@pytest.mark.parametrize("num_outputs", [1, 2])
+def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
     import onnxruntime as ort
 
-    made = network()
+    made = network(num_outputs=num_outputs)
     write_compact(made, SPEC, tmp_path / "model.onnx", {})
     crops, features = torch.rand(9, 2, 32, 32), torch.rand(9, SPEC.num_features)
     with torch.no_grad():
         wanted = made(crops, features).numpy()
     session = ort.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
     (found,) = session.run(None, {"crops": crops.numpy(), "features": features.numpy()})
-    np.testing.assert_allclose(found[:, 0], wanted, atol=1e-5)
+    assert found.shape == (9, num_outputs)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:
@@ -57,6 +61,23 @@ def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:
     classifier.reset()
     alone = classifier.classify(Frame(image, 250_000_000), boxes).scores
     assert not np.array_equal(alone, scores[1]), "the earlier frame makes a difference"
+
+
+def test_the_second_output_says_what_is_direct(tmp_path: Path) -> None:
+    """Calibrating the first moves the scores alone."""
+    boxes = Proposals(np.array([[40, 30, 60, 42], [70, 50, 90, 60]], np.int32))
+    frame = Frame(np.random.default_rng(0).integers(0, 256, (96, 128)).astype(np.uint8), 0)
+    found = []
+    for name, made in (("as_is", network(0, 2)), ("calibrated", calibrated(network(0, 2), Calibrator(2.0, 1.0)))):
+        write_model(made, SPEC, tmp_path / f"{name}.onnx", {})
+        found.append(OnnxClassifier(ClassifierConfig(model=tmp_path / f"{name}.onnx")).classify(frame, boxes))
+    assert np.isfinite(found[0].direct_probabilities).all()
+    np.testing.assert_allclose(found[1].direct_probabilities, found[0].direct_probabilities, atol=1e-6)
+    logits = [np.log(one.scores) - np.log1p(-one.scores) for one in found]
+    np.testing.assert_allclose(logits[1], logits[0] / 2 + 1, atol=1e-5)
+    write_compact(network(), SPEC, tmp_path / "one.onnx", {})
+    one = OnnxClassifier(ClassifierConfig(model=tmp_path / "one.onnx")).classify(frame, boxes)
+    assert np.isnan(one.direct_probabilities).all()
 
 
 def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:

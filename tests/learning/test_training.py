@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from foreglow.learning import training
-from foreglow.learning.batches import epoch_indices, sample_weights
+from foreglow.learning.batches import epoch_indices, is_direct, sample_weights
 from foreglow.learning.recipes import Recipe, changed
 from foreglow.learning.samples import Samples
 from foreglow.learning.training import Epoch, TrainingResult, train
@@ -52,7 +52,7 @@ def test_learns_a_blob_and_keeps_the_best_epoch(tmp_path: Path) -> None:
     assert result.num_train == 270
     assert result.num_val == 135
     used = VAL.labels != -1
-    is_right = (result.val_logits[used] > 0) == (VAL.labels[used] == 1)
+    is_right = (result.val_logits[used, 0] > 0) == (VAL.labels[used] == 1)
     assert is_right.mean() > 0.9
 
 
@@ -92,7 +92,7 @@ def test_a_finished_training_is_read_not_repeated(tmp_path: Path) -> None:
     first = run(tmp_path)
     again = run(tmp_path, progress=StopAfter(1, 1))
     assert weights(again) == weights(first)
-    assert again.epochs == first.epochs
+    assert figures(again) == figures(first)
 
 
 def test_validation_is_clean_whatever_the_augmentation(tmp_path: Path) -> None:
@@ -116,6 +116,42 @@ def test_validation_is_clean_whatever_the_augmentation(tmp_path: Path) -> None:
     crops = np.concatenate(seen).reshape(4, len(VAL), *VAL.crops.shape[1:])  # two trainings: an epoch, then the best
     for passed in crops:
         np.testing.assert_array_equal(passed, VAL.crops.astype(np.float32) / 255)
+
+
+def with_lamps(samples: Samples) -> Samples:
+    """The samples with light that is a lamp where a feature says so."""
+    is_lamp = samples.image_ids % 2 == 0
+    groups = np.where(samples.labels == 1, np.where(is_lamp, 0, 2), -1).astype(np.int8)
+    return dataclasses.replace(samples, groups=groups, features=is_lamp[:, None].astype(np.float32))
+
+
+def test_lamps_are_learnt_beside_light(tmp_path: Path) -> None:
+    lamps = {"train": with_lamps(TRAIN), "val": with_lamps(VAL)}
+    recipe = changed(RECIPE, {"epochs": 12, "direct_weight": 0.5})
+    result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 1, 2), **lamps)
+    assert result.val_logits.shape == (len(VAL), 2)
+    assert result.best.f1 > 0.9
+    assert result.best.direct_accuracy > 0.9
+    assert training.direct_accuracy(result.val_logits, lamps["val"]) == result.best.direct_accuracy
+    assert np.isnan(training.direct_accuracy(result.val_logits[:, :1], lamps["val"]))
+
+
+def test_only_light_whose_group_is_known_tells_lamps() -> None:
+    groups = np.array([0, 1, 2, -1, 0, 0], np.int8)
+    samples = dataclasses.replace(TRAIN[:6], labels=np.array([1, 1, 1, 1, 0, -1], np.int8), groups=groups)
+    np.testing.assert_array_equal(is_direct(samples), [1, 1, 0, np.nan, np.nan, np.nan])
+
+
+def test_both_kinds_are_needed_to_tell_them_apart(tmp_path: Path) -> None:
+    lamps = dataclasses.replace(TRAIN, groups=np.where(TRAIN.groups >= 0, 0, -1).astype(np.int8))
+    with pytest.raises(ValueError, match=r"train samples: expected lamps and light on something .* found \d+ and 0"):
+        run(tmp_path, changed(RECIPE, {"direct_weight": 0.5}), train=lamps)
+
+
+def test_a_network_without_the_second_output(tmp_path: Path) -> None:
+    fields = {"network": "paper", "inputs": {"size_px": 64, "lag_s": None, "num_features": 0}, "direct_weight": 1.0}
+    with pytest.raises(ValueError, match="direct_weight: expected 0, the network paper does not say what is direct"):
+        run(tmp_path, changed(RECIPE, fields), make_network=None)
 
 
 def test_ignored_samples_are_never_seen(tmp_path: Path) -> None:

@@ -33,21 +33,22 @@ RECIPE = Recipe(
 class TinyNetwork(nn.Module):
     """Reads crops and features; has dropout and batch normalisation, whose states a checkpoint must keep."""
 
-    def __init__(self, num_channels: int = 1, num_features: int = 0) -> None:
+    def __init__(self, num_channels: int = 1, num_features: int = 0, num_outputs: int = 1) -> None:
         super().__init__()
         self.conv = nn.Conv2d(num_channels, 8, 3, stride=2)
         self.norm = nn.BatchNorm2d(8)
         self.dropout = nn.Dropout(0.1)
-        self.out = nn.Linear(8 + num_features, 1)
+        self.out = nn.Linear(8 + num_features, num_outputs)
 
     def forward(self, crops: Tensor, features: Tensor) -> Tensor:
         x = torch.relu(self.norm(self.conv(crops))).amax(dim=(2, 3))
         logits: Tensor = self.out(torch.cat([self.dropout(x), features], dim=1))
-        return logits[:, 0]
+        return logits
 
 
 def make_tiny(recipe: Recipe) -> nn.Module:
-    return TinyNetwork(1 if recipe.inputs.lag_s is None else 2, recipe.inputs.num_features)
+    num_channels = 1 if recipe.inputs.lag_s is None else 2
+    return TinyNetwork(num_channels, recipe.inputs.num_features, recipe.num_outputs)
 
 
 def make_samples(num_samples: int, seed: int, **changed: Any) -> Samples:

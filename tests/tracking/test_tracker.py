@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from math import inf, isnan, nan
 from typing import Any, TypeAlias
@@ -47,6 +48,18 @@ def run(
 
 def states(history: Iterable[Tracks]) -> list[list[int]]:
     return [tracks.states.tolist() for tracks in history]
+
+
+def test_lamps_are_told_from_their_light_by_a_moving_mean() -> None:
+    """A miss leaves it, what the model does not say leaves it, and the first that is known begins it."""
+    tracker = paper(alpha_confidence=0.25)
+    found = []
+    for place, direct in enumerate([nan, 0.5, 1.0, None, nan, 0.0]):
+        detections = detections_of(*([] if direct is None else [LAMP]))
+        if direct is not None:
+            detections = dataclasses.replace(detections, direct_probabilities=np.array([direct], np.float32))
+        found += tracker.update(frame_at(place * FRAME_S), detections, None).direct_probabilities.tolist()
+    np.testing.assert_allclose(found, [nan, 0.5, 0.625, 0.625, 0.625, 0.46875])
 
 
 class TestPaper:

@@ -12,7 +12,7 @@ import numpy as np
 from foreglow.beam.bearings import Bearing, Bearings, range_bounds_m
 from foreglow.beam.dimming import Dimmer, Ramp
 from foreglow.beam.gaps import Gap, merged
-from foreglow.beam.occurrence import occurrence
+from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
@@ -133,9 +133,12 @@ class ForeglowPolicy:
     * A lamp's gap leads it by the latency, and holds the whole vehicle at the nearest range that is likely.
     * Light on other things is not what is to be protected. Its vehicle is further along the road: the gap covers most
       of the probability of where it will appear (`occurrence`). Without a road the light itself is taken for the place.
-    * Light that a lamp in sight explains opens nothing.
+    * While a lamp is in sight, light on other things is taken for its own, and opens nothing.
     * While a gap is open, lamps that are not confirmed yet are taken for true: a vehicle that comes into sight needs
       a few frames until it is believed, and what is done for it is under way already.
+
+    Attributes:
+        expected: Where and when a hidden vehicle was expected in the latest frame; None without one, or without a road.
     """
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
@@ -151,6 +154,7 @@ class ForeglowPolicy:
         self._bearings.reset()
         self._writer.reset()
         self._held: dict[int, tuple[int, Gap]] = {}
+        self.expected: Occurrence | None = None
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
@@ -195,15 +199,16 @@ class ForeglowPolicy:
         )
 
     def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
-        """The gap for a hidden vehicle, if there is light that nothing in sight explains."""
-        lights = [one for one in acted if one.is_plausible and not one.direct > self._config.min_direct]
-        lamps_m = [one.range_m for one in acted if one.direct > self._config.min_direct]
-        lights = [one for one in lights if not any(lamp_m >= one.range_m - one.sigma_m for lamp_m in lamps_m)]
+        """The gap for a hidden vehicle, if there is light and no lamp in sight."""
+        self.expected = None
+        if any(one.direct > self._config.min_direct for one in acted):
+            return []
+        lights = [one for one in acted if one.is_plausible]
         if not lights:
             return []
         if frame.road is not None:
             farthest_m = max((one.range_m for one in lights if not math.isnan(one.range_m)), default=math.nan)
-            expected = occurrence(frame.road, farthest_m)
+            expected = self.expected = occurrence(frame.road, farthest_m)
             if expected is not None:
                 rest = 0.5 * (1.0 - self._config.coverage)
                 right, left = expected.quantiles_rad((rest, 1.0 - rest))

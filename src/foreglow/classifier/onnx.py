@@ -28,8 +28,8 @@ class OnnxClassifier:
     """Scores the crops of proposals with ONNX Runtime on the CPU.
 
     The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, 7), as
-    `classifier.inputs` makes them. It writes one logit a crop, shape (N,) or (N, 1). Its metadata may name a `support`,
-    and must name the `lag_s` where C is 2.
+    `classifier.inputs` makes them. It writes logits of light, shape (N,) or (N, 1), or with those of a lamp itself
+    beside them, shape (N, 2). Its metadata may name a `support`, and must name the `lag_s` where C is 2.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -61,19 +61,20 @@ class OnnxClassifier:
             proposals: Boxes in this frame.
 
         Raises:
-            ValueError: If the model writes something else than one finite logit a crop.
+            ValueError: If the model writes something else than one or two finite logits a crop.
         """
         threshold = self.config.score_threshold
         inputs = self._maker.make(frame, proposals)
         if len(proposals) == 0:
             return Detections(proposals, np.zeros(0, np.float32), threshold)
         logits = self._logits(inputs)
-        if not math.isfinite(np.add.reduce(logits)):
+        if not math.isfinite(np.add.reduce(logits, axis=None)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
-        return Detections(proposals, _sigmoid(logits), threshold)
+        scores, *direct = _sigmoid(logits).T
+        return Detections(proposals, scores, threshold, *direct)
 
     def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:
-        """Shape (N,), batch by batch."""
+        """Shape (N, 1) or (N, 2), batch by batch."""
         arrays = (inputs.crops, inputs.features)[: len(self._names)]
         starts = range(0, len(inputs.crops), _MAX_BATCH)
         batches = [self._run([array[start : start + _MAX_BATCH] for array in arrays]) for start in starts]
@@ -82,11 +83,12 @@ class OnnxClassifier:
     def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:
         output: NDArray[np.float32] = self._session.run(self._outputs, dict(zip(self._names, batch, strict=True)))[0]
         num_crops = len(batch[0])
-        if output.shape not in ((num_crops,), (num_crops, 1)):
+        if output.shape not in ((num_crops,), (num_crops, 1), (num_crops, 2)):
             raise ValueError(
-                f"{self._path}: output: expected one logit for each of {num_crops} crops, got shape {output.shape}"
+                f"{self._path}: output: expected one or two logits for each of {num_crops} crops, "
+                f"got shape {output.shape}"
             )
-        return output.reshape(-1)
+        return output.reshape(num_crops, -1)
 
 
 def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -185,8 +187,8 @@ def _checked_output(path: Path, session: InferenceSession) -> str:
     if len(nodes) != 1:
         raise ValueError(f"{path}: outputs: expected one, got {len(nodes)}")
     name, shape = _checked(path, nodes[0], "output")
-    if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] != 1):
-        raise ValueError(f"{path}: output {name}: expected shape (N,) or (N, 1) with a free N, got {shape}")
+    if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] not in (1, 2)):
+        raise ValueError(f"{path}: output {name}: expected shape (N,), (N, 1) or (N, 2) with a free N, got {shape}")
     return name
 
 

@@ -89,9 +89,16 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     """All figures of predictions in a file."""
     from foreglow.datasets import PVDN
     from foreglow.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.evaluation.directness import directness, read_cameras
+    from foreglow.evaluation.track_file import has_tracks, read_tracks
 
-    found = read_predictions(predictions)
-    return examine(read_split_labels(PVDN(split)), found, threshold, str(predictions))
+    dataset = PVDN(split)
+    found, labels = read_predictions(predictions), read_split_labels(dataset)
+    examination = examine(labels, found, threshold, str(predictions))
+    if not has_tracks(predictions):
+        return examination
+    of_tracks = directness(labels, found, threshold, read_tracks(predictions), read_cameras(dataset))
+    return dataclasses.replace(examination, directness=of_tracks)
 
 
 def _examined_model(split: Path, configuration: PipelineConfig, out: Path | None, seed: int | None) -> Examination:

@@ -20,8 +20,10 @@ from foreglow.cli.app import (
 )
 
 if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
     from foreglow.datasets import SplitName
     from foreglow.experiments.detector_plan import DetectorPlan
+    from foreglow.experiments.glare import GlarePlan, NamedScene
 
 TrainedOption = Annotated[Path | None, file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
 
@@ -156,3 +158,54 @@ def experiment_time_benefit(
         results = run_experiment(dataset, configuration_of(preset, config, model), categories, progress)
     report = write_report(results, out)
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
+
+
+@experiments.command("glare")
+def experiment_glare(
+    scenes: Annotated[Path, argument(metavar="SCENES", help="A simulated split, or its scenes.jsonl.")],
+    out: Annotated[Path, folder(help="Folder for the report; an interrupted experiment in it goes on.")],
+    num: Annotated[int | None, typer.Option("--scenes", min=1, metavar="N", help="Only the first N scenes.")] = None,
+    empty: Annotated[int, typer.Option(min=0, metavar="N", help="Drive the first N again without traffic.")] = 0,
+    camera_delay: Annotated[float, typer.Option(metavar="S", help="From exposure to the command on the bus.")] = 0.05,
+    lamp_delay: Annotated[float, typer.Option(metavar="S", help="From there to the light.")] = 0.1,
+    video: Annotated[str | None, typer.Option(metavar="NAME", help="Also film this scene, such as S00004.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it renders.")] = "training",
+    seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 1,
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+) -> None:
+    """Drive scenes in closed loop with six beam policies, and measure the light at other drivers' eyes in lux."""
+    from foreglow.experiments.glare import GlarePlan, named_scenes, run_experiment
+    from foreglow.experiments.glare_loop import Delays
+    from foreglow.reports.figures import require_matplotlib
+    from foreglow.reports.glare_page import summary_lines, write_experiment
+    from foreglow.reports.progress import SceneProgress
+
+    require_matplotlib()
+    delays = Delays(camera_s=camera_delay, lamp_s=lamp_delay)
+    plan = GlarePlan(num_scenes=num, num_empty=empty, delays=delays, quality=quality, seed=seed)
+    wanted = named_scenes(scenes, plan)
+    if video not in (None, *(one.name for one in wanted)):
+        raise ValueError(f"--video: expected one of the scenes, {wanted[0].name} to {wanted[-1].name}, got {video!r}")
+    configuration = configuration_of(preset, config, model)
+    with contextlib.closing(SceneProgress(len(wanted), sum(one.scene.num_frames for one in wanted))) as progress:
+        experiment = run_experiment(scenes, configuration, plan, out, jobs=jobs, progress=progress)
+    if video is not None:
+        _film(next(one for one in wanted if one.name == video), configuration, plan, out)
+    report = write_experiment(experiment)
+    typer.echo("\n".join([*summary_lines(experiment.results), f"look in {report}"]))
+
+
+def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
+    """Drives a scene once more and films it."""
+    from foreglow.experiments.glare_drives import Drives
+    from foreglow.experiments.glare_loop import with_beam_policy
+    from foreglow.photometry import read_headlamps
+    from foreglow.reports.glare_film import write_film
+
+    drives = Drives(with_beam_policy(config, plan.delays), plan.delays, plan.quality)
+    titles, rate_hz = ("paper", "foreglow"), named.scene.rate_hz
+    headlamps = read_headlamps(config.beam.headlamps)
+    write_film(drives.pairs(named.scene), titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")

@@ -80,7 +80,7 @@ def tune(
 
 @app.command()
 def train(
-    data: Annotated[Path, argument(metavar="DATA", help="A data set in PVDN's format, with train and val.")],
+    data: Annotated[list[Path], argument(metavar="DATA...", help="Data sets in PVDN's format, with train and val.")],
     out: Annotated[Path, folder(help="Folder for the model; an interrupted training in it goes on.")],
     recipe: Annotated[
         str, typer.Option(metavar="paper|foreglow", help="How to train, and which network.")

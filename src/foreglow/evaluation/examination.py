@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,6 +21,7 @@ from foreglow.evaluation.breakdown import (
 )
 from foreglow.evaluation.calibration import Calibration, calibration
 from foreglow.evaluation.curves import QualityCurve, RecallCurve, quality_curve
+from foreglow.evaluation.directness import Directness, directness_of_boxes
 from foreglow.evaluation.first_found import FirstFound, first_found, share_found_ahead
 from foreglow.evaluation.predictions import Predictions
 from foreglow.evaluation.robustness import RobustnessRow
@@ -107,6 +108,7 @@ class Examination:
         ranking: Figures over all thresholds; None for boxes without scores.
         run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
         robustness: Figures under disturbances; empty where not asked for.
+        directness: How well lamps are told from their light on something, and grouped into vehicles.
     """
 
     name: str
@@ -118,6 +120,7 @@ class Examination:
     ranking: Ranking | None
     run_time_ms: Mapping[str, RunTime]
     robustness: tuple[RobustnessRow, ...] = ()
+    directness: Directness = field(default_factory=Directness)
 
     def to_json(self) -> dict[str, Any]:
         """Everything by name, for JSON: null instead of NaN."""
@@ -132,6 +135,7 @@ class Examination:
             "ranking": None if self.ranking is None else self.ranking.to_json(),
             "run_time_ms": {stage: dict(times) for stage, times in self.run_time_ms.items()},
             "robustness": [row.to_json() for row in self.robustness],
+            "directness": self.directness.to_json(),
         }
 
 
@@ -174,7 +178,7 @@ def examine(
     detector: str,
     run_time_ms: Mapping[str, RunTime] | None = None,
 ) -> Examination:
-    """All figures of `predictions` on a split, but for robustness.
+    """All figures of `predictions` on a split, but for those of robustness and of tracks.
 
     Args:
         labels: Of the split.
@@ -193,4 +197,5 @@ def examine(
         vehicles=first_found(labels, matched, threshold),
         ranking=rank(labels, predictions) if matched.matches.is_scored else None,
         run_time_ms=run_time_ms or {},
+        directness=Directness(directness_of_boxes(labels, predictions, threshold)),
     )

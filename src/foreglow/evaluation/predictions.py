@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
@@ -27,11 +27,14 @@ class Predictions:
         boxes_xyxy_px: By image id, shape (N, 4), float64, columns x1, y1, x2, y2, full-frame pixels.
         scores: By image id, shape (N,), float64; 1 where nothing was scored.
         is_scored: False if the boxes came without scores: then every one counts, whatever the threshold.
+        direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown; no
+            images where nothing says so.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
     scores: Mapping[int, NDArray[np.float64]]
     is_scored: bool = True
+    direct_probabilities: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.boxes_xyxy_px.keys() != self.scores.keys():
@@ -57,6 +60,7 @@ class FrameLine(Record):
 class _FrameLine(FrameLine):
     proposals_xyxy_px: tuple[_Box, ...]
     scores: tuple[Number, ...] | None = None
+    direct: tuple[Number | None, ...] | None = None
 
 
 class _ScoredBoxes(Record):
@@ -80,8 +84,9 @@ def read_predictions(path: Path | str) -> Predictions:
     """The predictions in the file at `path`.
 
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
-    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines. Any other name holds one JSON
-    object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as the published code writes.
+    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, and `direct` in any line. Any
+    other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as the
+    published code writes.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -121,6 +126,7 @@ def frame_lines(data: bytes, model: type[Line], path: Path) -> Iterator[tuple[st
 def _from_lines(data: bytes, path: Path) -> Predictions:
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
+    direct: dict[int, NDArray[np.float64]] = {}
     is_scored: bool | None = None
     for origin, parsed in frame_lines(data, _FrameLine, path):
         if is_scored is None:
@@ -129,7 +135,9 @@ def _from_lines(data: bytes, path: Path) -> Predictions:
             raise ValueError(f"{origin}: scores: expected in every line or in none, differs from the lines before")
         boxes[parsed.frame] = _as_boxes(parsed.proposals_xyxy_px)
         scores[parsed.frame] = _as_scores(parsed.scores, len(parsed.proposals_xyxy_px), origin)
-    return Predictions(boxes, scores, is_scored is not False)
+        if parsed.direct is not None:
+            direct[parsed.frame] = _as_scores(parsed.direct, len(parsed.proposals_xyxy_px), origin, "direct")
+    return Predictions(boxes, scores, is_scored is not False, direct)
 
 
 def _from_object(data: bytes, path: Path) -> Predictions:
@@ -158,11 +166,14 @@ def _as_boxes(boxes: tuple[_Box, ...]) -> NDArray[np.float64]:
     return np.array(boxes, np.float64).reshape(-1, 4)
 
 
-def _as_scores(scores: tuple[float, ...] | None, num_boxes: int, origin: str) -> NDArray[np.float64]:
+def _as_scores(
+    scores: tuple[float | None, ...] | None, num_boxes: int, origin: str, name: str = "scores"
+) -> NDArray[np.float64]:
+    """Shape (N,), NaN for a box without; all 1 where there are none at all."""
     if scores is None:
         return np.ones(num_boxes)
     if len(scores) != num_boxes:
-        raise ValueError(f"{origin}: scores: expected {num_boxes}, one a box, got {len(scores)}")
+        raise ValueError(f"{origin}: {name}: expected {num_boxes}, one a box, got {len(scores)}")
     return np.array(scores, np.float64)
 
 

@@ -26,10 +26,21 @@ class _TrackRecord(Record):
     range_m: Number | None
     range_sigma_m: Annotated[Number, Field(gt=0)] | None
     detection: Annotated[int, Field(ge=-1)]
+    direct: Annotated[Number, Field(ge=0, le=1)] | None = None
 
 
 class _FrameLine(FrameLine):
     tracks: tuple[_TrackRecord, ...] | None = None
+
+
+def has_tracks(path: Path | str) -> bool:
+    """Whether the file at `path` is the `frames.jsonl` of a run with a tracker, by its first line."""
+    path = Path(path)
+    if path.suffix.lower() != ".jsonl" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        lines = frame_lines(file.readline(), _FrameLine, path)
+        return any(parsed.tracks is not None for _, parsed in lines)
 
 
 def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
@@ -132,4 +143,5 @@ def _tracks(records: tuple[_TrackRecord, ...]) -> Tracks:
             [math.inf if one.range_sigma_m is None else one.range_sigma_m for one in records], np.float64
         ),
         detections=np.array([one.detection for one in records], np.int64),
+        direct_probabilities=np.array([math.nan if one.direct is None else one.direct for one in records], np.float64),
     )

@@ -176,7 +176,7 @@ def _train(name: str, place: Workplace, folder: Path) -> None:
 
     spec, plan = ROWS[name], place.plan
     train_model(
-        place.data,
+        [place.data],
         _recipe(spec.recipe, plan),
         preset(spec.preset),
         folder,

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def write_compact(network: CompactNetwork, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
     """Writes `network` to `path`, replacing what is there only once the new file is complete.
 
-    The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N,
-    1). Its metadata say what it reads.
+    The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N, 1)
+    or (N, 2). Its metadata say what it reads.
 
     Raises:
         OSError: If the file cannot be written; nothing is left behind then.
@@ -60,7 +60,7 @@ def build_compact(network: CompactNetwork, spec: InputSpec, metadata: Mapping[st
         helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", spec.num_channels, spec.size_px, spec.size_px]),
         helper.make_tensor_value_info("features", TensorProto.FLOAT, ["N", spec.num_features]),
     ]
-    outputs = [helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N", 1])]
+    outputs = [helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N", network.last.out_features])]
     model = helper.make_model(
         helper.make_graph(graph.nodes, "foreglow_classifier", inputs, outputs, graph.constants),
         producer_name="foreglow",

@@ -21,18 +21,18 @@ MAX_DIFFERENCE = 1e-3
 
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
-    """A copy of `network` whose logits are calibrated: its last layer, a linear one of one output, takes it in.
+    """A copy of `network` whose first logits are calibrated: its last linear layer takes it in.
 
     Raises:
-        ValueError: If the network has no such layer.
+        ValueError: If the network has no such layer of one or two outputs.
     """
     network = copy.deepcopy(network).eval()
-    last = [layer for layer in network.modules() if isinstance(layer, nn.Linear) and layer.out_features == 1]
+    last = [layer for layer in network.modules() if isinstance(layer, nn.Linear) and layer.out_features in (1, 2)]
     if not last or last[-1].bias is None:
-        raise ValueError("network: expected a linear layer of one output, with a bias, at its end")
+        raise ValueError("network: expected a linear layer of one or two outputs, with a bias, at its end")
     with torch.no_grad():
-        last[-1].weight.div_(calibrator.temperature)
-        last[-1].bias.div_(calibrator.temperature).add_(calibrator.shift)
+        last[-1].weight[0].div_(calibrator.temperature)
+        last[-1].bias[0].div_(calibrator.temperature).add_(calibrator.shift)
     return network
 
 
@@ -60,7 +60,7 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
 
 
 def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]) -> float:
-    """How far the logits of the model at `path` are from `logits`, shape (N,): the largest, over 1 + its size.
+    """How far the logits of the model at `path` are from `logits`, shape (N, outputs): the largest, over 1 + its size.
 
     Raises:
         ValueError: If the model cannot be run on these samples, or the difference is above `MAX_DIFFERENCE`.
@@ -76,7 +76,7 @@ def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]
     wanted = [node.name for node in session.get_inputs()]
     if not set(wanted) <= given.keys():
         raise ValueError(f"{path}: inputs: expected crops, and features where they are read, got {', '.join(wanted)}")
-    found = session.run(None, {name: given[name] for name in wanted})[0].reshape(-1)
+    found = session.run(None, {name: given[name] for name in wanted})[0]
     difference = float(np.max(np.abs(found - logits) / (1 + np.abs(logits)), initial=0.0))
     if not difference <= MAX_DIFFERENCE:
         raise ValueError(f"{path}: expected the logits of torch to within {MAX_DIFFERENCE:g}, got {difference:.2g}")

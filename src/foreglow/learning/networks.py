@@ -13,7 +13,7 @@ from foreglow.classifier.inputs import InputSpec
 class ArtifactNetwork(nn.Module):
     """The paper's classifier: is the light artifact in this crop the light of an oncoming vehicle?
 
-    Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N,). No convolution is padded. Batch normalisation follows
+    Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N, 1). No convolution is padded. Batch normalisation follows
     ReLU and pooling, as in the published code, whose names of the parameters are kept.
 
     Source: Ewecker et al., arXiv 2107.11302, figure of the network; published code for what it leaves open.
@@ -47,17 +47,18 @@ class ArtifactNetwork(nn.Module):
         x = self.dropout(torch.relu(self.int_out["afc1"](x.flatten(1))))
         x = torch.relu(self.int_out["afc2"](x))
         logits: Tensor = self.int_out["afc3"](x)
-        return logits[:, 0]
+        return logits
 
 
 class CompactNetwork(nn.Module):
     """Our classifier for one processor core: 1.3 million multiply-adds a crop.
 
-    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N,). The last
-    convolutions keep where in the crop things are: the box is always its middle.
+    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N, 1), of light,
+    or (N, 2), of light and of a lamp itself. The last convolutions keep where in the crop things are: the box is
+    always its middle.
     """
 
-    def __init__(self, num_channels: int, num_features: int) -> None:
+    def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__()
         self.body = nn.Sequential(
             *_block(num_channels, 16, 5, stride=2),  # 32 -> 16
@@ -67,13 +68,13 @@ class CompactNetwork(nn.Module):
         )
         self.hidden = nn.Linear(32 * 4 * 4 + num_features, 48)
         self.dropout = nn.Dropout(0.2)
-        self.last = nn.Linear(48, 1)
+        self.last = nn.Linear(48, num_outputs)
 
     def forward(self, crops: Tensor, features: Tensor) -> Tensor:
-        """One logit a crop."""
+        """One logit of each output a crop."""
         x = torch.cat([self.body(crops).flatten(1), features], dim=1)
         logits: Tensor = self.last(self.dropout(torch.relu(self.hidden(x))))
-        return logits[:, 0]
+        return logits
 
 
 def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
@@ -81,8 +82,8 @@ def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Mod
     return [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
 
 
-NETWORKS: dict[str, Callable[[InputSpec], nn.Module]] = {
-    "paper": lambda spec: ArtifactNetwork(),  # noqa: ARG005
-    "compact": lambda spec: CompactNetwork(spec.num_channels, spec.num_features),
+NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
+    "paper": lambda spec, num_outputs: ArtifactNetwork(),  # noqa: ARG005
+    "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
-"""Untrained networks by name, for what they shall read."""
+"""Untrained networks by name, for what they shall read and how many logits they shall write."""

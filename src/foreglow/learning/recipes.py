@@ -70,6 +70,8 @@ class Recipe(FrozenModel):
             count among the positives: 0 each sample alike, 1 each group alike; weights go with 1 / number to this
             power, and are 1 on average.
         label_smoothing: Labels are drawn by this share towards 1/2.
+        direct_weight: Weight of a second loss, of lamps against their light on something, which count alike; 0 for
+            networks that only say whether there is light.
         max_negatives_per_positive: Each epoch sees at most this many negatives for each positive, others each time;
             None for all.
         augmentation: What is done to crops; validation samples are never touched.
@@ -100,6 +102,7 @@ class Recipe(FrozenModel):
     positive_weight: Literal["balanced", "equal"] = "balanced"
     group_balance: Share = 0.0
     label_smoothing: Share = 0.0
+    direct_weight: Annotated[float, Field(ge=0, le=10)] = 0.0
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1"] = "loss"
@@ -114,6 +117,11 @@ class Recipe(FrozenModel):
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self
+
+    @property
+    def num_outputs(self) -> int:
+        """Logits of a sample: of light, and of a lamp itself where that is learnt."""
+        return 2 if self.direct_weight else 1
 
 
 RECIPES: dict[str, Recipe] = {
@@ -143,6 +151,7 @@ RECIPES: dict[str, Recipe] = {
         ema_decay=0.998,
         max_negatives_per_positive=4.0,
         group_balance=0.25,
+        direct_weight=0.5,
         augmentation=Augmentation(
             flip=0.5,
             rotation_deg=8.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
@@ -88,8 +89,8 @@ class Samples:
         groups: Shape (N,), int8: of the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
             plus 1 where its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
-        image_ids: Shape (N,), int64.
-        sequence_ids: Shape (N,), int32.
+        image_ids: Shape (N,), int64; each data set counts its own.
+        sequence_ids: Shape (N,), int32; likewise.
         digest: Of the data and the configuration that they were made from; empty where unknown.
 
     Raises:
@@ -147,6 +148,20 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
 assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
 
 
+def joined(parts: Sequence[Samples]) -> Samples:
+    """The samples of several data sets, one or more, in one; in memory, unless it is a single one.
+
+    Raises:
+        ValueError: If they were not made for the same inputs.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
+    has_digests = all(part.digest for part in parts)
+    digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
+    return Samples(**arrays, digest=digest)
+
+
 def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Samples:
     """All samples of the selected images of `dataset`, in memory.
 
@@ -159,8 +174,7 @@ def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | No
     parts = list(samples_by_image(dataset, config, progress))
     if not parts:
         return no_samples(config.inputs)
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
-    return Samples(**arrays)
+    return joined(parts)
 
 
 def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Iterator[Samples]:

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foreglow.evaluation.calibration import log_loss
+from foreglow.evaluation.directness import balanced_accuracy
 from foreglow.files import write_atomic
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.learning.augmentation import augment
-from foreglow.learning.batches import batches, content_digest, epoch_indices, sample_weights
+from foreglow.learning.batches import batches, content_digest, epoch_indices, is_direct, sample_weights
 from foreglow.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.learning.recipes import Recipe
 from foreglow.learning.samples import Samples
@@ -35,7 +36,7 @@ from foreglow.learning.schedules import learning_rate
 from foreglow.learning.scores import box_scores
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
-"""An untrained network, called as `network(crops, features)`, which gives logits of shape (N,)."""
+"""An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""
 
 CURVES = "curves.csv"
 
@@ -55,6 +56,8 @@ class Epoch:
         precision: Of the validation boxes at a score of 0.5.
         recall: Likewise.
         f1: Likewise; NaN without positives.
+        direct_accuracy: How well lamps are told from their light among the validation boxes with light, mean over
+            the two at a probability of 0.5; NaN where that is not learnt.
         seconds: It took, validation included.
     """
 
@@ -65,6 +68,7 @@ class Epoch:
     precision: float
     recall: float
     f1: float
+    direct_accuracy: float
     seconds: float
 
 
@@ -76,7 +80,8 @@ class TrainingResult:
         network: With the weights of the best epoch, on the CPU, in evaluation mode.
         epochs: All epochs, in order.
         best: The epoch that was kept.
-        val_logits: Shape (N,), float32: of all validation samples, the ignored ones included; without calibration.
+        val_logits: Shape (N, `Recipe.num_outputs`), float32: of all validation samples, the ignored ones included;
+            without calibration.
         num_train: Training samples that are not ignored.
         num_val: Likewise for validation.
         device: Where it was trained: `cpu` or `cuda`.
@@ -184,13 +189,18 @@ def make_recipe_network(recipe: Recipe) -> nn.Module:
 
     if recipe.network not in NETWORKS:
         raise ValueError(f"recipe: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
-    spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs)
+    spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs, recipe.num_outputs)
     try:
         with torch.inference_mode():
             crops = torch.zeros(2, spec.num_channels, spec.size_px, spec.size_px)
-            copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
+            logits = copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
     except RuntimeError as error:
         raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
+    if logits.shape[1] != recipe.num_outputs:
+        raise ValueError(
+            f"recipe: direct_weight: expected 0, the network {recipe.network} does not say what is direct, "
+            f"got {recipe.direct_weight:g}"
+        )
     return network
 
 
@@ -210,14 +220,26 @@ def torch_device(name: str) -> torch.device:
 def score_samples(
     network: nn.Module, samples: Samples, device: torch.device, precision: str = "fp32"
 ) -> NDArray[np.float32]:
-    """Logits of all samples as they are, shape (N,); the network is left in evaluation mode."""
+    """Logits of all samples as they are, shape (N, outputs); the network is left in evaluation mode."""
     network.eval()
-    logits = [np.zeros(0, np.float32)]
+    logits = []
     with torch.inference_mode(), _precision(precision, device):
-        for start in range(0, len(samples), _SCORING_BATCH):
+        for start in range(0, max(len(samples), 1), _SCORING_BATCH):  # without samples, once: it has the shape
             crops, features = _tensors(samples, np.arange(start, min(start + _SCORING_BATCH, len(samples))), device)
             logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
+
+
+def direct_accuracy(logits: NDArray[np.float32], samples: Samples) -> float:
+    """How well logits, shape (N, outputs), tell lamps from their light on something: mean over the two.
+
+    NaN where they do not say, or the samples have only one of the two.
+    """
+    truth = is_direct(samples)
+    is_known = ~np.isnan(truth)
+    if logits.shape[1] < 2 or not is_known.any():
+        return math.nan
+    return balanced_accuracy(truth[is_known] == 1, logits[is_known, 1] > 0)
 
 
 def best_number(recipe: Recipe, epochs: list[dict[str, float]]) -> int:
@@ -252,6 +274,14 @@ class _Trainer:
         balance = num_seen[NEGATIVE] / num_seen[POSITIVE]
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
+        self._is_direct = is_direct(samples)
+        num_indirect, num_direct = ((self._is_direct == one).sum() for one in (0.0, 1.0))
+        if recipe.direct_weight and not (num_direct and num_indirect):
+            raise ValueError(
+                f"train samples: expected lamps and light on something with direct_weight, found {num_direct} and "
+                f"{num_indirect}"
+            )
+        self._direct_weight = float(num_indirect / max(num_direct, 1))
 
     def states(self) -> tuple[State, State, State]:
         """Copies of the network's, the running mean's and the optimiser's state on the CPU."""
@@ -287,15 +317,17 @@ class _Trainer:
             raise ValueError(f"epoch {number}: expected a finite training loss, got {total}; try a lower learning_rate")
         logits = self._validate(val)
         is_labelled = val.labels != IGNORED
-        scores = box_scores(logits[is_labelled], val.labels[is_labelled])
+        light, labels = logits[is_labelled, 0], val.labels[is_labelled]
+        scores = box_scores(light, labels)
         return Epoch(
             number=number,
             learning_rate=rate,
             train_loss=total / num_samples,
-            val_loss=log_loss(logits[is_labelled], val.labels[is_labelled], self.positive_weight),
+            val_loss=log_loss(light, labels, self.positive_weight),
             precision=scores.precision,
             recall=scores.recall,
             f1=scores.f1,
+            direct_accuracy=direct_accuracy(logits, val),
             seconds=time.perf_counter() - started,
         )
 
@@ -312,16 +344,30 @@ class _Trainer:
         with _precision(recipe.precision, self._device):
             logits: Tensor = self.network(_laid_out(crops), features)
         loss = nn.functional.binary_cross_entropy_with_logits(
-            logits.float(),
+            logits[:, 0].float(),
             targets,
             weight=torch.from_numpy(self._weights[batch]).to(self._device),
             pos_weight=torch.tensor(self.positive_weight, device=self._device),
         )
+        if recipe.direct_weight:
+            loss = loss + recipe.direct_weight * self._direct_loss(logits[:, 1].float(), self._is_direct[batch])
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.max_gradient)
         self._optimiser.step()
         return float(loss.detach())
+
+    def _direct_loss(self, logits: Tensor, truth: NDArray[np.float32]) -> Tensor:
+        """Of lamps against their light on something, which count alike; 0 where the batch has neither."""
+        targets = torch.from_numpy(truth).to(self._device)
+        is_known = ~targets.isnan()
+        losses = nn.functional.binary_cross_entropy_with_logits(
+            logits[is_known],
+            targets[is_known],
+            pos_weight=torch.tensor(self._direct_weight, device=self._device),
+            reduction="sum",
+        )
+        return losses / is_known.sum().clamp_min(1)
 
     def _average(self, num_steps: int) -> None:
         """Moves the running mean towards the weights; faster at the start, when it is far from them."""

@@ -8,6 +8,7 @@ import io
 import math
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -23,7 +24,7 @@ from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.learning.calibrator import Calibrator, fit_calibrator
 from foreglow.learning.recipes import Recipe, recipe_to_toml
 from foreglow.learning.sample_cache import cached_samples
-from foreglow.learning.samples import Jitter, SampleConfig, Samples
+from foreglow.learning.samples import Jitter, SampleConfig, Samples, joined
 from foreglow.learning.scores import box_scores
 from foreglow.provenance import provenance
 
@@ -70,7 +71,7 @@ class TrainedModel:
 
 
 def train_model(
-    data: Path,
+    data: Sequence[Path],
     recipe: Recipe,
     config: PipelineConfig,
     folder: Path,
@@ -79,12 +80,12 @@ def train_model(
     cache: Path | None = None,
     progress: RunProgress | None = None,
 ) -> TrainedModel:
-    """Trains the recipe's network on the boxes that `config` proposes in DATA/train, chosen on DATA/val.
+    """Trains the recipe's network on the boxes that `config` proposes in every DATA/train, chosen on every DATA/val.
 
     An interrupted run goes on when it is called again with the same arguments.
 
     Args:
-        data: A data set with the splits train and val.
+        data: Data sets with the splits train and val, one or more.
         recipe: How to train.
         config: Its proposals are what the network learns to judge.
         folder: Where everything goes; made if need be.
@@ -104,18 +105,19 @@ def train_model(
     from foreglow.learning.training import train
 
     started = time.perf_counter()
-    train_split, val_split = (PVDN(split_folder(data, name)) for name in ("train", "val"))
+    names: tuple[SplitName, ...] = ("train", "val")
+    splits = {name: [PVDN(split_folder(one, name)) for one in data] for name in names}
     folder.mkdir(parents=True, exist_ok=True)
+    cache = cache or folder / "samples"
     samples = {
-        "train": _samples(train_split, recipe, config, "train", cache or folder / "samples", progress),
-        "val": _samples(val_split, recipe, config, "val", cache or folder / "samples", progress),
+        name: joined([_samples(one, recipe, config, name, cache, progress) for one in splits[name]]) for name in names
     }
     told = WithEventFiles(folder, progress) if event_files_wanted() else progress
     result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=told)
     write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     summary = {
         **provenance(),
-        "data": str(data),
+        "data": [str(one) for one in data],
         **finish(recipe, result, samples["val"], folder),
         "samples": {name: _counts(one) for name, one in samples.items()},
         "seconds": round(time.perf_counter() - started, 1),
@@ -149,7 +151,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     from foreglow.learning.training import score_samples
 
     is_labelled = val.labels != IGNORED
-    logits, labels = result.val_logits[is_labelled], val.labels[is_labelled]
+    logits, labels = result.val_logits[is_labelled, 0], val.labels[is_labelled]
     calibrator = fit_calibrator(logits, labels, recipe.calibration)
     network = calibrated(result.network, calibrator)
     about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **_as_text(provenance())}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from foreglow.evaluation.breakdown import FalseBoxes, ImageGroup, LightGroup
+from foreglow.evaluation.directness import Directness
 from foreglow.evaluation.examination import Examination, Ranking
 from foreglow.evaluation.first_found import share_found_ahead
 from foreglow.evaluation.robustness import RobustnessRow
@@ -86,12 +87,30 @@ def examination_lines(examination: Examination) -> list[str]:
             for point in ranking.operating_points
             if point.limit == 0.2
         ]
+    lines += list(_directness_lines(examination.directness))
     if "total" in examination.run_time_ms:
         total = examination.run_time_ms["total"]
         lines.append(
             f"{number(total['median'])} ms a frame (median), {number(total['p99'])} ms (p99), without decoding"
         )
     return lines
+
+
+def _directness_lines(directness: Directness) -> Iterator[str]:
+    """How well lamps are told from their light, and grouped into vehicles, where a run says so."""
+    for name, quality in (("accepted boxes", directness.boxes), ("plausible tracks", directness.tracks)):
+        if quality is not None:
+            yield (
+                f"direct or indirect, {name}: balanced accuracy {_number(quality.balanced_accuracy)} "
+                f"({_number(quality.recall_direct)} of {quality.num_direct} direct, "
+                f"{_number(quality.recall_indirect)} of {quality.num_indirect} indirect)"
+            )
+    vehicles = directness.vehicles
+    if vehicles is not None:
+        yield (
+            f"pairs of tracks as vehicles: precision {_number(vehicles.precision)} of {vehicles.num_pairs}, "
+            f"recall {_number(vehicles.recall)} of {vehicles.num_vehicles} with two lamps in tracks of their own"
+        )
 
 
 def _lines(examination: Examination, plots: set[str]) -> Iterator[str]:

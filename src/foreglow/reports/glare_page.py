@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import html
 import io
 import math
@@ -10,13 +11,16 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from foreglow.evaluation.glare import PRODUCTION
+from foreglow.evaluation.glare import PRODUCTION, typical_drives
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive
 from foreglow.evaluation.glare_eyes import MORE_THAN_LOW, SETTLED_S
 from foreglow.evaluation.glare_results import GlareResults
 from foreglow.evaluation.glare_road import AHEAD_S, FULL_LEVEL
+from foreglow.evaluation.occurrence import LeadScore
+from foreglow.experiments.glare import GlareExperiment
 from foreglow.files import write_atomic, write_json_results
 from foreglow.provenance import provenance
+from foreglow.reports.detector_table import Table
 from foreglow.reports.glare_plots import (
     bin_figure,
     box_figure,
@@ -25,7 +29,7 @@ from foreglow.reports.glare_plots import (
     readme_figure,
     sensitivity_figure,
 )
-from foreglow.reports.glare_tables import DRIVE_COLUMNS, UNGUIDED, drive_table, glare_tables, interval
+from foreglow.reports.glare_tables import DRIVE_COLUMNS, UNGUIDED, drive_table, glare_tables, interval, occurrence_table
 from foreglow.reports.html import STYLE, html_figure, html_table
 from foreglow.reports.numbers import number, percent, signed
 
@@ -33,7 +37,11 @@ VIDEOS = (".mp4", ".webm")
 
 
 def write_report(
-    results: GlareResults, shown: Sequence[GlareDrive], folder: Path, others: Sequence[GlareResults] = ()
+    results: GlareResults,
+    shown: Sequence[GlareDrive],
+    folder: Path,
+    others: Sequence[GlareResults] = (),
+    leads: Sequence[LeadScore] = (),
 ) -> Path:
     """Writes `report.html`, whose path it returns, `results.json`, `drives.csv` and the figures as PNG.
 
@@ -42,6 +50,7 @@ def write_report(
         shown: Drives to look at, such as those of `typical_drives`; the middle one with an eye becomes `readme.png`.
         folder: Is made where it is not there.
         others: The same drives by other limits.
+        leads: How well the occurrence of hidden vehicles was told.
 
     Raises:
         OSError: If a file cannot be written.
@@ -58,14 +67,39 @@ def write_report(
     if met:
         middle = met[len(met) // 2]
         files["readme.png"] = readme_figure(middle, eye_to_show(middle).vehicle_id)
-    record = results.to_json() | {"others": [one.to_json() for one in others]}
+    record = results.to_json() | {
+        "others": [one.to_json() for one in others],
+        "occurrence": [one.to_json() for one in leads],
+    }
     write_json_results(folder / "results.json", {"made_with": provenance()} | record)
     write_atomic(folder / "drives.csv", drives_csv(results).encode())
     for name, plot in files.items():
         write_atomic(folder / name, plot)
     report = folder / "report.html"
-    write_atomic(report, "\n".join(_lines(results, others, plots, shown, drive_plots)).encode())
+    write_atomic(
+        report,
+        "\n".join(
+            _lines(results, (*glare_tables(results, others), *occurrence_table(leads)), plots, shown, drive_plots)
+        ).encode(),
+    )
     return report
+
+
+def write_experiment(experiment: GlareExperiment) -> Path:
+    """Writes the report of a whole experiment into its folder, and returns the path of `report.html`.
+
+    Raises:
+        OSError: If a file cannot be written.
+        ModuleNotFoundError: If matplotlib is not installed.
+    """
+    folder = experiment.folder
+    films = {file.stem.removeprefix("film_"): file.name for file in sorted(folder.glob("film_*.mp4"))}
+    names = dict.fromkeys([*typical_drives(experiment.results), *films])
+    shown = [
+        dataclasses.replace(drive, pictures={"Paper and ours": films[drive.name]}) if drive.name in films else drive
+        for drive in experiment.drives(list(names))
+    ]
+    return write_report(experiment.results, shown, folder, experiment.others, experiment.leads)
 
 
 def summary_lines(results: GlareResults, name: str = "foreglow") -> list[str]:
@@ -126,7 +160,7 @@ def _drive_plots(drive: GlareDrive, results: GlareResults) -> dict[str, bytes]:
 
 def _lines(
     results: GlareResults,
-    others: Sequence[GlareResults],
+    tables: Sequence[tuple[str, str, Table]],
     plots: Mapping[str, bytes],
     shown: Sequence[GlareDrive],
     drive_plots: Mapping[str, Mapping[str, bytes]],
@@ -141,7 +175,7 @@ def _lines(
         yield "<ul>"
         yield from (f"<li>{html.escape(line)}</li>" for line in summary_lines(results))
         yield "</ul>"
-    for heading, remark, table in glare_tables(results, others):
+    for heading, remark, table in tables:
         yield f"<h2>{html.escape(heading)}</h2><p>{html.escape(remark)}</p>"
         yield from html_table(table)
     yield "<h2>All drives</h2>"

@@ -16,6 +16,7 @@ from foreglow.evaluation.glare_results import (
     WrongDimming,
 )
 from foreglow.evaluation.glare_road import JUMP
+from foreglow.evaluation.occurrence import NEAR_DEG, LeadScore
 from foreglow.reports.detector_table import Table
 from foreglow.reports.numbers import number, percent, signed
 
@@ -71,6 +72,32 @@ def glare_tables(results: GlareResults, others: Sequence[GlareResults] = ()) -> 
         _table(_dimming_columns(lambda one: one.between), policies),
     )
     yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
+
+
+def occurrence_table(leads: Sequence[LeadScore]) -> Iterator[tuple[str, str, Table]]:
+    """Heading, remark and table of where hidden vehicles appeared; nothing without any."""
+    head = ["before direct sight", "hidden vehicles", "told", "median error", f"within {NEAR_DEG:g} deg"]
+    head += ["held by the gap", "its median width", "median error of the time"]
+    rows = [
+        [
+            f"{one.lead_s:g} s",
+            str(one.num),
+            str(one.num_told),
+            f"{number(one.median_deg)} deg",
+            percent(one.near_share),
+            percent(one.covered_share),
+            f"{number(one.width_deg, 1)} deg",
+            f"{number(one.median_s)} s",
+        ]
+        for one in leads
+    ]
+    if rows:
+        yield (
+            "Occurrence point",
+            "Where a vehicle comes into sight, told from its light and the road; errors of those of which something "
+            "was told at that time.",
+            Table(head, rows, [""] * len(rows)),
+        )
 
 
 def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:

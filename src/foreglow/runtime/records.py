@@ -20,9 +20,10 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
 
     Boxes are half-open `[x1, y1, x2, y2]` in full-frame pixels; `scores` goes with the proposals, in their order,
     each the exact value of the float32 that was compared with the threshold, and `ranges_m` and `range_sigmas_m`
-    likewise: from the camera along the viewing ray, None for a box where nothing is known. `tracks` has one object a
-    track, `beam` is the `beam_record`. Whatever a stage did not make is None as a whole. All but `stage_ms` depend on
-    the frame and the configuration alone.
+    likewise: from the camera along the viewing ray, None for a box where nothing is known. `direct` is the probability
+    of a lamp itself, box by box, None where the model does not say. `tracks` has one object a track, `beam` is the
+    `beam_record`. Whatever a stage did not make is None as a whole. All but `stage_ms` depend on the frame and the
+    configuration alone.
     """
     detections, ranges, tracks = result.detections, result.ranges, result.tracks
     return {
@@ -31,6 +32,7 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
         "timestamp_ns": result.timestamp_ns,
         "proposals_xyxy_px": result.proposals.boxes_xyxy_px.tolist(),
         "scores": None if detections is None else detections.scores.tolist(),
+        "direct": None if detections is None else _probabilities(detections.direct_probabilities),
         "detections_xyxy_px": None if detections is None else detections.accepted_boxes_xyxy_px.tolist(),
         "ranges_m": None if ranges is None else _numbers(ranges.ranges_m),
         "range_sigmas_m": None if ranges is None else _numbers(ranges.sigmas_m),
@@ -54,9 +56,15 @@ def _track_records(tracks: Tracks) -> list[dict[str, Any]]:
             "range_m": range_m,
             "range_sigma_m": sigma_m,
             "detection": int(tracks.detections[place]),
+            "direct": direct,
         }
-        for place, (range_m, sigma_m) in enumerate(
-            zip(_numbers(tracks.ranges_m), _numbers(tracks.sigmas_m), strict=True)
+        for place, (range_m, sigma_m, direct) in enumerate(
+            zip(
+                _numbers(tracks.ranges_m),
+                _numbers(tracks.sigmas_m),
+                _probabilities(tracks.direct_probabilities),
+                strict=True,
+            )
         )
     ]
 
@@ -77,6 +85,11 @@ def beam_record(command: BeamCommand) -> dict[str, Any]:
         "faults": list(command.faults),
         "levels": np.rint(1000.0 * command.levels).astype(int).tolist(),
     }
+
+
+def _probabilities(values: NDArray[np.floating]) -> list[float | None]:
+    """As they are; None for NaN."""
+    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 def _numbers(values: NDArray[np.float64]) -> list[float | None]:

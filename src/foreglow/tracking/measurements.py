@@ -21,12 +21,14 @@ class Measurements:
         values: Shape (N, NUM_CHANNELS): centre x, y, width, height, range; NaN where unknown.
         sigmas_m: Shape (N,), of the range; infinite where it comes without one, NaN where the range is unknown.
         scores: Shape (N,).
+        direct_probabilities: Shape (N,); NaN where unknown.
         places: Shape (N,), in the frame's detections.
     """
 
     values: Floats
     sigmas_m: Floats
     scores: Floats
+    direct_probabilities: Floats
     places: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -39,6 +41,7 @@ class Measurements:
             np.concatenate([self.values, nothing])[assigned],
             np.append(self.sigmas_m, np.nan)[assigned],
             np.append(self.scores, np.nan)[assigned],
+            np.append(self.direct_probabilities, np.nan)[assigned],
             np.append(self.places, UNASSIGNED)[assigned],
         )
 
@@ -53,4 +56,5 @@ def measurements(detections: Detections, ranges: Ranges | None, min_score: float
     if ranges is not None:
         values[:, RANGE] = ranges.ranges_m[places]
         sigmas_m = np.where(np.isnan(values[:, RANGE]), np.nan, ranges.sigmas_m[places])
-    return Measurements(values, sigmas_m, scores[places], places)
+    direct_probabilities = detections.direct_probabilities[places].astype(np.float64)
+    return Measurements(values, sigmas_m, scores[places], direct_probabilities, places)

@@ -31,6 +31,7 @@ class TrackStates:
         range_history: Shape (M, H), the latest measured ranges, newest first, NaN where there are fewer.
         sigma_history: Shape (M, H), their standard deviations.
         confidences: Shape (M,).
+        direct_probabilities: Shape (M,); NaN where unknown.
         num_hits: Shape (M,).
         num_misses: Shape (M,), in a row up to now.
         births_s: Shape (M,), time of the first detection.
@@ -48,6 +49,7 @@ class TrackStates:
     range_history: Floats
     sigma_history: Floats
     confidences: Floats
+    direct_probabilities: Floats
     num_hits: NDArray[np.int64]
     num_misses: NDArray[np.int64]
     births_s: Floats
@@ -84,6 +86,7 @@ def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_s
         range_history=history,
         sigma_history=history,
         confidences=np.full(count, np.nan),
+        direct_probabilities=np.full(count, np.nan),
         num_hits=np.zeros(count, np.int64),
         num_misses=np.zeros(count, np.int64),
         births_s=np.full(count, now_s),

@@ -162,7 +162,9 @@ class AlphaBetaTracker:
         since_s = self._now_s - states.measured_s
         states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, self._gains)
         states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
-        states.confidences = moving_mean(states.confidences, taken.scores, self._config.alpha_confidence)
+        weight = self._config.alpha_confidence
+        states.confidences = moving_mean(states.confidences, taken.scores, weight)
+        states.direct_probabilities = moving_mean(states.direct_probabilities, taken.direct_probabilities, weight)
         states.num_hits = states.num_hits + is_hit
         states.num_misses = np.where(is_hit, 0, states.num_misses + 1)
         # However long the gap before it, a single miss ends no track.
@@ -218,4 +220,5 @@ class AlphaBetaTracker:
             ranges_m=np.where(is_known, ranges_m, np.nan),
             sigmas_m=np.where(is_known, sigmas_m, np.inf),
             detections=states.detections,
+            direct_probabilities=states.direct_probabilities,
         )

@@ -11,15 +11,12 @@ it was, and neither that nor the number of processes changes a byte.
 
 from __future__ import annotations
 
-import multiprocessing
+import functools
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from queue import Empty, Queue
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
@@ -32,6 +29,7 @@ from foreglow.datasets.pvdn_writer import png
 from foreglow.files import write_atomic
 from foreglow.simulation.labels.production import ProductionConfig
 from foreglow.simulation.recording.lidar import LidarConfig, lidar_depth
+from foreglow.simulation.recording.processes import Progress, in_processes
 from foreglow.simulation.recording.pvdn_labels import LabelCounts, write_labels
 from foreglow.simulation.recording.street_data import STREET_STREAM, StreetDataError, StreetMap
 from foreglow.simulation.recording.truth_files import (
@@ -64,9 +62,6 @@ MAX_JITTER_NS = 1_000_000
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
 """Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
-
-Progress: TypeAlias = Callable[[int, int, int], None]
-"""Called with a sequence's number, how many of its frames are done, and how many it has."""
 
 
 class DatasetConfig(FrozenModel):
@@ -172,11 +167,10 @@ def simulate_dataset(
         if file.sequence in kept:
             report(file.sequence, file.scene.num_frames, file.scene.num_frames)
     wanted = [file for file in files if file.sequence not in kept]
-    if jobs == 1 or len(wanted) < 2:
-        for file in wanted:
-            _make_scene(root, file, drive, report)
-    else:
-        _make_in_processes(root, wanted, drive, min(jobs, len(wanted)), report)
+    try:
+        in_processes(functools.partial(_make_scene, root, drive), wanted, jobs, report)
+    except ChildProcessError as error:
+        raise ChildProcessError(f"{root}: {error}") from error
     for leftover in root.rglob(".*.tmp"):  # of a run that was killed
         leftover.unlink(missing_ok=True)
     return DatasetSummary(root, len(kept), write_labels(root, info))
@@ -258,7 +252,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _make_scene(root: Path, file: SceneFile, drive: DriveScene, report: Progress) -> None:
+def _make_scene(root: Path, drive: DriveScene, file: SceneFile, report: Progress) -> None:
     """Drives one scene; its images and its truth appear together, or nothing does."""
     name = sequence_name(file.sequence)
     partial = root / "simulation" / f".{name}.partial"
@@ -309,53 +303,3 @@ def _check_frame(known: DriveFrame, place: int, scene: Scene, start_ns: int, nam
     size_px, image_px = (known.camera.width_px, known.camera.height_px), (known.frame.width_px, known.frame.height_px)
     if image_px != size_px:
         raise ValueError(f"{where}: image: expected the camera's {size_px} px, got {image_px} px")
-
-
-@dataclass(frozen=True, slots=True)
-class _QueuedProgress:
-    """Progress as another process tells it."""
-
-    queue: Queue[tuple[int, int, int]]
-
-    def __call__(self, sequence: int, num_done: int, num_frames: int) -> None:
-        self.queue.put((sequence, num_done, num_frames))
-
-
-def _make_in_processes(root: Path, files: list[SceneFile], drive: DriveScene, jobs: int, report: Progress) -> None:
-    """Drives the scenes in `jobs` processes; after an error those under way are finished and no more are begun."""
-    # A renderer's threads and device do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(jobs, context) as pool:
-        told: Queue[tuple[int, int, int]] = manager.Queue()
-        futures = [pool.submit(_make_scene, root, file, drive, _QueuedProgress(told)) for file in files]
-        try:
-            pending: set[Future[None]] = set(futures)
-            while pending:
-                done, pending = wait(pending, timeout=0.1, return_when=FIRST_EXCEPTION)
-                _pass_on(told, report)
-                if any(future.exception() is not None for future in done):
-                    break
-        finally:
-            pool.shutdown(cancel_futures=True)
-        _pass_on(told, report)
-        for future in futures:
-            if not future.cancelled():
-                _raise_error_of(future, root)
-
-
-def _pass_on(told: Queue[tuple[int, int, int]], report: Progress) -> None:
-    while True:
-        try:
-            report(*told.get_nowait())
-        except Empty:
-            return
-
-
-def _raise_error_of(future: Future[None], root: Path) -> None:
-    try:
-        future.result()
-    except BrokenProcessPool as error:
-        raise ChildProcessError(
-            f"{root}: a process ended unexpectedly, perhaps for lack of memory; finished scenes are kept, run again "
-            "with fewer jobs"
-        ) from error

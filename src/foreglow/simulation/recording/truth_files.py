@@ -310,6 +310,31 @@ def write_scenes(root: Path, files: list[SceneFile]) -> None:
     write_atomic(root / "scenes.jsonl", ("\n".join(lines) + "\n").encode())
 
 
+class _SceneLine(FrozenModel):
+    """A line of `scenes.jsonl`."""
+
+    sequence: Id
+    scene: Scene
+
+
+def read_scenes(path: Path) -> tuple[tuple[int, Scene], ...]:
+    """Numbers and specifications of the scenes in a `scenes.jsonl`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it holds no scene or a line is broken; the message names path, line and field.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file; expected the scenes.jsonl of a simulated split")
+    lines = [
+        parse_json(line, _SceneLine, f"{path}: line {place + 1}")
+        for place, line in enumerate(path.read_bytes().splitlines())
+    ]
+    if not lines:
+        raise ValueError(f"{path}: expected at least one scene, found none")
+    return tuple((line.sequence, line.scene) for line in lines)
+
+
 def _read_frames(path: Path, sequence_id: int) -> Iterator[FrameTruth]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
