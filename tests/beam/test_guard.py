@@ -320,6 +320,12 @@ def test_tracks_that_do_not_age() -> None:
     assert not next_check(guard, frame_at(29), tracks_of([AHEAD], [50.0], ages_s=0.1, first_id=7)).faults
 
 
+def test_a_frame_that_came_twice_has_no_stale_tracks() -> None:
+    guard, tracks = running(), tracks_of([AHEAD], [50.0])
+    next_check(guard, frame_at(25), tracks)
+    assert_low(next_check(guard, frame_at(26, timestamp_ns=25 * FRAME_NS), tracks), GuardFault.FROZEN)
+
+
 def test_one_stale_track_of_several() -> None:
     guard = running()
     next_check(guard, frame_at(25), tracks_of([AHEAD, AHEAD + 50], [50.0, 60.0], ages_s=1.0))

@@ -277,6 +277,51 @@ def test_a_replay_of_old_images() -> None:
     assert receiver.noticed[LinkFault.STALE] == 3
 
 
+@pytest.mark.parametrize(("step", "fault"), [(100, LinkFault.LOST), (127, LinkFault.LOST), (128, LinkFault.DISORDER)])
+def test_half_of_the_counters_are_ahead(step: int, fault: LinkFault) -> None:
+    receiver = running()
+    feed(receiver, frames_of(10, counter=259 + step, level=0.2), arrival(10))
+    assert brightness(receiver, arrival(10)) == 1
+    assert receiver.noticed == {fault: 1}
+    receiver = running()
+    feed(receiver, (*frames_of(10)[:1], *frames_of(11, counter=260 + step)), arrival(11))
+    # Ahead of what is being collected it begins anew; whole, it is a step further from the command before.
+    whole = LinkFault.LOST if step == 100 else LinkFault.DISORDER
+    assert receiver.noticed == ({LinkFault.DISORDER: 4} if step == 128 else {LinkFault.TORN: 1, whole: 1})
+
+
+@pytest.mark.parametrize(
+    ("newer_ms", "is_fresh"), [(0, False), (1, True), (25_000, True), (32_767, True), (32_768, False), (65_535, False)]
+)
+def test_half_of_the_times_are_newer(newer_ms: int, is_fresh: bool) -> None:
+    receiver = running(config=ReceiverConfig(max_age_s=None))
+    time_ns = START + 9 * PERIOD + newer_ms * MS
+    command = BeamCommand(time_ns, BeamMode.FULL, np.full((2, NUM_LEDS), 0.2))
+    feed(receiver, encode_levels(command, 260 % 256), arrival(10))
+    assert (brightness(receiver, arrival(10)) < 1) == is_fresh
+    assert receiver.noticed == ({} if is_fresh else {LinkFault.STALE: 1})
+
+
+def test_a_fresh_command_after_stale_ones_is_taken_at_once() -> None:
+    """Their counter goes on, so that nothing is lost; their time does not."""
+    receiver = running()
+    for number in range(5):
+        feed(receiver, frames_of(10 + number, image=7), arrival(9) + 20 * (number + 1) * MS)
+    feed(receiver, frames_of(15, image=9), arrival(9) + 120 * MS)  # newer than those, but not than the latest good one
+    assert brightness(receiver, arrival(9) + 120 * MS) == 1
+    feed(receiver, frames_of(16, image=10, level=0.2), arrival(9) + 140 * MS)
+    assert brightness(receiver, arrival(9) + 140 * MS) == pytest.approx(0.2, abs=1 / 255)
+    assert receiver.noticed == {LinkFault.STALE: 6}
+
+
+def test_the_next_command_after_an_older_one_is_taken() -> None:
+    receiver = running()
+    feed(receiver, frames_of(5), arrival(9) + 10 * MS)
+    feed(receiver, frames_of(10, level=0.2), arrival(10))
+    assert brightness(receiver, arrival(10)) == pytest.approx(0.2, abs=1 / 255)
+    assert receiver.noticed == {LinkFault.DISORDER: 1}
+
+
 @pytest.mark.parametrize("num_images", [1, 2, 3])
 def test_images_in_a_circle_never_recover(num_images: int) -> None:
     receiver = LampReceiver(ReceiverConfig(max_age_s=None))
@@ -360,6 +405,11 @@ def test_brightens_slowly_and_dims_at_once() -> None:
     for number in range(7, 30):
         feed(receiver, frames_of(number, level=0.6), arrival(number))
     assert brightness(receiver, arrival(29)) == pytest.approx(0.6, abs=1 / 255)
+
+
+def test_brightens_from_the_moment_of_change() -> None:
+    receiver = running(4, ReceiverConfig(brightening_s=1.0, latency_s=0.03))
+    assert brightness(receiver, arrival(3) + 50 * MS) == pytest.approx(0.02)
 
 
 def test_levels_belong_to_the_caller() -> None:

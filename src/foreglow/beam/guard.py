@@ -126,7 +126,6 @@ class Guard:
         self, tracks: Tracks | None, is_vehicle: NDArray[np.bool_] | None, elapsed_s: float
     ) -> list[GuardFault]:
         if tracks is None:
-            self._ages_s = {}
             return [GuardFault.NO_TRACKS]
         numbers = (tracks.boxes_xyxy_px, tracks.confidences, tracks.ages_s)
         is_right = all(np.isfinite(array).all() for array in numbers)

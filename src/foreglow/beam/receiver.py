@@ -110,8 +110,7 @@ class LampReceiver:
         if self._taken_ns is not None and time_ns - self._taken_ns > self._deadline_ns:
             self._coming.append((self._taken_ns + self._deadline_ns + self._latency_ns, np.zeros_like(self._target)))
             self._notice(LinkFault.TIMEOUT)
-            self._taken_ns, self._latest, self._num_good = None, None, 0
-            self._parts.clear()
+            self._taken_ns, self._latest = None, None
         while self._coming and self._coming[0][0] <= time_ns:
             change_ns, target = self._coming.popleft()
             self._brighten(change_ns)
@@ -168,7 +167,6 @@ class LampReceiver:
             self._taken_ns = arrival_ns
             self._coming.append((arrival_ns + self._latency_ns, message.levels))
             self._faults = {LinkFault.SENDER: None} if header.has_faults else {}
-            self._advance(arrival_ns)
 
     def _fault(self, header: Header, arrival_ns: int) -> LinkFault | None:
         """What is wrong with a command by its counter and its time; None if it is the next one, and fresh."""
