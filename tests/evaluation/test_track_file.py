@@ -75,8 +75,9 @@ def test_no_such_file(tmp_path: Path) -> None:
 def test_whole_results_come_back(tmp_path: Path) -> None:
     frame = night_frames(1)[0]
     written = result_of(frame, [[3, 4, 9, 8], [20, 21, 40, 33]], [0.5, 0.1], threshold=0.3)
-    assert written.detections is not None
-    ranges = Ranges(written.detections, np.array([33.25, np.nan]), np.array([np.inf, np.inf]))
+    detections = written.detections
+    assert detections is not None
+    ranges = Ranges(detections, np.array([33.25, np.nan]), np.array([np.inf, np.inf]))
     written = dataclasses.replace(written, ranges=ranges, tracks=tracks_of(BOXES, STATES))
     records = FrameRecords(tmp_path / "frames.jsonl")
     records.write(frame, written)
@@ -85,7 +86,7 @@ def test_whole_results_come_back(tmp_path: Path) -> None:
     assert (found.frame, found.timestamp_ns) == (0, 0)
     assert found.proposals.boxes_xyxy_px.tolist() == written.proposals.boxes_xyxy_px.tolist()
     assert found.detections is not None
-    assert found.detections.scores.tolist() == written.detections.scores.tolist()
+    assert found.detections.scores.tolist() == detections.scores.tolist()
     assert found.detections.is_accepted.tolist() == [True, False]
     assert found.ranges is not None
     np.testing.assert_array_equal(found.ranges.ranges_m, ranges.ranges_m)
