@@ -360,7 +360,7 @@ PRESETS: dict[str, PipelineConfig] = {
             split_saddle=0.6,
         ),
         # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.28),
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.25),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),

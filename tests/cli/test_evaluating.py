@@ -112,11 +112,11 @@ def test_direct_light_is_rated_where_a_run_says_it(tmp_path: Path, split: Path) 
         tracks = dataclasses.replace(tracks_of([[5, 5, 15, 15]]), direct_probabilities=np.array([0.4]))
         records.write(frame, dataclasses.replace(result, detections=said, tracks=tracks))
     records.close()
-    result = foreglow_command("evaluate", split, "--predictions", tmp_path / "frames.jsonl")
-    assert result.exit_code == 0, result.output
-    assert "direct or indirect, accepted boxes: balanced accuracy – (1.000 of 2 direct, – of 0" in result.stdout
-    assert "direct or indirect, plausible tracks: balanced accuracy – (0.000 of 2 direct, – of 0" in result.stdout
-    assert "pairs of tracks" not in result.stdout
+    done = foreglow_command("evaluate", split, "--predictions", tmp_path / "frames.jsonl")
+    assert done.exit_code == 0, done.output
+    assert "direct or indirect, accepted boxes: balanced accuracy – (1.000 of 2 direct, – of 0" in done.stdout
+    assert "direct or indirect, plausible tracks: balanced accuracy – (0.000 of 2 direct, – of 0" in done.stdout
+    assert "pairs of tracks" not in done.stdout
 
 
 def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:

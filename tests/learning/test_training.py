@@ -12,6 +12,7 @@ from foreglow.learning import training
 from foreglow.learning.batches import epoch_indices, is_direct, sample_weights
 from foreglow.learning.recipes import Recipe, changed
 from foreglow.learning.samples import Samples
+from foreglow.learning.scores import direct_accuracy
 from foreglow.learning.training import Epoch, TrainingResult, train
 from tests.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
 
@@ -132,8 +133,9 @@ def test_lamps_are_learnt_beside_light(tmp_path: Path) -> None:
     assert result.val_logits.shape == (len(VAL), 2)
     assert result.best.f1 > 0.9
     assert result.best.direct_accuracy > 0.9
-    assert training.direct_accuracy(result.val_logits, lamps["val"]) == result.best.direct_accuracy
-    assert np.isnan(training.direct_accuracy(result.val_logits[:, :1], lamps["val"]))
+    truth = is_direct(lamps["val"])
+    assert direct_accuracy(result.val_logits, truth) == result.best.direct_accuracy
+    assert np.isnan(direct_accuracy(result.val_logits[:, :1], truth))
 
 
 def test_only_light_whose_group_is_known_tells_lamps() -> None:

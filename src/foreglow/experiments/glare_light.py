@@ -48,7 +48,9 @@ class OurLight:
     def __init__(self, scene: Scene) -> None:
         """Takes the lamps that the simulator has."""
         self._lamps = _aimed(read_headlamps(), scene.ego)
+        self._places_m = np.stack([lamp.vehicle_from_lamp.position_m for lamp in (self._lamps.left, self._lamps.right)])
         self._brightness = scene.ego.brightness
+        self._scattering_per_m = scene.weather.scattering_per_m
         self._road = Road(scene.road)
         edge_m = self._road.half_width_m
         self._offsets_m = (-0.5 * edge_m, -edge_m - VERGE_M)
@@ -102,23 +104,18 @@ class OurLight:
 
     def _by_lamp(self, point: Floats) -> tuple[Floats, Floats]:
         """Illuminance by each low beam, shape (2,), and by each LED, shape (2, L), facing them."""
-        offsets = point - [
-            self._lamps.left.vehicle_from_lamp.position_m,
-            self._lamps.right.vehicle_from_lamp.position_m,
-        ]
+        offsets = point - self._places_m
         squares = np.sum(offsets * offsets, axis=1)
         base_cd = [self._lamps.intensities_cd(offset[None])[0][0, lamp] for lamp, offset in enumerate(offsets)]
         leds_lx = self._lamps.illuminance_lx(point[None])[1][0]
         return np.array(base_cd) / squares, leds_lx
 
     def _facing(self, eye: Floats, forward: Floats, light_lx: Floats) -> Floats:
-        """The light on a plane across `forward`, in place of one that faces the lamps; by lamp."""
-        lamps = np.stack(
-            [self._lamps.left.vehicle_from_lamp.position_m, self._lamps.right.vehicle_from_lamp.position_m]
-        )
-        away = lamps - eye
-        cosines = np.clip(away @ forward / np.linalg.norm(away, axis=1), 0.0, None) * self._brightness
-        return np.asarray(light_lx * cosines.reshape(2, *([1] * (light_lx.ndim - 1))))
+        """The light on a plane across `forward`, in place of one that faces the lamps, through the air; by lamp."""
+        away = self._places_m - eye
+        ranges_m = np.linalg.norm(away, axis=1)
+        kept = np.clip(away @ forward / ranges_m, 0.0, None) * np.exp(-self._scattering_per_m * ranges_m)
+        return np.asarray(light_lx * (self._brightness * kept).reshape(2, *([1] * (light_lx.ndim - 1))))
 
 
 def is_coming(known: DriveFrame, vehicle: VehicleTruth) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
 
 from foreglow.classifier.inputs import InputSpec
+from foreglow.learning.recipes import Recipe
 
 
 class ArtifactNetwork(nn.Module):
@@ -87,3 +89,26 @@ NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
     "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
 """Untrained networks by name, for what they shall read and how many logits they shall write."""
+
+
+def recipe_network(recipe: Recipe) -> nn.Module:
+    """The untrained network that the recipe names.
+
+    Raises:
+        ValueError: If there is no such network, or it cannot read the recipe's inputs.
+    """
+    if recipe.network not in NETWORKS:
+        raise ValueError(f"recipe: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
+    spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs, recipe.num_outputs)
+    try:
+        with torch.inference_mode():
+            crops = torch.zeros(2, spec.num_channels, spec.size_px, spec.size_px)
+            logits = copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
+    except RuntimeError as error:
+        raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
+    if logits.shape[1] != recipe.num_outputs:
+        raise ValueError(
+            f"recipe: direct_weight: expected 0, the network {recipe.network} does not say what is direct, "
+            f"got {recipe.direct_weight:g}"
+        )
+    return network

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.evaluation.directness import balanced_accuracy
+
 
 @dataclass(frozen=True, slots=True)
 class BoxScores:
@@ -41,3 +43,15 @@ def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
         num_hits / num_positive if num_positive else math.nan,
         2 * num_hits / (num_accepted + num_positive) if num_accepted + num_positive else math.nan,
     )
+
+
+def direct_accuracy(logits: NDArray[np.float32], is_direct: NDArray[np.float32]) -> float:
+    """How well logits, shape (N, outputs), tell lamps from their light on something: mean over the two.
+
+    `is_direct`, shape (N,), is 1 or 0, NaN where nothing is to be told. NaN where the logits do not say, or one of the
+    two is missing.
+    """
+    is_known = ~np.isnan(is_direct)
+    if logits.shape[1] < 2 or not is_known.any():
+        return math.nan
+    return balanced_accuracy(is_direct[is_known] == 1, logits[is_known, 1] > 0)

@@ -7,7 +7,6 @@ ends with the same bits as one that was not, on the same processor with as many 
 from __future__ import annotations
 
 import contextlib
-import copy
 import csv
 import dataclasses
 import io
@@ -24,16 +23,16 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foreglow.evaluation.calibration import log_loss
-from foreglow.evaluation.directness import balanced_accuracy
 from foreglow.files import write_atomic
 from foreglow.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.learning.augmentation import augment
 from foreglow.learning.batches import batches, content_digest, epoch_indices, is_direct, sample_weights
 from foreglow.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
+from foreglow.learning.networks import recipe_network
 from foreglow.learning.recipes import Recipe
 from foreglow.learning.samples import Samples
 from foreglow.learning.schedules import learning_rate
-from foreglow.learning.scores import box_scores
+from foreglow.learning.scores import box_scores, direct_accuracy
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""
@@ -149,7 +148,7 @@ def train(
     }
     checkpoint = read_checkpoint(folder, identity)
     with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if place.type == "cuda" else []):
-        trainer = _Trainer(recipe, train_samples, make_network or make_recipe_network, place)
+        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, place)
         if checkpoint is None:
             checkpoint = Checkpoint(identity, *trainer.states())
         else:
@@ -179,31 +178,6 @@ def train(
     )
 
 
-def make_recipe_network(recipe: Recipe) -> nn.Module:
-    """The untrained network that the recipe names.
-
-    Raises:
-        ValueError: If there is no such network, or it cannot read the recipe's inputs.
-    """
-    from foreglow.learning.networks import NETWORKS
-
-    if recipe.network not in NETWORKS:
-        raise ValueError(f"recipe: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
-    spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs, recipe.num_outputs)
-    try:
-        with torch.inference_mode():
-            crops = torch.zeros(2, spec.num_channels, spec.size_px, spec.size_px)
-            logits = copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
-    except RuntimeError as error:
-        raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
-    if logits.shape[1] != recipe.num_outputs:
-        raise ValueError(
-            f"recipe: direct_weight: expected 0, the network {recipe.network} does not say what is direct, "
-            f"got {recipe.direct_weight:g}"
-        )
-    return network
-
-
 def torch_device(name: str) -> torch.device:
     """The device called `name`: `cpu`, `cuda`, or `auto` for a GPU where there is one.
 
@@ -228,18 +202,6 @@ def score_samples(
             crops, features = _tensors(samples, np.arange(start, min(start + _SCORING_BATCH, len(samples))), device)
             logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
-
-
-def direct_accuracy(logits: NDArray[np.float32], samples: Samples) -> float:
-    """How well logits, shape (N, outputs), tell lamps from their light on something: mean over the two.
-
-    NaN where they do not say, or the samples have only one of the two.
-    """
-    truth = is_direct(samples)
-    is_known = ~np.isnan(truth)
-    if logits.shape[1] < 2 or not is_known.any():
-        return math.nan
-    return balanced_accuracy(truth[is_known] == 1, logits[is_known, 1] > 0)
 
 
 def best_number(recipe: Recipe, epochs: list[dict[str, float]]) -> int:
@@ -327,7 +289,7 @@ class _Trainer:
             precision=scores.precision,
             recall=scores.recall,
             f1=scores.f1,
-            direct_accuracy=direct_accuracy(logits, val),
+            direct_accuracy=direct_accuracy(logits, is_direct(val)),
             seconds=time.perf_counter() - started,
         )
 
