@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foreglow.evaluation.track_file import read_results, read_tracks, source_of_run
+from foreglow.evaluation.track_file import read_gaps, read_results, read_tracks, source_of_run
 from foreglow.runtime.records import FrameRecords
-from foreglow.types import FrameResult, Ranges, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, FrameResult, Ranges, Tracks, TrackState
 from tests.stand_ins import night_frames, result_of, tracks_of
 
 BOXES = [[3.0, 4.0, 9.5, 8.25], [20.0, 21.0, 40.0, 33.0]]
@@ -113,3 +113,26 @@ def test_where_a_run_had_its_frames(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text('{"source": 3}')
     with pytest.raises(ValueError, match=r"summary\.json: source: expected a valid string"):
         source_of_run(tmp_path)
+
+
+def test_gaps_come_back(tmp_path: Path) -> None:
+    path, frames = tmp_path / "frames.jsonl", night_frames(3)
+    gaps_rad = np.radians([[-3.0, -1.25], [0.5, 2.0]])
+    commands = [
+        BeamCommand(0, BeamMode.GLARE_FREE, np.ones((2, 3)), gaps_rad, np.array([np.nan, 80.0])),
+        BeamCommand(0, BeamMode.FULL, np.ones((2, 3))),
+        None,
+    ]
+    records = FrameRecords(path)
+    for frame, command in zip(frames, commands, strict=True):
+        records.write(frame, dataclasses.replace(result_of(frame, []), beam=command))
+    records.close()
+    found = read_gaps(path)
+    assert list(found) == [0, 2]
+    np.testing.assert_allclose(found[0], gaps_rad)
+    assert found[2].shape == (0, 2)
+    path.write_text(path.read_text().replace('"left_deg":2.0', '"left_deg":"far"', 1))
+    with pytest.raises(ValueError, match=r"line 1: beam\.gaps\.1\.left_deg: expected a valid number"):
+        read_gaps(path)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_gaps(tmp_path / "absent.jsonl")

@@ -104,6 +104,8 @@ def demo(
     stories = _stories(frames, out, configuration) if summary.is_complete else ()
     finish(summary, out)
     _tell(stories, is_classified=summary.is_classified)
+    if has_beam and len(stories) == 1:
+        _tell_gap(frames, stories[0], out)
 
 
 @app.command()
@@ -149,3 +151,14 @@ def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
     elif stories:
         rich.print(story_table(stories, is_classified=is_classified))
+
+
+def _tell_gap(frames: FrameSource, story: Story, out: Path) -> None:
+    """Says since when the beam was dark where the story's vehicle came into sight."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation.gap_opening import gap_opened_s
+    from foreglow.evaluation.track_file import read_gaps
+    from foreglow.reports.story import gap_line
+
+    if isinstance(frames, PVDN) and story.sight is not None:
+        typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -1,4 +1,4 @@
-"""The tracks of a run, or all of its results, read back from its `frames.jsonl`."""
+"""The tracks or the gaps of a run, or all of its results, read back from its `frames.jsonl`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.evaluation.predictions import FrameLine, Number, frame_lines
+from foreglow.geometry import Floats
 from foreglow.types import Detections, FrameResult, Proposals, Ranges, Tracks, TrackState
 
 
@@ -93,6 +94,38 @@ def read_results(path: Path | str, score_threshold: float) -> Mapping[int, Frame
         except ValueError as error:
             raise ValueError(f"{origin}: {error}") from error
     return results
+
+
+class _GapRecord(Record):
+    right_deg: Number
+    left_deg: Number
+
+
+class _BeamRecord(Record):
+    gaps: tuple[_GapRecord, ...]
+
+
+class _BeamLine(FrameLine):
+    beam: _BeamRecord | None = None
+
+
+def read_gaps(path: Path | str) -> Mapping[int, Floats]:
+    """By image id, the dark gaps in the `frames.jsonl` at `path`: shape (G, 2), as `BeamCommand.gaps_rad`.
+
+    Frames without a beam are left out.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form; the message names the line and the field.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected the frames.jsonl of a run")
+    return {
+        line.frame: np.radians([(one.right_deg, one.left_deg) for one in line.beam.gaps]).reshape(-1, 2)
+        for _, line in frame_lines(path.read_bytes(), _BeamLine, path)
+        if line.beam is not None
+    }
 
 
 class _Summary(Record):
