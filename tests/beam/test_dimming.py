@@ -123,10 +123,21 @@ def test_dark_for_the_hold_and_then_up_at_the_rate() -> None:
     assert levels[26] == 1.0
 
 
+def test_the_hold_begins_when_nothing_asks_for_darkness_any_more() -> None:
+    ramp = Ramp(hold_s=0.25, restore_s=1.0)
+    wanted = [1.0] + [0.2] * 5 + [1.0] * 4
+    levels = [ramp.step(np.full((2, 1), level), k * 100_000_000)[0, 0] for k, level in enumerate(wanted)]
+    assert levels == pytest.approx([1.0] + [0.2] * 7 + [0.3, 0.4])
+
+
+def test_time_that_goes_back_brings_no_light() -> None:
+    ramp = Ramp(hold_s=0.0, restore_s=1.0)
+    for time_ns in (5_000_000_000, 4_000_000_000):
+        assert (ramp.step(np.full((2, 1), time_ns == 4_000_000_000, np.float64), time_ns) == 0.0).all()
+
+
 def test_a_new_start_knows_nothing() -> None:
     ramp = Ramp(hold_s=1.0, restore_s=1.0)
     ramp.step(np.zeros((2, 1)), 0)
     ramp.reset()
     assert (ramp.step(np.ones((2, 1)), 1) == 1.0).all()
-    ramp.step(np.zeros((2, 1)), 5_000_000_000)
-    assert (ramp.step(np.ones((2, 1)), 4_000_000_000) == 0.0).all()  # time that goes back brings no light

@@ -179,6 +179,8 @@ def test_a_gap_is_held_and_then_light_returns() -> None:
         command = one.command(frame(number), tracks_at(number, *((LAMP,) if number < 3 else ())))
         modes.append(len(command.gaps_rad))
         levels.append(command.levels)
+        is_full = not len(command.gaps_rad) and bool((command.levels == 1.0).all())
+        assert command.mode == (BeamMode.FULL if is_full else BeamMode.GLARE_FREE)
     last_seen = 2
     num_held = math.floor(CONFIG.hold_s / S)
     assert modes == [1] * (last_seen + num_held + 1) + [0] * (num_frames - last_seen - num_held - 1)
