@@ -118,7 +118,7 @@ def test_empty_file_is_the_base() -> None:
         ("[tracker]\nconfirmation = 'm_of_n'\nnum_looks = 4", "min_hits: expected at most num_looks, 4, got 5"),
         ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 1.5, got 3.5"),
         ("[tracker]\nrange_gate = nan", "tracker.range_gate: .*got nan"),
-        ("[beam]\na = 1", "beam: unknown, expected one of proposals, classifier, distance, tracker"),
+        ("[lamps]\na = 1", "lamps: unknown, expected one of proposals, classifier, distance, tracker"),
         ("proposals = 3", "proposals: .*got 3"),
         ("kappa =", "expected TOML: Invalid value"),
         ("[classifier]\nmodel = 3", "classifier.model: .*got 3"),

@@ -10,18 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.beam.bearings import NEAREST_M, Bearing, Bearings, range_bounds_m
+from foreglow.beam.bearings import Bearings
 from foreglow.types import Tracks, TrackState
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, tracks_of
 
 S = FRAME_NS / 1e9
 
 
-def followed(azimuth_rad: float, state: TrackState = TrackState.CONFIRMED, number: int = 0, misses: int = 0) -> Tracks:
-    tracks = tracks_of(
+def followed(azimuth_rad: float, state: TrackState = TrackState.CONFIRMED, number: int = 0) -> Tracks:
+    return tracks_of(
         [box_around(azimuth_rad, -0.01, 0.01)], [80.0], states=[state], ages_s=1.0 + number * S, first_id=7
     )
-    return dataclasses.replace(tracks, num_misses=np.array([misses]))
 
 
 @settings(deadline=None)
@@ -31,7 +30,7 @@ def test_directions_of_boxes(azimuth_rad: float, elevation_rad: float, width_rad
     bearing = Bearings().update(frame_at(0), tracks)[0]
     assert bearing.azimuth_rad == pytest.approx(azimuth_rad, abs=0.003)
     assert bearing.half_width_rad == pytest.approx(width_rad / 2, rel=0.2)
-    assert (bearing.range_m, bearing.sigma_m) == (80.0, 8.0)
+    assert bearing.range_m == 80.0
     assert math.isnan(bearing.direct)
 
 
@@ -47,24 +46,19 @@ def test_rates_settle(rate_radps: float) -> None:
     assert abs(rates[1]) < abs(rate_radps) + 1e-9  # one step alone is not believed
 
 
-def test_how_long_a_track_is_plausible() -> None:
-    bearings, times_s = Bearings(), []
-    states = [TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING, TrackState.CONFIRMED]
-    states += [TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.CONFIRMED]
-    for number, state in enumerate(states):
+def test_which_tracks_may_be_acted_on() -> None:
+    bearings = Bearings()
+    for number, state in enumerate([TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING]):
         bearing = bearings.update(frame_at(number), followed(0.0, state, number))[7]
         assert bearing.is_plausible == (state != TrackState.TENTATIVE)
-        times_s.append(bearing.plausible_s)
-    assert times_s == pytest.approx([0.0, 0.0, S, 2 * S, 0.0, 0.0, S], abs=1e-6)
 
 
-def test_when_it_was_seen() -> None:
-    bearings = Bearings()
-    seen = [
-        bearings.update(frame_at(number), followed(0.0, number=number, misses=misses))[7].seen_ns
-        for number, misses in enumerate([0, 0, 1, 2, 0])
-    ]
-    assert seen == [0, FRAME_NS, FRAME_NS, FRAME_NS, 4 * FRAME_NS]
+def test_the_greatest_confidence_is_kept() -> None:
+    bearings, kept = Bearings(), []
+    for number, confidence in enumerate([0.3, 0.8, 0.5]):
+        tracks = dataclasses.replace(followed(0.0, number=number), confidences=np.array([confidence]))
+        kept.append(bearings.update(frame_at(number), tracks)[7].confidence)
+    assert kept == [0.3, 0.8, 0.8]
 
 
 def test_tracks_that_end_and_a_new_start_are_forgotten() -> None:
@@ -76,7 +70,7 @@ def test_tracks_that_end_and_a_new_start_are_forgotten() -> None:
     bearings.update(frame_at(5), followed(0.2, number=5))
     bearings.reset()
     again = bearings.update(frame_at(6), followed(0.2, number=6))[7]
-    assert (again.rate_radps, again.plausible_s) == (0.0, 0.0)
+    assert again.rate_radps == 0.0
 
 
 def test_the_same_time_again_changes_no_rate() -> None:
@@ -84,19 +78,3 @@ def test_the_same_time_again_changes_no_rate() -> None:
     for number in (0, 1, 1):
         bearing = bearings.update(frame_at(number), followed(0.1 * number, number=number))[7]
     assert math.isfinite(bearing.rate_radps)
-
-
-@pytest.mark.parametrize(
-    ("range_m", "sigma_m", "num_sigmas", "bounds_m"),
-    [
-        (80.0, 10.0, 1.0, (70.0, 90.0)),
-        (80.0, 10.0, 2.0, (60.0, 100.0)),
-        (20.0, 30.0, 1.0, (NEAREST_M, 50.0)),
-        (2.0, 1.0, 1.0, (NEAREST_M, NEAREST_M)),
-        (80.0, math.inf, 1.0, (NEAREST_M, math.inf)),
-        (math.nan, math.inf, 1.0, (NEAREST_M, math.inf)),
-    ],
-)
-def test_bounds_of_ranges(range_m: float, sigma_m: float, num_sigmas: float, bounds_m: tuple[float, float]) -> None:
-    bearing = Bearing(0.0, 0.01, 0.0, range_m, sigma_m, math.nan, True, 0.0, 0)
-    assert range_bounds_m(bearing, num_sigmas) == bounds_m

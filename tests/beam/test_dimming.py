@@ -10,7 +10,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from foreglow.beam.bearings import NEAREST_M
 from foreglow.beam.dimming import FARTHEST_M, Dimmer, Ramp
 from foreglow.beam.gaps import Gap
 from foreglow.geometry import Floats
@@ -18,6 +17,7 @@ from foreglow.photometry import read_headlamps
 
 LAMPS = read_headlamps()
 LIMIT_LX = 0.03
+NEAREST_M = 8.0
 DIMMER = Dimmer(LAMPS, LIMIT_LX)
 
 GAPS = st.builds(

@@ -357,7 +357,7 @@ def test_gaps_that_are_none(gaps: Any) -> None:
     assert_low(running().check(wanted, NOBODY, frame), GuardFault.BAD_COMMAND)
 
 
-@pytest.mark.parametrize("arrays", [{"levels": np.full((2, NUM_LEDS), 0.1)}, {"gaps_rad": np.array([[0.1, 0.2]])}])
+@pytest.mark.parametrize("arrays", [{"levels": np.eye(2, NUM_LEDS)}, {"gaps_rad": np.array([[0.1, 0.2]])}])
 def test_light_with_low_beam(arrays: Any) -> None:
     frame = frame_at(25)
     wanted = with_arrays(BeamCommand.low(frame.timestamp_ns, NUM_LEDS), **arrays)

@@ -33,6 +33,7 @@ class Seen(NamedTuple):
     state: TrackState = CONFIRMED
     number: int = 0
     sigma_m: float = 5.0
+    confidence: float = 0.9
 
 
 def tracks_at(number: int, *seen: Seen) -> Tracks:
@@ -43,8 +44,12 @@ def tracks_at(number: int, *seen: Seen) -> Tracks:
         states=[one.state for one in seen],
         ages_s=1.0 + number * S,
     )
-    ids = np.array([one.number for one in seen], np.int64)
-    return dataclasses.replace(tracks, ids=ids, direct_probabilities=np.array([one.direct for one in seen], np.float64))
+    return dataclasses.replace(
+        tracks,
+        ids=np.array([one.number for one in seen], np.int64),
+        direct_probabilities=np.array([one.direct for one in seen], np.float64),
+        confidences=np.array([one.confidence for one in seen], np.float64),
+    )
 
 
 def frame(number: int, road: RoadAhead | None = STRAIGHT) -> Frame:
@@ -100,13 +105,13 @@ def test_what_may_be_a_lamp_has_a_gap(direct: float) -> None:
     assert holding(policy().gaps(frame(0), tracks_at(0, LAMP._replace(direct=direct))), LAMP.azimuth_rad)
 
 
-def test_nearer_vehicles_and_unknown_ranges_have_wider_gaps() -> None:
+def test_nearer_vehicles_have_wider_gaps_and_unknown_ranges_are_taken_as_near() -> None:
     widths = []
-    for range_m in (200.0, 100.0, 30.0, math.nan):
+    for range_m in (200.0, 100.0, math.nan, 20.0):
         (gap,) = policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=range_m)))
         widths.append(gap.left_rad - gap.right_rad)
     assert widths == sorted(widths)
-    assert widths[0] < widths[-1]
+    assert len(set(widths)) == 4
 
 
 def test_the_gap_leads_a_lamp_that_moves_aside() -> None:
@@ -193,10 +198,13 @@ def test_a_gap_is_held_and_then_light_returns() -> None:
     assert command.mode == BeamMode.FULL
 
 
-def test_a_gap_begins_when_its_track_was_plausible_long_enough() -> None:
-    for scenes, is_open in ((5, False), (8, True)):
-        gaps = gaps_after(policy(confirm_s=0.35), *[(LAMP,)] * scenes)
-        assert bool(gaps) == is_open
+@pytest.mark.parametrize(
+    ("seen", "name"), [(LAMP, "min_confidence"), (LIGHT, "min_hidden_confidence")], ids=["lamp", "light"]
+)
+def test_a_gap_begins_once_its_track_was_confident_enough(seen: Seen, name: str) -> None:
+    unsure, sure = seen._replace(confidence=0.5), seen._replace(confidence=0.7)
+    assert not gaps_after(policy(**{name: 0.6}), (unsure,), (unsure,))
+    assert gaps_after(policy(**{name: 0.6}), (unsure,), (sure,), (unsure,))
 
 
 @pytest.mark.parametrize("kind", [ForeglowPolicy, PaperPolicy])
