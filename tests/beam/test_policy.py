@@ -202,9 +202,10 @@ def test_a_gap_is_held_and_then_light_returns() -> None:
     ("seen", "name"), [(LAMP, "min_confidence"), (LIGHT, "min_hidden_confidence")], ids=["lamp", "light"]
 )
 def test_a_gap_begins_once_its_track_was_confident_enough(seen: Seen, name: str) -> None:
+    wanted: dict[str, Any] = {name: 0.6}
     unsure, sure = seen._replace(confidence=0.5), seen._replace(confidence=0.7)
-    assert not gaps_after(policy(**{name: 0.6}), (unsure,), (unsure,))
-    assert gaps_after(policy(**{name: 0.6}), (unsure,), (sure,), (unsure,))
+    assert not gaps_after(policy(**wanted), (unsure,), (unsure,))
+    assert gaps_after(policy(**wanted), (unsure,), (sure,), (unsure,))
 
 
 @pytest.mark.parametrize("kind", [ForeglowPolicy, PaperPolicy])
