@@ -259,10 +259,10 @@ class BeamConfig(FrozenModel):
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
     margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
     led_limit_lx: Annotated[float, Field(gt=0)] = 0.03
-    coverage: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    coverage: Annotated[float, Field(ge=0, lt=1)] = 0.8
     min_direct: Annotated[float, Field(ge=0, le=1)] = 0.5
     min_confidence: Annotated[float, Field(ge=0, le=1)] = 0.4
-    min_hidden_confidence: Annotated[float, Field(ge=0, le=1)] = 0.6
+    min_hidden_confidence: Annotated[float, Field(ge=0, le=1)] = 0.5
     hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     restore_s: Annotated[float, Field(gt=0, le=10)] = 0.5
 

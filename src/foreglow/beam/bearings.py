@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ class Bearing:
         elevation_rad: Likewise, upwards.
         half_width_rad: Of the box.
         rate_radps: How fast it moves to the left.
-        range_m: From the camera; NaN where unknown.
+        range_m: NaN where unknown.
         direct: Probability that it is a lamp itself; NaN where unknown.
         confidence: The greatest confidence that it ever had.
         is_plausible: Whether it may be acted on.
@@ -72,6 +73,7 @@ class Bearings:
         )
         for one, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
             before, rate = known.get(one), 0.0
+            azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
@@ -90,3 +92,12 @@ class Bearings:
         lefts, rights = np.arctan2(left, forward).reshape(2, -1)
         elevations = np.arcsin(up[: len(boxes)])
         return (0.5 * (lefts + rights)).tolist(), elevations.tolist(), (0.5 * (lefts - rights)).tolist()
+
+
+def _from_origin(camera: Camera, azimuth_rad: float, range_m: float) -> tuple[float, float]:
+    """Azimuth and range from the vehicle's origin of what the camera sees; as they are where the range is unknown."""
+    if math.isnan(range_m):
+        return azimuth_rad, range_m
+    x, y, _ = camera.vehicle_from_camera.position_m.tolist()
+    forward, left = x + range_m * math.cos(azimuth_rad), y + range_m * math.sin(azimuth_rad)
+    return math.atan2(left, forward), math.hypot(forward, left)

@@ -217,18 +217,18 @@ class ForeglowPolicy:
         self.expected = None
         if any(one.direct > self._config.min_direct for one in acted):
             return []
-        lights = [one for one in acted if one.is_plausible]
-        if not lights:
+        if not acted:
             return []
         if frame.road is not None:
-            farthest_m = max((one.range_m for one in lights if not math.isnan(one.range_m)), default=math.nan)
+            farthest_m = max((one.range_m for one in acted if not math.isnan(one.range_m)), default=math.nan)
             expected = self.expected = occurrence(frame.road, farthest_m)
             if expected is not None:
                 rest = 0.5 * (1.0 - self._config.coverage)
                 right, left = expected.quantiles_rad((rest, 1.0 - rest))
-                half_rad = math.atan2(VEHICLE_M, float(expected.ranges_m[0])) + self._margin_rad
-                return [Gap(right - half_rad, left + half_rad, float(expected.ranges_m[0]), math.inf)]
-        return [_around(one, one.half_width_rad + self._margin_rad) for one in lights]
+                near_m = expected.nearest_m(rest)
+                half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
+                return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
+        return [_around(one, one.half_width_rad + self._margin_rad) for one in acted]
 
 
 def _is_coming(bearing: Bearing) -> bool:
@@ -249,8 +249,8 @@ def _bounds_m(bearing: Bearing) -> tuple[float, float]:
 
 def brightness(image: Image, box_xyxy_px: Floats) -> float:
     """The greatest grey level in a box, of its part in the image; 0 outside."""
-    x1, y1, x2, y2 = (max(int(edge), 0) for edge in box_xyxy_px)
-    inside = image[y1 : y2 + 1, x1 : x2 + 1]
+    x1, y1, x2, y2 = (max(int(edge), 0) for edge in np.ceil(box_xyxy_px))
+    inside = image[y1:y2, x1:x2]
     return float(inside.max()) if inside.size else 0.0
 
 
