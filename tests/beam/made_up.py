@@ -128,3 +128,10 @@ def tracks_of(
 def full(frame: Frame, num_leds: int, level: float = 1.0) -> BeamCommand:
     """Full high beam, as far as a level tells."""
     return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.full((2, num_leds), level))
+
+
+def from_origin(azimuth_rad: float, range_m: float) -> tuple[float, float]:
+    """Azimuth and range from the vehicle's origin of what `CAMERA` sees."""
+    x, y, _ = CAMERA.vehicle_from_camera.position_m
+    point = complex(x + range_m * np.cos(azimuth_rad), y + range_m * np.sin(azimuth_rad))
+    return float(np.angle(point)), abs(point)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from foreglow.beam.bearings import Bearings
 from foreglow.types import Tracks, TrackState
-from tests.beam.made_up import FRAME_NS, box_around, frame_at, tracks_of
+from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
 S = FRAME_NS / 1e9
 
@@ -28,9 +28,11 @@ def followed(azimuth_rad: float, state: TrackState = TrackState.CONFIRMED, numbe
 def test_directions_of_boxes(azimuth_rad: float, elevation_rad: float, width_rad: float) -> None:
     tracks = tracks_of([box_around(azimuth_rad, elevation_rad, width_rad)], [80.0])
     bearing = Bearings().update(frame_at(0), tracks)[0]
+    azimuth_rad, range_m = from_origin(azimuth_rad, 80.0)
     assert bearing.azimuth_rad == pytest.approx(azimuth_rad, abs=0.003)
+    assert bearing.elevation_rad == pytest.approx(elevation_rad, abs=0.005)
     assert bearing.half_width_rad == pytest.approx(width_rad / 2, rel=0.2)
-    assert bearing.range_m == 80.0
+    assert bearing.range_m == pytest.approx(range_m, rel=1e-3)
     assert math.isnan(bearing.direct)
 
 
@@ -42,8 +44,15 @@ def test_rates_settle(rate_radps: float) -> None:
         for number in range(12)
     ]
     assert rates[0] == 0.0
-    assert rates[-1] == pytest.approx(rate_radps, abs=0.05 * abs(rate_radps) + 1e-3)
+    assert rates[-1] == pytest.approx(rate_radps, abs=0.07 * abs(rate_radps) + 1e-3)
     assert abs(rates[1]) < abs(rate_radps) + 1e-9  # one step alone is not believed
+
+
+def test_without_a_range_the_direction_stays_the_cameras() -> None:
+    tracks = dataclasses.replace(followed(0.2), ranges_m=np.array([math.nan]), sigmas_m=np.array([math.inf]))
+    bearing = Bearings().update(frame_at(0), tracks)[7]
+    assert bearing.azimuth_rad == pytest.approx(0.2, abs=0.003)
+    assert math.isnan(bearing.range_m)
 
 
 def test_which_tracks_may_be_acted_on() -> None:

@@ -14,7 +14,7 @@ from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, bright
 from foreglow.config import BeamConfig
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead, Tracks, TrackState
-from tests.beam.made_up import FRAME_NS, box_around, frame_at, tracks_of
+from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
 LAMPS = read_headlamps()
 CONFIG = BeamConfig(policy="foreglow")
@@ -94,10 +94,11 @@ def test_a_lamp_has_a_gap_that_holds_its_vehicle() -> None:
     (right, left), *others = command.gaps_rad.tolist()
     assert not others
     margin = math.atan2(1.2, LAMP.range_m) + math.radians(CONFIG.margin_deg)
-    assert right < LAMP.azimuth_rad - margin < LAMP.azimuth_rad + margin < left
-    assert brightest_there(command, LAMP.azimuth_rad) <= CONFIG.led_limit_lx
+    azimuth_rad, range_m = from_origin(LAMP.azimuth_rad, LAMP.range_m)
+    assert right < azimuth_rad - margin < azimuth_rad + margin < left
+    assert brightest_there(command, azimuth_rad) <= CONFIG.led_limit_lx
     assert brightest_there(command, -0.15) > 1.0  # and elsewhere it is bright
-    assert LAMP.range_m - 2 * LAMP.sigma_m < command.gap_ranges_m[0] <= LAMP.range_m
+    assert command.gap_ranges_m[0] == pytest.approx(range_m, rel=1e-3)
 
 
 @pytest.mark.parametrize("direct", [0.95, math.nan])
@@ -119,7 +120,7 @@ def test_the_gap_leads_a_lamp_that_moves_aside() -> None:
         gaps_after(policy(), *((LAMP._replace(azimuth_rad=rate * S * number),) for number in range(20)))[0]
         for rate in (0.1, -0.1)
     )
-    middle = 0.1 * S * 19
+    middle, _ = from_origin(0.1 * S * 19, LAMP.range_m)
     lead = towards_left.left_rad - middle - (middle - towards_left.right_rad)
     assert lead == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
     assert away.right_rad == pytest.approx(-towards_left.left_rad, abs=1e-3)
@@ -274,3 +275,21 @@ def test_policies_have_names() -> None:
     assert isinstance(make_policy(CONFIG, LAMPS), POLICIES["foreglow"])
     with pytest.raises(ValueError, match=r"beam\.policy: expected one of low, high, paper, foreglow, got 'none'"):
         make_policy(BeamConfig(), LAMPS)
+
+
+def test_a_gap_is_not_held_when_time_jumps_back() -> None:
+    one = policy()
+    assert one.gaps(frame(10), tracks_at(10, LAMP))
+    assert not one.gaps(frame(0), tracks_at(0))
+
+
+def test_light_far_below_is_no_lamp() -> None:
+    """At 10 degrees below nothing but the road in front of the car is seen."""
+    low = dataclasses.replace(tracks_at(0, LAMP), boxes_xyxy_px=np.array([box_around(0.0, math.radians(-10), 0.006)]))
+    assert not policy().gaps(frame(0), low)
+
+
+def test_a_vehicle_beside_us_does_not_darken_the_whole_beam() -> None:
+    near, far = (policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=one)))[0] for one in (3.0, 15.0))
+    assert near.left_rad - near.right_rad < math.radians(12.0)
+    assert near.near_m == far.near_m == pytest.approx(20.0)
