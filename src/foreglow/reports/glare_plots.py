@@ -84,6 +84,8 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
         panel.set(title=_words(name), xlim=_angle_limits(eye), ylim=(end_s - zero_s, begin_s - zero_s))
         panel.title.set_fontsize(10)
         for time_s, words in _events(drive, eye):
+            if not begin_s - zero_s <= time_s <= end_s - zero_s:
+                continue
             panel.axhline(time_s, color=INK, linewidth=0.8, linestyle=":")
             if panel is panels[0]:
                 panel.text(0.02, time_s, words, transform=panel.get_yaxis_transform(), fontsize=8, va="bottom")
