@@ -33,9 +33,9 @@ LOWEST_LAMP_RAD = math.radians(-5.0)
 UNKNOWN_NEAR_M = 40.0
 """What has no range may be as near as this, and at any distance beyond."""
 
-MIN_COMING_DIRECT, MIN_COMING_M = 0.8, 30.0
-"""A lamp that comes into sight is taken for true before it is confirmed when it is so sure to be one, and so far away:
-nearer ones would have been seen before."""
+MIN_COMING_DIRECT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
+"""A lamp that comes into sight is taken for true before it is confirmed when it is so sure to be one, to be light at
+all, and so far away: nearer ones would have been seen before."""
 
 HIDDEN = -1
 """Stands for the id of a hidden vehicle's gap, and smaller numbers for further ones."""
@@ -232,7 +232,8 @@ class ForeglowPolicy:
 
 
 def _is_coming(bearing: Bearing) -> bool:
-    return bearing.direct >= MIN_COMING_DIRECT and bearing.range_m >= MIN_COMING_M
+    is_sure = bearing.direct >= MIN_COMING_DIRECT and bearing.confidence >= MIN_COMING_CONFIDENCE
+    return is_sure and bearing.range_m >= MIN_COMING_M
 
 
 def _around(bearing: Bearing, half_rad: float) -> Gap:
