@@ -172,6 +172,7 @@ class ForeglowPolicy:
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
         """The gaps that the tracks ask for now, and those of tracks that asked for one a moment ago."""
+        self.expected = None
         if frame.camera is None:
             return []
         now_ns, held = frame.timestamp_ns, self._held
@@ -214,7 +215,6 @@ class ForeglowPolicy:
 
     def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
         """The gap for a hidden vehicle, if there is light and no lamp in sight."""
-        self.expected = None
         if any(one.direct > self._config.min_direct for one in acted):
             return []
         if not acted:
