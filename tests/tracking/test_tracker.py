@@ -148,8 +148,8 @@ class TestTime:
 
     def test_a_gap_ends_no_track_and_confirms_none(self) -> None:
         tracker = ours()
-        run(tracker, [[moved(LAMP, score=0.45)]] * 2)
-        for detections in (detections_of(), detections_of(moved(LAMP, score=0.45))):
+        run(tracker, [[moved(LAMP, score=0.4)]] * 2)
+        for detections in (detections_of(), detections_of(moved(LAMP, score=0.4))):
             tracks = tracker.update(frame_at(0.9 if len(detections) == 0 else 0.95), detections, None)
             assert tracks.ids.tolist() == [0]
             assert tracks.states.tolist() == [TENTATIVE]

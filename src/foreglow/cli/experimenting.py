@@ -198,6 +198,30 @@ def experiment_glare(
     typer.echo("\n".join([*summary_lines(experiment.results), f"look in {report}"]))
 
 
+@experiments.command("occurrence")
+def experiment_occurrence(
+    data: Annotated[Path, argument(metavar="DATA", help="A simulated data set at its full frame rate, or one split.")],
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on, of a data set.")] = "test",
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+) -> None:
+    """How well it is told where and when hidden vehicles come into sight, before they do."""
+    from foreglow.datasets import split_in
+    from foreglow.evaluation.occurrence import lead_scores
+    from foreglow.experiments.occurrence import run_experiment
+    from foreglow.reports.detector_table import markdown
+    from foreglow.reports.glare_tables import occurrence_table
+    from foreglow.reports.progress import StepProgress
+
+    with contextlib.closing(StepProgress()) as progress:
+        sightings = run_experiment(
+            split_in(data, cast("SplitName", split)), configuration_of(preset, config, model), progress
+        )
+    for _, remark, table in occurrence_table(lead_scores(sightings)):
+        typer.echo("\n".join([remark, *markdown(table)]))
+
+
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more and films it."""
     from foreglow.experiments.glare_drives import Drives

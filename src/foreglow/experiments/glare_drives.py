@@ -16,8 +16,9 @@ from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.evaluation.glare_drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.evaluation.occurrence import Sighting
-from foreglow.experiments.glare_light import EyeLight, OurLight, is_coming
+from foreglow.experiments.glare_light import EyeLight, OurLight
 from foreglow.experiments.glare_loop import Delays, OracleCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
+from foreglow.experiments.occurrence import Expectations, Moment, is_coming
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.simulation import DriveFrame, Scene
@@ -26,9 +27,6 @@ from foreglow.types import Detections, Frame, Ranges
 
 RUN_IN_S = 1.5
 """So long a drive goes on before it counts: systems start in low beam, from which light returns slowly."""
-
-LEADS_S = (2.0, 1.0, 0.5)
-"""Before direct sight, when the occurrence point is scored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +140,15 @@ class Drives:
             assert ours.result.detections is not None
             blank = dataclasses.replace(known.frame, image=_blank(known.frame))
             looks.append(_Look(blank, ours.result.detections, ours.result.ranges))
-        expected = _Expected()
+        expected = Expectations(self._config.beam.coverage)
         for setting in settings_of(self._delays):
             log.shone_all(setting.name, self._replayed(looks, setting, None))
         self._replayed(looks, None, expected)
-        return DrivenScene(log.drive(scene, name), expected.sightings(log.known))
+        return DrivenScene(
+            log.drive(scene, name), expected.sightings([Moment.of(one) for one in log.known], scene.rate_hz)
+        )
 
-    def _replayed(self, looks: Sequence[_Look], setting: Setting | None, expected: _Expected | None) -> list[Floats]:
+    def _replayed(self, looks: Sequence[_Look], setting: Setting | None, expected: Expectations | None) -> list[Floats]:
         """What another setting would have shone, on the same detections."""
         changed_beam: Mapping[str, Any] = {} if setting is None else setting.beam
         changed_tracker: Mapping[str, Any] = {} if setting is None else setting.tracker
@@ -160,64 +160,11 @@ class Drives:
             tracks = tracker.update(look.frame, look.detections, look.ranges)
             commanded.append(policy.command(look.frame, tracks).levels)
             if expected is not None:
-                expected.note(look.frame, policy, beam.coverage)
+                expected.note(policy.expected)
         latency_ns = 0 if setting is None else round(setting.latency_s * 1e9)
         times_ns = np.array([look.frame.timestamp_ns for look in looks])
         latest = np.searchsorted(times_ns, times_ns - latency_ns, side="right") - 1
         return [commanded[max(place, 0)] for place in latest.tolist()]
-
-
-class _Expected:
-    """Where a hidden vehicle was expected, frame by frame."""
-
-    def __init__(self) -> None:
-        self._rows: list[tuple[float, ...]] = []
-
-    def note(self, frame: Frame, policy: ForeglowPolicy, coverage: float) -> None:
-        """Takes note of what the policy expects in this frame."""
-        expected = policy.expected
-        if expected is None:
-            self._rows.append((frame.timestamp_ns / 1e9, *([math.nan] * 4)))
-            return
-        rest = 0.5 * (1.0 - coverage)
-        right, left = expected.quantiles_rad((rest, 1.0 - rest))
-        self._rows.append((frame.timestamp_ns / 1e9, expected.azimuth_rad, expected.time_s, right, left))
-
-    def sightings(self, known: Sequence[DriveFrame]) -> tuple[Sighting, ...]:
-        """For every vehicle that was hidden and came into sight, what was expected before."""
-        found = []
-        rows = np.array(self._rows)
-        for vehicle_id, azimuth_rad, sight_s in first_sights(known):
-            for lead_s in LEADS_S:
-                place = int(np.argmin(np.abs(rows[:, 0] - (sight_s - lead_s))))
-                if abs(rows[place, 0] - (sight_s - lead_s)) > 0.5 / 18:
-                    continue
-                _, expected_rad, expected_s, right_rad, left_rad = rows[place].tolist()
-                found.append(
-                    Sighting(
-                        vehicle_id=vehicle_id,
-                        lead_s=lead_s,
-                        error_deg=abs(math.degrees(expected_rad - azimuth_rad)),
-                        error_s=abs(expected_s - lead_s),
-                        width_deg=math.degrees(left_rad - right_rad),
-                        is_covered=right_rad <= azimuth_rad <= left_rad,
-                    )
-                )
-        return tuple(found)
-
-
-def first_sights(known: Sequence[DriveFrame]) -> Iterator[tuple[int, float, float]]:
-    """Oncoming vehicles that were hidden at first: id, direction (rad, in our frame) and time of first direct sight."""
-    seen: set[int] = set()
-    for place, frame in enumerate(known):
-        for vehicle in frame.vehicles:
-            lamps = [one for one in vehicle.lamps if not one.is_rear and one.visible_share >= 0.2]
-            if lamps and vehicle.vehicle_id not in seen:
-                seen.add(vehicle.vehicle_id)
-                if place > 0 and is_coming(frame, vehicle):
-                    middle = np.mean([one.position_world_m for one in lamps], axis=0)
-                    x, y, _ = frame.ego_pose.to_body(middle).tolist()
-                    yield vehicle.vehicle_id, math.atan2(y, x), frame.frame.timestamp_ns / 1e9
 
 
 class _Log:
@@ -296,7 +243,7 @@ class _Log:
         return DriverEye(
             vehicle_id=vehicle_id,
             kind=vehicle.kind,
-            is_oncoming=is_coming(frame, vehicle),
+            is_oncoming=is_coming(frame.ego_pose, vehicle),
             ranges_m=np.array([one.range_m for one in eyes]),
             azimuths_rad=np.array([one.azimuth_rad for one in eyes]),
             is_in_sight=np.array([one.is_in_sight for one in eyes]),

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.experiments.occurrence import is_coming
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry import Headlamp, Headlamps, read_headlamps
 from foreglow.simulation.scenes.scene import EgoSpec, Scene
@@ -68,7 +69,7 @@ class OurLight:
         """
         eye = known.ego_pose.to_body(vehicle.eye_world_m)
         forward = known.ego_pose.rotation.T @ vehicle.pose.rotation[:, 0]
-        is_oncoming = is_coming(known, vehicle)
+        is_oncoming = is_coming(known.ego_pose, vehicle)
         no_light = np.zeros((2, self._lamps.num_leds), np.float32)
         range_m = float(np.hypot(eye[0], eye[1]))
         if eye[0] <= self._lamps.left.vehicle_from_lamp.position_m[0] + 0.5 or range_m > FARTHEST_M:
@@ -116,11 +117,6 @@ class OurLight:
         ranges_m = np.linalg.norm(away, axis=1)
         kept = np.clip(away @ forward / ranges_m, 0.0, None) * np.exp(-self._scattering_per_m * ranges_m)
         return np.asarray(light_lx * (self._brightness * kept).reshape(2, *([1] * (light_lx.ndim - 1))))
-
-
-def is_coming(known: DriveFrame, vehicle: VehicleTruth) -> bool:
-    """Whether a vehicle drives against our direction, more or less; one that crosses counts as coming, too."""
-    return float(known.ego_pose.rotation[:, 0] @ vehicle.pose.rotation[:, 0]) < 0.3
 
 
 def seen_lamps(expected_lx: Floats, found_lx: float) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from foreglow.beam import Gap, GapWriter, PaperPolicy
 from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
-from foreglow.experiments.glare_light import is_coming
+from foreglow.experiments.occurrence import is_coming
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
 from foreglow.pipeline import Pipeline
@@ -217,7 +217,7 @@ def closed_loop(scene: Scene, car: Car, delays: Delays, quality: str) -> Iterato
 def _is_followed(known: DriveFrame, vehicle: VehicleTruth) -> bool:
     """Whether it drives ahead of us, near, with its rear lamps in sight."""
     is_lit = any(lamp.is_rear and lamp.visible_share >= 0.5 for lamp in vehicle.lamps)
-    return is_lit and not is_coming(known, vehicle) and vehicle.range_m < REAR_REACH_M
+    return is_lit and not is_coming(known.ego_pose, vehicle) and vehicle.range_m < REAR_REACH_M
 
 
 def with_beam_policy(config: PipelineConfig, delays: Delays) -> PipelineConfig:
