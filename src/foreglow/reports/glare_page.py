@@ -47,7 +47,8 @@ def write_report(
 
     Args:
         results: All figures.
-        shown: Drives to look at, such as those of `typical_drives`; the middle one with an eye becomes `readme.png`.
+        shown: Drives to look at, such as those of `typical_drives`; the first with a film, or else the middle one with
+            an eye, becomes `readme.png`.
         folder: Is made where it is not there.
         others: The same drives by other limits.
         leads: How well the occurrence of hidden vehicles was told.
@@ -65,8 +66,8 @@ def write_report(
     drive_plots = {drive.name: _drive_plots(drive, results) for drive in met}
     files = plots | {name: plot for one in drive_plots.values() for name, plot in one.items()}
     if met:
-        middle = met[len(met) // 2]
-        files["readme.png"] = readme_figure(middle, eye_to_show(middle).vehicle_id)
+        one = next((drive for drive in met if drive.pictures), met[len(met) // 2])
+        files["readme.png"] = readme_figure(one, eye_to_show(one).vehicle_id)
     record = results.to_json() | {
         "others": [one.to_json() for one in others],
         "occurrence": [one.to_json() for one in leads],

@@ -84,8 +84,6 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
         panel.set(title=_words(name), xlim=_angle_limits(eye), ylim=(end_s - zero_s, begin_s - zero_s))
         panel.title.set_fontsize(10)
         for time_s, words in _events(drive, eye):
-            if not begin_s - zero_s <= time_s <= end_s - zero_s:
-                continue
             panel.axhline(time_s, color=INK, linewidth=0.8, linestyle=":")
             if panel is panels[0]:
                 panel.text(0.02, time_s, words, transform=panel.get_yaxis_transform(), fontsize=8, va="bottom")
@@ -265,10 +263,10 @@ def _dose_scale(axes: Any) -> None:
 
 
 def _events(drive: GlareDrive, eye: DriverEye) -> list[tuple[float, str]]:
-    """What happens when, in seconds from the first sight."""
+    """What happens when, in seconds from the first sight; what was before the drive's first frame is left out."""
     zero_s = _zero_s(drive, eye)
     events = [(0.0, "first sight")] if eye.is_in_sight.any() else []
-    if eye.vehicle_id in drive.light_s:
+    if drive.light_s.get(eye.vehicle_id, -math.inf) >= drive.times_s[0]:
         events.append((drive.light_s[eye.vehicle_id] - zero_s, "first light"))
     ranged = np.flatnonzero(~np.isnan(eye.ranges_m))
     if len(ranged) and ranged[-1] < len(drive.times_s) - 1:
