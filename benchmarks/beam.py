@@ -1,6 +1,7 @@
-"""Run-time of the guard and of the messages: `python -m benchmarks.beam [--out FILE.json] [--quick]`.
+"""Run-time of policy, guard and messages: `python -m benchmarks.beam [--out FILE.json] [--quick]`.
 
-One thread. Messages are compared with cantools by the same DBC; the guard is given full beam and the lamps of vehicles.
+One thread. Messages are compared with cantools by the same DBC. Policy and guard are given the lamps of vehicles, two
+each, that come nearer, or light on the road far ahead whose vehicle is hidden.
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, options, table, write_results
+from foreglow.beam import make_policy
 from foreglow.beam.guard import Guard
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, OWN_DBC, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
-from foreglow.config import GuardConfig
+from foreglow.config import BeamConfig, GuardConfig
 from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState
 
 FRAME_NS = 55_555_556
 NUM_FRAMES = 400
@@ -29,43 +31,52 @@ MOUNT = Pose(np.array([1.8, 0.0, 1.35]), np.eye(3))
 CAMERA = Camera(1280, 960, (1350.0, 1350.0), (640.0, 490.0), (-0.07, 0.015, 1e-4, -2e-5, 0.0), MOUNT)
 
 
-def drive(num_lamps: int) -> list[tuple[BeamCommand, Tracks, Frame]]:
-    """Full beam, and so many lamps that come nearer, two a vehicle."""
+ROAD = RoadAhead(np.stack([np.arange(0.0, 400.0, 5.0), np.arange(0.0, 400.0, 5.0) ** 2 / 800.0, np.zeros(80)], -1), 3.5)
+
+
+def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
+    """Lights that come nearer: lamps, two a vehicle, by their probability `direct`, or light on things."""
     random = np.random.default_rng(0)
     images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(3)]
     drawn = []
     for number in range(NUM_FRAMES):
-        ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lamps, dtype=np.float64)
-        lefts = 640.0 - 1350.0 * (3.0 + 1.3 * (np.arange(num_lamps) % 2)) / ranges_m - 60 * (np.arange(num_lamps) // 2)
+        ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lights, dtype=np.float64)
+        lefts = (
+            640.0 - 1350.0 * (3.0 + 1.3 * (np.arange(num_lights) % 2)) / ranges_m - 60 * (np.arange(num_lights) // 2)
+        )
         half_px = 1350.0 * 0.4 / ranges_m
         boxes = np.stack([lefts - half_px, 500 - half_px, lefts + half_px, 500 + half_px], -1)
-        frame = Frame(images[number % 3], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0))
+        frame = Frame(images[number % 3], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0), road=ROAD)
         tracks = Tracks(
-            ids=np.arange(num_lamps),
-            states=np.full(num_lamps, TrackState.CONFIRMED, np.int64),
+            ids=np.arange(num_lights),
+            states=np.full(num_lights, TrackState.CONFIRMED, np.int64),
             boxes_xyxy_px=boxes,
-            confidences=np.full(num_lamps, 0.9),
-            num_hits=np.full(num_lamps, 9),
-            num_misses=np.zeros(num_lamps, np.int64),
-            ages_s=np.full(num_lamps, 1.0 + number / 18),
+            confidences=np.full(num_lights, 0.9),
+            num_hits=np.full(num_lights, 9),
+            num_misses=np.zeros(num_lights, np.int64),
+            ages_s=np.full(num_lights, 1.0 + number / 18),
             ranges_m=ranges_m,
             sigmas_m=ranges_m / 10,
-            detections=np.arange(num_lamps),
+            detections=np.arange(num_lights),
+            direct_probabilities=np.full(num_lights, direct),
         )
-        drawn.append((BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, 84))), tracks, frame))
+        drawn.append((tracks, frame))
     return drawn
 
 
-def next_check(num_lamps: int) -> Callable[[], object]:
-    """A call that checks and encodes the next command, and begins anew after the last one."""
-    guard, encoder = Guard(GuardConfig(), read_headlamps()), CommandEncoder(1.0)
-    coming = itertools.cycle(drive(num_lamps))
+def next_command(num_lights: int, direct: float) -> Callable[[], object]:
+    """A call that makes, checks and encodes the next command, and begins anew after the last one."""
+    headlamps = read_headlamps()
+    policy, guard = make_policy(BeamConfig(policy="foreglow"), headlamps), Guard(GuardConfig(), headlamps)
+    encoder, coming = CommandEncoder(1.0), itertools.cycle(drive(num_lights, direct))
 
     def step() -> object:
-        wanted, tracks, frame = next(coming)
+        tracks, frame = next(coming)
         if frame.timestamp_ns == 0:
+            policy.reset()
             guard.reset()
-        return encoder.frames(guard.check(wanted, tracks, frame))
+        is_vehicle = tracks.direct_probabilities > 0.5
+        return encoder.frames(guard.check(policy.command(frame, tracks), tracks, frame, is_vehicle=is_vehicle))
 
     return step
 
@@ -97,7 +108,8 @@ def codecs() -> dict[str, Callable[[], object]]:
 
 def measure(rounds: int) -> list[Row]:
     """Median and p99 of one command, and how many times quicker than cantools."""
-    calls = {f"guard and encode, {count} lamps": next_check(count) for count in NUM_LAMPS} | codecs()
+    calls = {f"policy, guard, encode: {count} lamps": next_command(count, 0.9) for count in NUM_LAMPS}
+    calls |= {"policy, guard, encode: hidden vehicle": next_command(2, 0.1)} | codecs()
     times = interleaved({name: Contender(call, calls=20) for name, call in calls.items()}, rounds)
     rows = []
     for name, its in times.items():

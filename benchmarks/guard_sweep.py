@@ -94,6 +94,10 @@ class Place:
     azimuths_rad: Floats
 
 
+NUM_SIGMAS, BRIGHTENING_S = 0.5, 0.5
+"""Defaults, said once more."""
+
+
 @dataclass
 class Outcome:
     """How many states were tried, how many of them had light, and those that broke an invariant, by its name."""
@@ -113,7 +117,7 @@ class Outcome:
 
 def limit_cd(range_m: float, sigma_m: float) -> float:
     """The default limits, said once more: by the least range that may be, the strictest where it is unknown."""
-    nearest_m = range_m - 2 * sigma_m
+    nearest_m = range_m - NUM_SIGMAS * sigma_m
     for from_m, limit in ((200, 5100.0), (100, 1400.0), (50, 275.0)):
         if nearest_m >= from_m:
             return limit
@@ -161,7 +165,7 @@ def _towards(lamps: Lamps, box: Floats, range_m: float, sigma_m: float, count: i
     rays = CAMERA.rays(np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)) @ MOUNT.rotation.T
     ranges_m = np.array([15.0, 25.0, 60.0, 1e6])
     if not math.isnan(range_m):
-        ranges_m = np.maximum(np.linspace(range_m - 2 * sigma_m, range_m + 2 * sigma_m, 4), 15.0)
+        ranges_m = np.maximum(np.linspace(range_m - NUM_SIGMAS * sigma_m, range_m + NUM_SIGMAS * sigma_m, 4), 15.0)
     lights = MOUNT.position_m + rays * ranges_m[:, np.newaxis, np.newaxis]
     points = np.concatenate([lights + np.array([0.0, 0.0, up_m]) for up_m in (0.0, 0.25, 0.5)]).reshape(-1, 3)
     leds, azimuths = [], []
@@ -237,11 +241,11 @@ def _check_light(
     before = np.array([level for level, _, _ in lit])[:, np.newaxis, np.newaxis]
     wanted = np.stack([levels for _, levels, _ in lit])
     levels = np.stack([checked.levels for _, _, checked in lit])
-    slow = np.minimum(wanted, before + FRAME_S)
+    slow = np.minimum(wanted, before + FRAME_S / BRIGHTENING_S)
     holds: Mapping[str, Any] = {
         "levels are from 0 to 1": (levels >= 0) & (levels <= 1),
         "no LED is brighter than wanted": levels <= wanted,
-        "no LED brightens faster than allowed": levels <= before + FRAME_S + 1e-12,
+        "no LED brightens faster than allowed": levels <= before + FRAME_S / BRIGHTENING_S + 1e-12,
     }
     for invariant, is_kept in holds.items():
         for number in np.flatnonzero(~is_kept.all(axis=(1, 2))).tolist():

@@ -230,6 +230,8 @@ OUR_TRACKER = TrackerConfig(
     compensate_yaw=True,
     max_misses=6,
     confirmation="evidence",
+    neutral_score=0.34,
+    confirm_evidence=1.0,
 )
 """Chosen on the validation drives of `make drives`; decision 8 says how."""
 
@@ -246,21 +248,23 @@ class BeamConfig(FrozenModel):
         led_limit_lx: What a single LED may give at the eyes that a gap is for.
         coverage: Of the probability of where a hidden vehicle will appear, the share that the gap for it covers.
         min_direct: A track is a lamp itself when its probability of that is above this.
-        confirm_s: A gap begins once its track has been plausible for so long.
-        hold_s: A gap stays for so long after what it is for was last seen, and an LED dark after its gap has gone.
+        min_confidence: A lamp's gap begins once the confidence of its track was so high.
+        min_hidden_confidence: Likewise that for the vehicle whose light alone is seen.
+        hold_s: A gap stays for so long after what it is for was last followed, and an LED dark after its gap has gone.
         restore_s: Time in which an LED goes from off to full.
     """
 
     policy: Literal["none", "low", "high", "paper", "foreglow"] = "none"
     headlamps: Annotated[Path, Field(strict=False)] | None = None
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
-    margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.5
+    margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
     led_limit_lx: Annotated[float, Field(gt=0)] = 0.03
     coverage: Annotated[float, Field(ge=0, lt=1)] = 0.8
     min_direct: Annotated[float, Field(ge=0, le=1)] = 0.5
-    confirm_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    min_confidence: Annotated[float, Field(ge=0, le=1)] = 0.4
+    min_hidden_confidence: Annotated[float, Field(ge=0, le=1)] = 0.5
     hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
-    restore_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    restore_s: Annotated[float, Field(gt=0, le=10)] = 0.5
 
 
 class GuardConfig(FrozenModel):
@@ -288,7 +292,7 @@ class GuardConfig(FrozenModel):
 
     max_age_s: Annotated[float, Field(gt=0, le=10)] = 0.3
     max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.2
-    brightening_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    brightening_s: Annotated[float, Field(gt=0, le=60)] = 0.5
     low_below_mps: Annotated[float, Field(ge=0)] = 32.0 / 3.6
     high_above_mps: Annotated[float, Field(ge=0)] = 35.0 / 3.6
     needs_speed: bool = True
@@ -302,7 +306,7 @@ class GuardConfig(FrozenModel):
         (100.0, 1400.0),
         (200.0, 5100.0),
     )
-    range_sigmas: Annotated[float, Field(gt=0, le=10)] = 2.0
+    range_sigmas: Annotated[float, Field(gt=0, le=10)] = 0.5
     min_range_m: Annotated[float, Field(ge=5, le=100)] = 15.0
     eyes_above_m: Annotated[float, Field(ge=0, le=5)] = 0.5
 
@@ -360,7 +364,7 @@ PRESETS: dict[str, PipelineConfig] = {
             split_saddle=0.6,
         ),
         # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.25),
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.24),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.beam import BeamPolicy, Guard, make_policy
+from foreglow.beam import BeamStage
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig, preset
 from foreglow.distance import make_estimator
-from foreglow.photometry import read_headlamps
 from foreglow.proposals import NativeProposer, make_proposer
 from foreglow.tracking import make_tracker
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
@@ -41,10 +40,7 @@ class Pipeline:
         self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
         self._estimator = make_estimator(distance) if distance.estimator != "none" else None
         self._tracker = make_tracker(tracker) if tracker.method != "none" else None
-        beam = self.config.beam
-        headlamps = read_headlamps(beam.headlamps) if beam.policy != "none" else None
-        self._policy = make_policy(beam, headlamps) if headlamps is not None else None
-        self._guard = Guard(self.config.guard, headlamps) if headlamps is not None else None
+        self._beam = BeamStage(self.config.beam, self.config.guard) if self.config.beam.policy != "none" else None
 
     @property
     def dispatch(self) -> str | None:
@@ -79,16 +75,10 @@ class Pipeline:
             if self._tracker is not None:
                 tracks = self._tracker.update(frame, detections, ranges)
                 clock.took("tracking")
-                if self._policy is not None and self._guard is not None:
-                    beam = self._beam(self._policy, self._guard, frame, tracks)
+                if self._beam is not None:
+                    beam = self._beam.command(frame, tracks)
                     clock.took("beam")
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, clock.stage_ms, ranges, tracks, beam)
-
-    def _beam(self, policy: BeamPolicy, guard: Guard, frame: Frame, tracks: Tracks) -> BeamCommand:
-        """What the policy wants, as far as the guard lets it."""
-        direct = tracks.direct_probabilities
-        is_vehicle = np.isnan(direct) | (direct > self.config.beam.min_direct)
-        return guard.check(policy.command(frame, tracks), tracks, frame, is_vehicle=is_vehicle)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """The results of `frames`, one by one, in order."""
@@ -97,7 +87,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forgets what earlier frames left behind, as at the start of a sequence."""
-        for stage in (self._classifier, self._estimator, self._tracker, self._policy, self._guard):
+        for stage in (self._classifier, self._estimator, self._tracker, self._beam):
             if stage is not None:
                 stage.reset()
 

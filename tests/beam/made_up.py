@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
 
 FRAME_NS = 55_555_556
 FAST_MPS = 20.0
+
+
+def guard_config(**changes: Any) -> GuardConfig:
+    """A guard that takes ranges as two sigmas off, and a second to brighten: the numbers of these tests."""
+    return GuardConfig(**({"range_sigmas": 2.0, "brightening_s": 1.0} | changes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +128,10 @@ def tracks_of(
 def full(frame: Frame, num_leds: int, level: float = 1.0) -> BeamCommand:
     """Full high beam, as far as a level tells."""
     return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.full((2, num_leds), level))
+
+
+def from_origin(azimuth_rad: float, range_m: float) -> tuple[float, float]:
+    """Azimuth and range from the vehicle's origin of what `CAMERA` sees."""
+    x, y, _ = CAMERA.vehicle_from_camera.position_m
+    point = complex(x + range_m * np.cos(azimuth_rad), y + range_m * np.sin(azimuth_rad))
+    return float(np.angle(point)), abs(point)

@@ -19,7 +19,7 @@ from foreglow.beam.faults import GuardFault
 from foreglow.beam.guard import Guard, dimmed, united
 from foreglow.config import GuardConfig
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks, TrackState
-from tests.beam.made_up import CAMERA, FRAME_NS, IMAGES, FakeLamps, box_around, frame_at, full, tracks_of
+from tests.beam.made_up import CAMERA, FRAME_NS, IMAGES, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
 
 LAMPS = FakeLamps()
 NUM_LEDS = LAMPS.num_leds
@@ -29,7 +29,7 @@ AHEAD = box_around(0.02, -0.005, 0.01)
 
 def running(config: GuardConfig | None = None, *, num_frames: int = 25) -> Guard:
     """A guard that has let full beam through, up to frame `num_frames - 1`."""
-    guard = Guard(config or GuardConfig(), LAMPS)
+    guard = Guard(config or guard_config(), LAMPS)
     for number in range(num_frames):
         frame = frame_at(number)
         guard.check(full(frame, NUM_LEDS), NOBODY, frame)
@@ -135,7 +135,7 @@ def test_full_beam_without_anyone() -> None:
 
 
 def test_begins_low_and_brightens_at_the_rate() -> None:
-    guard = Guard(GuardConfig(brightening_s=0.5), LAMPS)
+    guard = Guard(guard_config(brightening_s=0.5), LAMPS)
     levels = [next_check(guard, frame_at(number)).levels for number in range(12)]
     for number, level in enumerate(levels):
         np.testing.assert_allclose(level, min(1.0, number * FRAME_NS / 0.5e9))
@@ -208,7 +208,7 @@ def test_same_time_again() -> None:
 
 @pytest.mark.parametrize("most", [1, 2, 3])
 def test_same_image_again(most: int) -> None:
-    guard = running(GuardConfig(max_same_images=most))
+    guard = running(guard_config(max_same_images=most))
     faults = [next_check(guard, frame_at(number, image=IMAGES[25 % 3])).faults for number in range(25, 31)]
     assert faults == [()] * most + [(GuardFault.FROZEN,)] * (6 - most)
     assert not next_check(guard, frame_at(31, image=IMAGES[0])).faults
@@ -235,7 +235,7 @@ def test_saturated_image(share: float, is_low: bool) -> None:
     ],
 )
 def test_white_and_black_of_12_and_16_bits(white_level: int | None, value: int, faults: tuple[str, ...]) -> None:
-    guard = running(GuardConfig(white_level=white_level))
+    guard = running(guard_config(white_level=white_level))
     image = np.full((48, 64), value, np.uint16)
     frame = Frame(image, 25 * FRAME_NS, camera=CAMERA.scaled(64, 48), motion=frame_at(25).motion)
     assert next_check(guard, frame).faults == faults
@@ -268,7 +268,7 @@ def test_no_camera() -> None:
 
 def test_unknown_speed() -> None:
     assert_low(next_check(running(), frame_at(25, speed_mps=None)), GuardFault.NO_SPEED)
-    guard = running(GuardConfig(needs_speed=False))
+    guard = running(guard_config(needs_speed=False))
     assert not next_check(guard, frame_at(25, speed_mps=None)).faults
     broken = with_arrays(frame_at(25), motion=with_arrays(frame_at(25).motion, speed_mps=math.nan))
     assert_low(next_check(running(), broken), GuardFault.NO_SPEED)
@@ -276,7 +276,7 @@ def test_unknown_speed() -> None:
 
 def test_speed_with_hysteresis() -> None:
     """Off below 32 km/h, on from 35 km/h."""
-    guard = Guard(GuardConfig(), LAMPS)
+    guard = Guard(guard_config(), LAMPS)
     speeds_kmh = [33, 34.99, 35, 33, 32.01, 31.99, 33, 34.99, 35.01, -40]
     slow = [next_check(guard, frame_at(n, speed_mps=kmh / 3.6)).faults != () for n, kmh in enumerate(speeds_kmh)]
     assert slow == [True, True, False, False, False, True, True, True, False, True]
@@ -437,7 +437,7 @@ def test_eyes_are_above_the_lamps() -> None:
     tracks = tracks_of([box_around(0.0, -0.012, 0.001)], [58.0], sigmas_m=[0.5])
     command = next_check(running(), frame_at(25), tracks)
     assert (towards_cd(command, 0.0, -0.012 + 0.5 / 58.0, 58.0) <= 275.0).all()
-    low_eyes = running(GuardConfig(eyes_above_m=0.0))
+    low_eyes = running(guard_config(eyes_above_m=0.0))
     assert (towards_cd(next_check(low_eyes, frame_at(25), tracks), 0.0, -0.012 + 0.5 / 58.0, 58.0) > 275.0).any()
 
 
@@ -488,7 +488,7 @@ def test_boxes_beyond_the_image(step_px: list[float]) -> None:
 
 def test_lamps_that_shine_anywhere_are_refused() -> None:
     with pytest.raises(ValueError, match="expected LEDs that shine within 45 degrees to the sides and -10 to 15"):
-        Guard(GuardConfig(), FakeLamps(num_columns=60))
+        Guard(guard_config(), FakeLamps(num_columns=60))
 
 
 # The two pure parts
@@ -553,7 +553,7 @@ _steps = st.lists(
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(_steps)
 def test_over_time(steps: list[tuple[int, float, float, float, bool]]) -> None:
-    guard, frame_ns, levels = Guard(GuardConfig(), LAMPS), 10**10, np.zeros((2, NUM_LEDS))
+    guard, frame_ns, levels = Guard(guard_config(), LAMPS), 10**10, np.zeros((2, NUM_LEDS))
     latest_ns, is_fast, track = -math.inf, False, box_around(0.0, -0.003, 0.003)
     for number, (step_ns, speed_mps, age_s, level, has_track) in enumerate(steps):
         frame_ns += step_ns

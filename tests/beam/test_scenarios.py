@@ -12,9 +12,8 @@ import pytest
 from foreglow.beam.guard import Guard
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.beam.receiver import LampReceiver
-from foreglow.config import GuardConfig
 from foreglow.types import BeamCommand, Frame, Tracks
-from tests.beam.made_up import FRAME_NS, IMAGES, FakeLamps, box_around, frame_at, full, tracks_of
+from tests.beam.made_up import FRAME_NS, IMAGES, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
 
 LAMPS = FakeLamps(num_rows=3, num_columns=28)
 MS = 1_000_000
@@ -87,7 +86,7 @@ class Car:
     """Guard, bus and lamps."""
 
     def __init__(self) -> None:
-        self.guard = Guard(GuardConfig(), LAMPS)
+        self.guard = Guard(guard_config(), LAMPS)
         self.encoder = CommandEncoder()
         self.lamps = LampReceiver()
         self.now_ns = 0

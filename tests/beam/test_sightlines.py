@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.beam.sightlines import Sightlines
-from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Pose, rotation
-from tests.beam.made_up import CAMERA
+from tests.beam.made_up import CAMERA, guard_config
 
 LAMPS_M = np.array([[3.6, 0.6, 0.7], [3.6, -0.6, 0.7]])
 MOUNT = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.02, -0.01, 0.015))
@@ -21,7 +20,7 @@ TURNED = Camera(640, 481, (600.0, 610.0), (310.0, 260.0), (-0.09, 0.02, 2e-4, 1e
 
 @pytest.mark.parametrize("camera", [CAMERA, TURNED])
 def test_a_small_box_far_away_is_seen_as_by_the_camera(camera: Camera) -> None:
-    lines = Sightlines(LAMPS_M, GuardConfig(eyes_above_m=0.0))
+    lines = Sightlines(LAMPS_M, guard_config(eyes_above_m=0.0))
     middles = np.random.default_rng(0).random((50, 2)) * [camera.width_px, camera.height_px]
     rays = camera.rays(middles) @ camera.vehicle_from_camera.rotation.T
     spans, _ = lines.spans_rad(camera, np.hstack([middles, middles]), np.full(50, 1e9), np.full(50, 1e-6))
@@ -31,7 +30,7 @@ def test_a_small_box_far_away_is_seen_as_by_the_camera(camera: Camera) -> None:
 
 
 def test_outside_the_image_is_its_border() -> None:
-    lines = Sightlines(LAMPS_M, GuardConfig())
+    lines = Sightlines(LAMPS_M, guard_config())
     boxes = np.array([[-500.0, 100.0, -20.0, 200.0], [1200.0, 900.0, 5000.0, 1e9], [-9.0, -9.0, 2000.0, 2000.0]])
     ranges_m = np.full(3, 60.0)
     outside, _ = lines.spans_rad(CAMERA, boxes, ranges_m, ranges_m / 10)
@@ -52,7 +51,7 @@ def test_spans_hold_all_that_may_be_seen(
     x: float, y: float, size: float, range_m: float, sigma: float, seed: int
 ) -> None:
     """Any point of the box within two sigmas, and up to the eyes above it, is inside, from both lamps."""
-    config = GuardConfig(eyes_above_m=0.5)
+    config = guard_config(eyes_above_m=0.5)
     box = np.array([[x, y, x + size, y + size]])
     spans, nearest_m = Sightlines(LAMPS_M, config).spans_rad(CAMERA, box, np.array([range_m]), np.array([sigma]))
     assert nearest_m == pytest.approx(max(range_m - 2 * sigma, 15.0))
@@ -75,7 +74,7 @@ def test_spans_hold_all_that_may_be_seen(
 
 def test_spans_are_no_wider_than_the_box_needs() -> None:
     """A far point is seen as from the camera; the lamps' offset shows at 50 m."""
-    lines = Sightlines(LAMPS_M, GuardConfig(eyes_above_m=0.0))
+    lines = Sightlines(LAMPS_M, guard_config(eyes_above_m=0.0))
     box = np.array([[640.0, 490.0, 641.0, 491.0]] * 2)
     spans, _ = lines.spans_rad(CAMERA, box, np.array([1e7, 50.0]), np.array([1e-3, 1e-3]))
     assert np.degrees(np.abs(spans[0])).max() < 0.05
@@ -89,7 +88,7 @@ def test_spans_are_no_wider_than_the_box_needs() -> None:
     [(math.nan, math.inf, 15.0), (80.0, math.inf, 15.0), (80.0, math.nan, 15.0), (80.0, 5.0, 70.0), (3.0, 0.1, 15.0)],
 )
 def test_what_is_not_known_may_be_anywhere(range_m: float, sigma_m: float, nearest_m: float) -> None:
-    lines = Sightlines(LAMPS_M, GuardConfig())
+    lines = Sightlines(LAMPS_M, guard_config())
     box = np.array([[700.0, 500.0, 720.0, 520.0]])
     spans, told_m = lines.spans_rad(CAMERA, box, np.array([range_m]), np.array([sigma_m]))
     assert told_m == nearest_m
@@ -100,7 +99,7 @@ def test_what_is_not_known_may_be_anywhere(range_m: float, sigma_m: float, neare
 
 
 def test_no_tracks() -> None:
-    lines = Sightlines(LAMPS_M, GuardConfig())
+    lines = Sightlines(LAMPS_M, guard_config())
     spans, nearest_m = lines.spans_rad(CAMERA, np.zeros((0, 4)), np.zeros(0), np.zeros(0))
     assert spans.shape == (0, 2, 4)
     assert nearest_m.shape == (0,)

@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 from benchmarks.shipped_drive import TRUTH_NAMES, compress
 from foreglow import datasets
 from foreglow.cli import app
+from foreglow.config import read_config
 from foreglow.datasets import PVDN
 from foreglow.simulation import read_truth
 from foreglow.simulation.recording.dataset import simulate_dataset
@@ -49,6 +50,14 @@ def test_frames_without_labels_have_no_story(tmp_path: Path) -> None:
         path.unlink()
     (root / "labels" / "keypoints").rmdir()
     assert "look in" in demo(root, "--out", out).stdout.splitlines()[-1]
+
+
+def test_frames_with_calibration_and_speed_have_a_beam(tmp_path: Path) -> None:
+    made = simulate_dataset(tmp_path / "data", (scene(1),), drive)
+    result = demo(made.root, "--out", tmp_path / "out")
+    assert "beam, of the frames: " in result.stdout
+    assert (tmp_path / "out" / "beam.mp4").is_file()
+    assert read_config(tmp_path / "out" / "config.toml").beam.policy == "foreglow"
 
 
 def test_the_shipped_drive_is_made_of_a_simulated_split(tmp_path: Path) -> None:

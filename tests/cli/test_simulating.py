@@ -110,6 +110,26 @@ def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     assert foreglow("simulate", "--print", "crest", "--seed", 5).stdout == path.read_text()
 
 
+def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -> None:
+    plain, changed = (
+        foreglow("simulate", "--print", "curve", "--seed", 5, *options).stdout
+        for options in ((), ("--ego-beam", "high", "--empty"))
+    )
+    (tmp_path / "plain.toml").write_text(plain)
+    (tmp_path / "changed.toml").write_text(changed)
+    before, after = read_scene(tmp_path / "plain.toml"), read_scene(tmp_path / "changed.toml")
+    assert (before.ego.beam, after.ego.beam) == ("low", "high")
+    assert any(one.beam != "off" for one in before.vehicles)
+    assert all(one.beam == "off" for one in after.vehicles)
+    assert after.road == before.road
+    need_renderer()
+    small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast")
+    result = foreglow("simulate", "--out", tmp_path / "DATA", *small, "--ego-beam", "matrix", "--empty")
+    assert "1 drive, 4 images, 4 of them without any instance" in result.stdout
+    (line,) = (tmp_path / "DATA" / "day" / "train" / "scenes.jsonl").read_text().splitlines()
+    assert '"matrix"' in line
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -119,6 +139,7 @@ def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
         (("--preview", "curve", "--size", "8x8"), "camera.width_px"),
         (("--preview", "curve", "--cycle", "dusk"), "sensor.exposure"),
         (("--preview", "curve", "--quality", "best", "--out", "unused"), "quality: expected one of fast"),
+        (("--out", "unused", "--ego-beam", "laser"), "--ego-beam: expected one of low, high, matrix, got 'laser'"),
         (("--out", "unused", "--split", "exam"), "split: expected one of train"),
         (("--scene", "nowhere.toml", "--out", "unused"), "nowhere.toml: no such"),
     ],

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from foreglow.evaluation.first_found import FirstFound
 from foreglow.evaluation.story import Moment, Story
-from foreglow.reports.story import MAX_ROWS, conclusion, story_lines, story_table
+from foreglow.reports.story import MAX_ROWS, conclusion, gap_line, story_lines, story_table
 from tests.evaluation.scored_boxes import light
 
 NEVER = math.nan
@@ -56,6 +56,18 @@ def test_a_story_line_by_line() -> None:
 def test_what_the_tracker_says() -> None:
     lines = story_lines(story_of(2.1, 2.3, 3.5, confirmed_s=2.35), is_classified=True)
     assert lines[2].split() == ["confirmed", "by", "the", "tracker", "2.35", "s"]
+
+
+@pytest.mark.parametrize(
+    ("opened_s", "expected"),
+    [
+        (NEVER, "=> no dark gap in the beam where it came into sight"),
+        (2.25, "=> dark gap in the beam 1.25 s before it was there"),
+        (1.5, "=> dark gap in the beam 2.00 s before it was there, opened for something else"),
+    ],
+)
+def test_what_the_beam_did(opened_s: float, expected: str) -> None:
+    assert gap_line(story_of(2.0, 2.3, 3.5), opened_s) == expected
 
 
 def test_without_a_model_it_is_only_proposed() -> None:

@@ -74,6 +74,32 @@ def test_times_from_zero(tmp_path: Path, suffix: str) -> None:
     assert decode_gaps(messages[4].arbitration_id, bytes(messages[4].data)).gap_ranges_m == [76.0]
 
 
+def test_sequences_follow_each_other(tmp_path: Path) -> None:
+    """Each has times of its own; in the log, time only goes forward, and a second lies between them."""
+    sink = CanLogSink(tmp_path / "beam.log")
+    times_ms = {"S00001": (0, 55), "S00002": (0, 55), "S00003": (5000, 5055)}
+    for sequence, its in times_ms.items():
+        for time_ms in its:
+            frame, result = result_at(time_ms * MS)
+            sink.write(Frame(frame.image, frame.timestamp_ns, sequence=sequence), result)
+    sink.close()
+    messages = read(tmp_path / "beam.log", ".log")[4::5]
+    expected_ms = [0, 55, 1055, 1110, 5000, 5055]
+    np.testing.assert_allclose([one.timestamp for one in messages], np.array(expected_ms) / 1e3, atol=2e-6)
+    times = [decode_gaps(one.arbitration_id, bytes(one.data)).header.time_ms for one in messages]
+    assert times == expected_ms
+
+
+def test_gaps_alone(tmp_path: Path) -> None:
+    sink = CanLogSink(tmp_path / "beam.log", has_levels=False)
+    for number in range(3):
+        sink.write(*result_at(number * PERIOD))
+    sink.close()
+    messages = read(tmp_path / "beam.log", ".log")
+    headers = [decode_gaps(one.arbitration_id, bytes(one.data)).header for one in messages]
+    assert [one.counter for one in headers] == [0, 1, 2]
+
+
 @pytest.mark.parametrize("suffix", LOG_SUFFIXES)
 def test_without_commands(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"beam{suffix}"

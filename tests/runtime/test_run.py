@@ -65,7 +65,7 @@ def test_writes_one_line_a_frame(tmp_path: Path) -> None:
     for line, frame in zip(lines, frames, strict=True):
         assert list(line) == [
             "frame", "sequence", "timestamp_ns", "proposals_xyxy_px", "scores", "direct", "detections_xyxy_px",
-            "ranges_m", "range_sigmas_m", "tracks", "stage_ms",
+            "ranges_m", "range_sigmas_m", "tracks", "beam", "stage_ms",
         ]  # fmt: skip
         assert line["proposals_xyxy_px"] == Pipeline(REFERENCE).step(frame).proposals.boxes_xyxy_px.tolist()
         assert line["scores"] is None

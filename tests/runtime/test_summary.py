@@ -14,7 +14,7 @@ from foreglow.config import preset
 from foreglow.pipeline import Pipeline
 from foreglow.runtime import summary
 from foreglow.runtime.records import frame_record
-from foreglow.types import Ranges, TrackState
+from foreglow.types import BeamCommand, BeamMode, Ranges, TrackState
 from tests.stand_ins import night_frames, result_of, tracks_of
 
 STATES = [TrackState.CONFIRMED, TrackState.TENTATIVE]
@@ -48,6 +48,26 @@ def test_ranges_and_tracks_are_counted() -> None:
     assert (counted.num_ranged, counted.num_tracks) == (2, 2)  # the tentative track does not count
     without = tally.summary("here", [], Pipeline(preset("foreglow").detector_only), is_complete=True)
     assert without.num_ranged is None
+
+
+def test_beam_commands_are_counted() -> None:
+    frame = night_frames(1)[0]
+    bright, gaps_rad = np.ones((2, 4)), np.radians([[-3.0, -1.0], [0.0, 4.0]])
+    commands = [
+        BeamCommand(0, BeamMode.FULL, bright),
+        BeamCommand(0, BeamMode.GLARE_FREE, bright, gaps_rad, np.array([50.0, np.nan])),
+        BeamCommand.low(0, 4, "too_slow"),
+        BeamCommand.low(0, 4, "image_black", "too_slow"),
+    ]
+    tally = summary.Tally()
+    assert tally.summary("here", [], Pipeline(), is_complete=True).beam is None
+    for command in commands:
+        tally.add(frame, dataclasses.replace(result_of(frame, []), beam=command))
+    counted = tally.summary("here", [], Pipeline(), is_complete=True).beam
+    assert counted is not None
+    assert (counted.num_low, counted.num_glare_free, counted.num_full) == (2, 1, 1)
+    assert counted.mean_gap_deg == 3.0
+    assert list(counted.faults.items()) == [("too_slow", 2), ("image_black", 1)]
 
 
 def test_record_keeps_scores_exactly_and_lists_accepted_boxes() -> None:

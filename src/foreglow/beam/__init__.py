@@ -4,10 +4,12 @@ from foreglow.beam.gaps import Gap
 from foreglow.beam.guard import Guard
 from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy
+from foreglow.beam.stage import BeamStage
 
 __all__ = [
     "POLICIES",
     "BeamPolicy",
+    "BeamStage",
     "Gap",
     "GapWriter",
     "Guard",

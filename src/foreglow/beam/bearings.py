@@ -9,7 +9,7 @@ import numpy as np
 
 from foreglow.geometry import Camera
 from foreglow.rays import RayCaster
-from foreglow.types import Frame, Tracks, TrackState
+from foreglow.types import Frame, Tracks
 
 RATE_GAIN = 0.25
 """Share of a new rate in the filtered one: a rate of single frames would be noise."""
@@ -21,25 +21,23 @@ class Bearing:
 
     Attributes:
         azimuth_rad: Of the box's centre, to the left.
+        elevation_rad: Likewise, upwards.
         half_width_rad: Of the box.
         rate_radps: How fast it moves to the left.
-        range_m: From the camera; NaN where unknown.
-        sigma_m: Standard deviation of the range; infinite where unknown.
+        range_m: NaN where unknown.
         direct: Probability that it is a lamp itself; NaN where unknown.
+        confidence: The greatest confidence that it ever had.
         is_plausible: Whether it may be acted on.
-        plausible_s: Since when it has been plausible, seconds; 0 where it is not.
-        seen_ns: When it was last detected.
     """
 
     azimuth_rad: float
+    elevation_rad: float
     half_width_rad: float
     rate_radps: float
     range_m: float
-    sigma_m: float
     direct: float
+    confidence: float
     is_plausible: bool
-    plausible_s: float
-    seen_ns: int
 
 
 class Bearings:
@@ -61,52 +59,45 @@ class Bearings:
         known, self._timestamp_ns, self._bearings = self._bearings, frame.timestamp_ns, {}
         if not len(tracks):
             return self._bearings
-        azimuths, halves = self._directions(frame.camera, tracks)
+        azimuths, elevations, halves = self._directions(frame.camera, tracks)
         rows = zip(
             tracks.ids.tolist(),
             azimuths,
+            elevations,
             halves,
             tracks.ranges_m.tolist(),
-            tracks.sigmas_m.tolist(),
             tracks.direct_probabilities.tolist(),
-            tracks.states.tolist(),
-            tracks.num_misses.tolist(),
+            tracks.confidences.tolist(),
+            tracks.is_plausible.tolist(),
             strict=True,
         )
-        for one, azimuth, half, range_m, sigma_m, direct, state, num_misses in rows:
-            before = known.get(one)
-            rate, plausible_s, seen_ns = 0.0, 0.0, frame.timestamp_ns
-            is_plausible = state != TrackState.TENTATIVE
+        for one, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
+            before, rate = known.get(one), 0.0
+            azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
-                rate = before.rate_radps
+                rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
                     rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)
-                plausible_s = before.plausible_s + step_s if is_plausible and before.is_plausible else 0.0
-                seen_ns = before.seen_ns if num_misses else seen_ns
-            self._bearings[one] = Bearing(
-                azimuth, half, rate, range_m, sigma_m, direct, is_plausible, plausible_s, seen_ns
-            )
+            self._bearings[one] = Bearing(azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible)
         return self._bearings
 
-    def _directions(self, camera: Camera, tracks: Tracks) -> tuple[list[float], list[float]]:
-        """Azimuth of each box's centre, and half its width, radians."""
+    def _directions(self, camera: Camera, tracks: Tracks) -> tuple[list[float], list[float], list[float]]:
+        """Azimuth and elevation of each box's centre, and half its width, radians."""
         boxes = tracks.boxes_xyxy_px
         middles_px = 0.5 * (boxes[:, 1] + boxes[:, 3])
         pixels = np.empty((2 * len(boxes), 2))
         pixels[: len(boxes), 0], pixels[len(boxes) :, 0] = boxes[:, 0], boxes[:, 2]
         pixels[: len(boxes), 1] = pixels[len(boxes) :, 1] = middles_px
-        forward, left, _ = self._caster.cast(camera, pixels).directions.T
+        forward, left, up = self._caster.cast(camera, pixels).directions.T
         lefts, rights = np.arctan2(left, forward).reshape(2, -1)
-        return (0.5 * (lefts + rights)).tolist(), (0.5 * (lefts - rights)).tolist()
+        elevations = np.arcsin(up[: len(boxes)])
+        return (0.5 * (lefts + rights)).tolist(), elevations.tolist(), (0.5 * (lefts - rights)).tolist()
 
 
-def range_bounds_m(bearing: Bearing, num_sigmas: float) -> tuple[float, float]:
-    """Nearest and farthest range that is likely; from `NEAREST_M` to infinity where nothing is known."""
-    if math.isnan(bearing.range_m):
-        return NEAREST_M, math.inf
-    spread_m = num_sigmas * bearing.sigma_m
-    return max(bearing.range_m - spread_m, NEAREST_M), max(bearing.range_m + spread_m, NEAREST_M)
-
-
-NEAREST_M = 8.0
-"""Nearer vehicles are beside the beam."""
+def _from_origin(camera: Camera, azimuth_rad: float, range_m: float) -> tuple[float, float]:
+    """Azimuth and range from the vehicle's origin of what the camera sees; as they are where the range is unknown."""
+    if math.isnan(range_m):
+        return azimuth_rad, range_m
+    x, y, _ = camera.vehicle_from_camera.position_m.tolist()
+    forward, left = x + range_m * math.cos(azimuth_rad), y + range_m * math.sin(azimuth_rad)
+    return math.atan2(left, forward), math.hypot(forward, left)

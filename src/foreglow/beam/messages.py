@@ -183,18 +183,25 @@ class CommandEncoder:
         counter: That of the next command.
     """
 
-    def __init__(self, ramp_s: float = 0.0) -> None:
-        """Takes how long lamps of cars that take borders shall take to brighten; at most 3 s."""
+    def __init__(self, ramp_s: float = 0.0, *, has_levels: bool = True) -> None:
+        """An encoder whose counter begins at 0.
+
+        Args:
+            ramp_s: How long lamps of cars that take borders shall take to brighten; at most 3 s.
+            has_levels: False leaves out the levels: for cars that take borders alone, with lamps of any kind.
+        """
         self.counter = 0
         self._ramp_s = ramp_s
+        self._has_levels = has_levels
 
     def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
-        """The four frames with the levels, then the one with the gaps.
+        """The four frames with the levels, if they are wanted, then the one with the gaps.
 
         Raises:
             ValueError: As `encode_levels` and `encode_gaps`.
         """
-        frames = (*encode_levels(command, self.counter), encode_gaps(command, self.counter, self._ramp_s))
+        levels = encode_levels(command, self.counter) if self._has_levels else ()
+        frames = (*levels, encode_gaps(command, self.counter, self._ramp_s))
         self.counter = (self.counter + 1) % NUM_COUNTS
         return frames
 

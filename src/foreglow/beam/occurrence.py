@@ -53,6 +53,11 @@ class Occurrence(NamedTuple):
         """Median of the direction."""
         return self.quantiles_rad((0.5,))[0]
 
+    def nearest_m(self, share: float) -> float:
+        """The range within which so much of the probability lies, at least."""
+        place = int(self.weights.cumsum().searchsorted(share))
+        return float(self.ranges_m[min(place, len(self.ranges_m) - 1)])
+
     def quantiles_rad(self, shares: tuple[float, ...]) -> tuple[float, ...]:
         """Directions to the right of which so much of the probability lies; linear in between."""
         order = self.azimuths_rad.argsort()

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from foreglow.beam.bearings import Bearing, Bearings, range_bounds_m
+from foreglow.beam.bearings import Bearing, Bearings
 from foreglow.beam.dimming import Dimmer, Ramp
 from foreglow.beam.gaps import Gap, merged
 from foreglow.beam.occurrence import Occurrence, occurrence
@@ -24,8 +24,18 @@ VEHICLE_M = 1.3
 BOX_SHARE = 0.15
 """Standard deviation of where a lamp is in its box, as a share of the box's width."""
 
-NUM_SIGMAS = 1.0
-"""Ranges are taken as that far off to either side."""
+NEAREST_M = 20.0
+"""Nearer vehicles are beside the brightest part of the beam; a gap for one at 10 m would be as wide as all of it."""
+
+LOWEST_LAMP_RAD = math.radians(-5.0)
+"""No lamp is seen further down: at 10 m one of 0.5 m height is at this angle. What is, is light on the road."""
+
+UNKNOWN_NEAR_M = 40.0
+"""What has no range may be as near as this, and at any distance beyond."""
+
+MIN_COMING_DIRECT, MIN_COMING_M = 0.8, 30.0
+"""A lamp that comes into sight is taken for true before it is confirmed when it is so sure to be one, and so far away:
+nearer ones would have been seen before."""
 
 HIDDEN = -1
 """Stands for the id of a hidden vehicle's gap, and smaller numbers for further ones."""
@@ -124,13 +134,13 @@ class PaperPolicy:
             return []
         brightest = max(places.tolist(), key=lambda place: brightness(frame.image, tracks.boxes_xyxy_px[place]))
         bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]
-        return [_around(bearing, bearing.half_width_rad + self._margin_rad, range_bounds_m(bearing, NUM_SIGMAS))]
+        return [_around(bearing, bearing.half_width_rad + self._margin_rad)]
 
 
 class ForeglowPolicy:
     """Ours: a gap for every lamp that is followed, and one where a vehicle is expected whose light is all that is seen.
 
-    * A lamp's gap leads it by the latency, and holds the whole vehicle at the nearest range that is likely.
+    * A lamp's gap leads it by the latency, and holds the whole vehicle.
     * Light on other things is not what is to be protected. Its vehicle is further along the road: the gap covers most
       of the probability of where it will appear (`occurrence`). Without a road the light itself is taken for the place.
     * While a lamp is in sight, light on other things is taken for its own, and opens nothing.
@@ -166,14 +176,10 @@ class ForeglowPolicy:
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
-        acted = {
-            one: bearing
-            for one, bearing in bearings.items()
-            if bearing.is_plausible and bearing.plausible_s >= self._config.confirm_s
-        }
+        seen = {one: bearing for one, bearing in bearings.items() if not self._is_road(bearing)}
+        acted = {one: bearing for one, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
-            coming = {one: bearing for one, bearing in bearings.items() if bearing.direct > self._config.min_direct}
-            acted = coming | acted
+            acted |= {one: bearing for one, bearing in seen.items() if _is_coming(bearing)}
         self._held = {
             one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)
         }
@@ -181,50 +187,70 @@ class ForeglowPolicy:
             HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))
         }
         for one, (since_ns, gap) in held.items():
-            if one not in self._held and now_ns - since_ns <= self._hold_ns:
+            if one not in self._held and 0 <= now_ns - since_ns <= self._hold_ns:
                 self._held[one] = since_ns, gap
         return [gap for _, gap in self._held.values()]
 
+    def _is_sure(self, bearing: Bearing) -> bool:
+        """Whether a track is acted on: light alone has to be surer than a lamp, which may be glared."""
+        config = self._config
+        wanted = config.min_confidence if self._is_lamp(bearing) else config.min_hidden_confidence
+        return bearing.is_plausible and bearing.confidence >= wanted
+
+    def _is_road(self, bearing: Bearing) -> bool:
+        """Whether a track that seems to be a lamp can be none."""
+        return self._is_lamp(bearing) and bearing.elevation_rad < LOWEST_LAMP_RAD
+
     def _is_lamp(self, bearing: Bearing) -> bool:
-        return math.isnan(bearing.direct) or bearing.direct > self._config.min_direct
+        return not bearing.direct <= self._config.min_direct
 
     def _lamp_gap(self, bearing: Bearing) -> Gap:
-        near_m, far_m = range_bounds_m(bearing, NUM_SIGMAS)
-        half_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + math.atan2(VEHICLE_M, near_m) + self._margin_rad
-        now = _around(bearing, half_rad, (near_m, far_m))
-        lead_rad = bearing.rate_radps * self._config.latency_s
-        return now._replace(
-            right_rad=now.right_rad + min(lead_rad, 0.0),
-            left_rad=now.left_rad + max(lead_rad, 0.0),
+        near_m, _ = _bounds_m(bearing)
+        gap = _around(
+            bearing, 2.0 * BOX_SHARE * bearing.half_width_rad + math.atan2(VEHICLE_M, near_m) + self._margin_rad
         )
+        lead_rad = bearing.rate_radps * self._config.latency_s
+        return gap._replace(right_rad=gap.right_rad + min(lead_rad, 0.0), left_rad=gap.left_rad + max(lead_rad, 0.0))
 
     def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
         """The gap for a hidden vehicle, if there is light and no lamp in sight."""
         self.expected = None
         if any(one.direct > self._config.min_direct for one in acted):
             return []
-        lights = [one for one in acted if one.is_plausible]
-        if not lights:
+        if not acted:
             return []
         if frame.road is not None:
-            farthest_m = max((one.range_m for one in lights if not math.isnan(one.range_m)), default=math.nan)
+            farthest_m = max((one.range_m for one in acted if not math.isnan(one.range_m)), default=math.nan)
             expected = self.expected = occurrence(frame.road, farthest_m)
             if expected is not None:
                 rest = 0.5 * (1.0 - self._config.coverage)
                 right, left = expected.quantiles_rad((rest, 1.0 - rest))
-                half_rad = math.atan2(VEHICLE_M, float(expected.ranges_m[0])) + self._margin_rad
-                return [Gap(right - half_rad, left + half_rad, float(expected.ranges_m[0]), math.inf)]
-        return [_around(one, one.half_width_rad + self._margin_rad, range_bounds_m(one, NUM_SIGMAS)) for one in lights]
+                near_m = expected.nearest_m(rest)
+                half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
+                return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
+        return [_around(one, one.half_width_rad + self._margin_rad) for one in acted]
 
 
-def _around(bearing: Bearing, half_rad: float, bounds_m: tuple[float, float]) -> Gap:
-    return Gap(bearing.azimuth_rad - half_rad, bearing.azimuth_rad + half_rad, *bounds_m)
+def _is_coming(bearing: Bearing) -> bool:
+    return bearing.direct >= MIN_COMING_DIRECT and bearing.range_m >= MIN_COMING_M
+
+
+def _around(bearing: Bearing, half_rad: float) -> Gap:
+    return Gap(bearing.azimuth_rad - half_rad, bearing.azimuth_rad + half_rad, *_bounds_m(bearing))
+
+
+def _bounds_m(bearing: Bearing) -> tuple[float, float]:
+    """Nearest and farthest range."""
+    if math.isnan(bearing.range_m):
+        return UNKNOWN_NEAR_M, math.inf
+    range_m = max(bearing.range_m, NEAREST_M)
+    return range_m, range_m
 
 
 def brightness(image: Image, box_xyxy_px: Floats) -> float:
     """The greatest grey level in a box, of its part in the image; 0 outside."""
-    x1, y1, x2, y2 = (max(int(edge), 0) for edge in box_xyxy_px)
-    inside = image[y1 : y2 + 1, x1 : x2 + 1]
+    x1, y1, x2, y2 = (max(int(edge), 0) for edge in np.ceil(box_xyxy_px))
+    inside = image[y1:y2, x1:x2]
     return float(inside.max()) if inside.size else 0.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -12,7 +13,9 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource, OnError
-    from foreglow.runtime import OutputFolder, ResultSink, RunSummary
+    from foreglow.photometry import Headlamps
+    from foreglow.reports.video import Drawing
+    from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -78,6 +81,19 @@ _SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/va
 Source = Annotated[Path, argument(metavar="SOURCE", help=_SOURCE_HELP)]
 PresetOption = Annotated[str, typer.Option(metavar="foreglow|paper|baseline", help="Parameters to start from.")]
 ModelOption = Annotated[Path | None, file(help="ONNX model that classifies the proposals; overrides the file's.")]
+ConfigOption = Annotated[Path | None, file(help="TOML whose fields override the preset.")]
+CalibrationOption = Annotated[Path | None, file(help="The camera's TOML, so that boxes and tracks get ranges.")]
+CanLogOption = Annotated[Path | None, file(help="CAN log of the drive: motion and street messages.")]
+DbcOption = Annotated[Path | None, file(help="What is in the log's frames (default: our own).")]
+MappingOption = Annotated[Path | None, file(help="TOML: what the DBC's signals mean.")]
+MapOption = Annotated[Path | None, file("--map", help="GeoJSON, OpenDRIVE or Lanelet2; with --poses.")]
+PosesOption = Annotated[Path | None, file(help="Where the car was on the map, over time: CSV or TUM.")]
+TimeOffsetOption = Annotated[
+    float, typer.Option(metavar="S", help="Added to the times of log and poses to have the frames'.")
+]
+PoseErrorOption = Annotated[float, typer.Option(metavar="M", help="How far the poses may be off along the road.")]
+LimitOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")]
+OnErrorOption = Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")]
 
 
 def _show_version(is_wanted: bool) -> None:
@@ -140,36 +156,53 @@ def opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
     return open_source(source, on_error=cast("OnError", on_error))
 
 
+def equipped(
+    frames: FrameSource, files: Sequence[Path | None], time_offset_s: float, pose_error_m: float
+) -> FrameSource:
+    """`frames` with what the files of `open_vehicle_data`, in its order, know of them."""
+    if all(one is None for one in files):
+        return frames
+    from foreglow.datasets import Equipped
+    from foreglow.datasets.vehicle_logs import open_vehicle_data
+
+    data = open_vehicle_data(*files, time_offset_s=time_offset_s, pose_error_m=pose_error_m)
+    return Equipped(frames, data)
+
+
 def run_frames(
     frames: FrameSource,
     name: str,
     out: Path,
-    configuration: PipelineConfig,
+    pipeline: Stepper,
     *,
-    has_video: bool,
+    make_sinks: Callable[[OutputFolder], Sequence[ResultSink]] = lambda _: (),
     limit: int | None = None,
 ) -> RunSummary:
     """Runs the pipeline over `frames`, with a progress bar where there is a terminal."""
-    from foreglow.pipeline import Pipeline
     from foreglow.reports.progress import ProgressSink
     from foreglow.runtime import OutputFolder, run
 
-    pipeline = Pipeline(configuration)
     folder = OutputFolder(out)
     num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
-    sinks = [ProgressSink(num_frames), *_picture_sinks(frames, folder, has_video)]
+    sinks = [ProgressSink(num_frames), *make_sinks(folder)]
     return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
 
 
-def _picture_sinks(frames: FrameSource, folder: OutputFolder, has_video: bool) -> list[ResultSink]:
-    """The sink for the annotated pictures, if they are wanted: a picture of a single image, else a video."""
-    if not has_video:
-        return []
+def picture_sink(frames: FrameSource, folder: OutputFolder, name: str, draw: Drawing | None = None) -> ResultSink:
+    """The sink for pictures, annotated frames unless drawn otherwise: a picture of a single image, else a video."""
+    from foreglow.reports.overlay import annotate
     from foreglow.reports.video import PictureSink, VideoSink
 
     if frames.num_frames == 1:
-        return [PictureSink(folder.partial("overlay.png"))]
-    return [VideoSink(folder.partial("overlay.mp4"), frames.rate_hz)]
+        return PictureSink(folder.partial(f"{name}.png"), draw or annotate)
+    return VideoSink(folder.partial(f"{name}.mp4"), frames.rate_hz, draw or annotate)
+
+
+def beam_sink(frames: FrameSource, folder: OutputFolder, headlamps: Headlamps) -> ResultSink:
+    """The sink for the pictures of the beam, whose light is shown as drivers' eyes get it."""
+    from foreglow.reports.beam_view import EYE_HEIGHT_M, BeamView
+
+    return picture_sink(frames, folder, "beam", BeamView(headlamps, map_height_m=EYE_HEIGHT_M).draw)
 
 
 def finish(summary: RunSummary, out: Path) -> None:

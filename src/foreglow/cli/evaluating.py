@@ -106,13 +106,14 @@ def _examined_model(split: Path, configuration: PipelineConfig, out: Path | None
     from foreglow.datasets import PVDN
     from foreglow.evaluation import examine, read_predictions, read_split_labels
     from foreglow.evaluation.robustness import robustness
+    from foreglow.pipeline import Pipeline
     from foreglow.reports.progress import ProgressSink
 
     dataset = PVDN(split)
     labels = read_split_labels(dataset)
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
-        summary = run_frames(dataset, str(split), folder, configuration, has_video=False)
+        summary = run_frames(dataset, str(split), folder, Pipeline(configuration))
         if not summary.is_complete:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")

@@ -9,16 +9,29 @@ import typer
 
 from foreglow.cli.app import (
     DEFAULT_PRESET,
+    CalibrationOption,
+    CanLogOption,
+    ConfigOption,
+    DbcOption,
+    LimitOption,
+    MapOption,
+    MappingOption,
     ModelOption,
+    OnErrorOption,
+    PoseErrorOption,
+    PosesOption,
     PresetOption,
     Source,
+    TimeOffsetOption,
     app,
     argument,
+    beam_sink,
     configuration_of,
-    file,
+    equipped,
     finish,
     folder,
     opened,
+    picture_sink,
     run_frames,
 )
 
@@ -26,6 +39,7 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
     from foreglow.evaluation.story import Story
+    from foreglow.runtime import OutputFolder, ResultSink
 
 
 @app.command()
@@ -34,34 +48,32 @@ def run(
     out: Annotated[Path, folder(help="Folder for the results; made if need be.")],
     preset: PresetOption = DEFAULT_PRESET,
     model: ModelOption = None,
-    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
-    calibration: Annotated[Path | None, file(help="The camera's TOML, so that boxes and tracks get ranges.")] = None,
-    can_log: Annotated[Path | None, file(help="CAN log of the drive: motion and street messages.")] = None,
-    dbc: Annotated[Path | None, file(help="What is in the log's frames (default: our own).")] = None,
-    mapping: Annotated[Path | None, file(help="TOML: what the DBC's signals mean.")] = None,
-    road_map: Annotated[Path | None, file("--map", help="GeoJSON, OpenDRIVE or Lanelet2; with --poses.")] = None,
-    poses: Annotated[Path | None, file(help="Where the car was on the map, over time: CSV or TUM.")] = None,
-    time_offset: Annotated[
-        float, typer.Option(metavar="S", help="Added to the times of log and poses to have the frames'.")
-    ] = 0.0,
-    pose_error: Annotated[float, typer.Option(metavar="M", help="How far the poses may be off along the road.")] = 5.0,
+    config: ConfigOption = None,
+    calibration: CalibrationOption = None,
+    can_log: CanLogOption = None,
+    dbc: DbcOption = None,
+    mapping: MappingOption = None,
+    road_map: MapOption = None,
+    poses: PosesOption = None,
+    time_offset: TimeOffsetOption = 0.0,
+    pose_error: PoseErrorOption = 5.0,
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,
-    limit: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")] = None,
-    on_error: Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")] = "stop",
+    limit: LimitOption = None,
+    on_error: OnErrorOption = "stop",
 ) -> None:
     """Find the light artifacts in SOURCE, follow them, and write them to a folder."""
-    configuration = configuration_of(preset, config, model)
-    frames = opened(source, out, on_error)
-    files = (calibration, can_log, dbc, mapping, road_map, poses)
-    if any(one is not None for one in files):
-        from foreglow.datasets import Equipped
-        from foreglow.datasets.vehicle_logs import open_vehicle_data
+    from foreglow.pipeline import Pipeline
 
-        data = open_vehicle_data(*files, time_offset_s=time_offset, pose_error_m=pose_error)
-        frames = Equipped(frames, data)
-    finish(run_frames(frames, str(source), out, configuration, has_video=video, limit=limit), out)
+    configuration = configuration_of(preset, config, model)
+    files = (calibration, can_log, dbc, mapping, road_map, poses)
+    frames = equipped(opened(source, out, on_error), files, time_offset, pose_error)
+
+    def make_sinks(results: OutputFolder) -> list[ResultSink]:
+        return [picture_sink(frames, results, "overlay")] if video else []
+
+    finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)
 
 
 @app.command()
@@ -72,13 +84,28 @@ def demo(
 ) -> None:
     """Run on SOURCE, or on the drive that ships, with annotated pictures; tell what happened where there are labels."""
     from foreglow.datasets import shipped_drive
+    from foreglow.photometry import read_headlamps
+    from foreglow.pipeline import Pipeline
 
     frames = opened(shipped_drive() if source is None else source, out)
     configuration = configuration_of(DEFAULT_PRESET, None, model)
-    summary = run_frames(frames, frames.name if source is None else str(source), out, configuration, has_video=True)
+    first = next(iter(frames), None)
+    has_beam = first is not None and first.camera is not None and first.motion is not None
+    if has_beam:
+        beam = configuration.beam.model_copy(update={"policy": "foreglow"})
+        configuration = configuration.model_copy(update={"beam": beam})
+
+    def make_sinks(results: OutputFolder) -> list[ResultSink]:
+        sinks = [picture_sink(frames, results, "overlay")]
+        return [*sinks, beam_sink(frames, results, read_headlamps())] if has_beam else sinks
+
+    name = frames.name if source is None else str(source)
+    summary = run_frames(frames, name, out, Pipeline(configuration), make_sinks=make_sinks)
     stories = _stories(frames, out, configuration) if summary.is_complete else ()
     finish(summary, out)
     _tell(stories, is_classified=summary.is_classified)
+    if has_beam and len(stories) == 1:
+        _tell_gap(frames, stories[0], out)
 
 
 @app.command()
@@ -124,3 +151,14 @@ def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
     elif stories:
         rich.print(story_table(stories, is_classified=is_classified))
+
+
+def _tell_gap(frames: FrameSource, story: Story, out: Path) -> None:
+    """Says since when the beam was dark where the story's vehicle came into sight."""
+    from foreglow.datasets import PVDN
+    from foreglow.evaluation.gap_opening import gap_opened_s
+    from foreglow.evaluation.track_file import read_gaps
+    from foreglow.reports.story import gap_line
+
+    if isinstance(frames, PVDN) and story.sight is not None:
+        typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -41,7 +41,8 @@ def simulate(
     from foreglow import simulation
 
     if print_scene is not None:
-        typer.echo(simulation.scene_to_toml(simulation.scenario(print_scene, seed)), nl=False)
+        drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
+        typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
     elif preview is not None:
         drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
         _preview(

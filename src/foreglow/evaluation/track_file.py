@@ -1,4 +1,4 @@
-"""The tracks of a run, read back from its `frames.jsonl`."""
+"""The tracks or the gaps of a run, or all of its results, read back from its `frames.jsonl`."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from foreglow.datasets.json_files import Record
+from foreglow.datasets.json_files import Record, read_json
 from foreglow.evaluation.predictions import FrameLine, Number, frame_lines
-from foreglow.types import Tracks, TrackState
+from foreglow.geometry import Floats
+from foreglow.types import Detections, FrameResult, Proposals, Ranges, Tracks, TrackState
 
 
 class _TrackRecord(Record):
@@ -62,6 +63,103 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
         except ValueError as error:
             raise ValueError(f"{origin}: {error}") from error
     return tracks
+
+
+class _ResultLine(_FrameLine):
+    timestamp_ns: int
+    proposals_xyxy_px: tuple[tuple[int, int, int, int], ...]
+    scores: tuple[Number, ...] | None = None
+    direct: tuple[Number | None, ...] | None = None
+    ranges_m: tuple[Number | None, ...] | None = None
+    range_sigmas_m: tuple[Number | None, ...] | None = None
+
+
+def read_results(path: Path | str, score_threshold: float) -> Mapping[int, FrameResult]:
+    """By image id, the results in the `frames.jsonl` at `path` up to the tracks, without run-times.
+
+    Args:
+        path: The file.
+        score_threshold: That of the run: boxes with a score above it were accepted.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
+    """
+    path = Path(path)
+    tracks = read_tracks(path)
+    results: dict[int, FrameResult] = {}
+    for origin, line in frame_lines(path.read_bytes(), _ResultLine, path):
+        try:
+            results[line.frame] = _result(line, tracks[line.frame], score_threshold)
+        except ValueError as error:
+            raise ValueError(f"{origin}: {error}") from error
+    return results
+
+
+class _GapRecord(Record):
+    right_deg: Number
+    left_deg: Number
+
+
+class _BeamRecord(Record):
+    gaps: tuple[_GapRecord, ...]
+
+
+class _BeamLine(FrameLine):
+    beam: _BeamRecord | None = None
+
+
+def read_gaps(path: Path | str) -> Mapping[int, Floats]:
+    """By image id, the dark gaps in the `frames.jsonl` at `path`: shape (G, 2), as `BeamCommand.gaps_rad`.
+
+    Frames without a beam are left out.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form; the message names the line and the field.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected the frames.jsonl of a run")
+    return {
+        line.frame: np.radians([(one.right_deg, one.left_deg) for one in line.beam.gaps]).reshape(-1, 2)
+        for _, line in frame_lines(path.read_bytes(), _BeamLine, path)
+        if line.beam is not None
+    }
+
+
+class _Summary(Record):
+    source: str
+
+
+def source_of_run(run: Path) -> Path:
+    """Where the frames of the run in the folder `run` are, by its `summary.json`.
+
+    Raises:
+        FileNotFoundError: If it has no summary, or the frames are no longer where they were.
+        ValueError: If the summary is broken.
+    """
+    path = run / "summary.json"
+    source = Path(read_json(path, _Summary).source)
+    if not source.exists():
+        raise FileNotFoundError(
+            f"{path}: source: expected the run's frames, there is nothing at {source}; where they are elsewhere now, "
+            f"give them in place of {run}, with --config {run / 'config.toml'}"
+        )
+    return source
+
+
+def _result(line: _ResultLine, tracks: Tracks, score_threshold: float) -> FrameResult:
+    proposals = Proposals(np.array(line.proposals_xyxy_px, np.int32).reshape(-1, 4))
+    detections: Detections | None = None
+    ranges: Ranges | None = None
+    if line.scores is not None:
+        direct = np.array(line.direct or (), np.float32)
+        detections = Detections(proposals, np.array(line.scores, np.float32), score_threshold, direct)
+        if line.ranges_m is not None and line.range_sigmas_m is not None:
+            ranges_m, sigmas_m = np.array(line.ranges_m, np.float64), np.array(line.range_sigmas_m, np.float64)
+            ranges = Ranges(detections, ranges_m, np.where(np.isnan(sigmas_m), np.inf, sigmas_m))
+    return FrameResult(line.frame, line.timestamp_ns, proposals, detections, {}, ranges, tracks)
 
 
 def _tracks(records: tuple[_TrackRecord, ...]) -> Tracks:

@@ -65,16 +65,16 @@ def settings_of(delays: Delays) -> tuple[Setting, ...]:
             Setting("latency", "ms", ms, ms / 1e3, {"latency_s": ms / 1e3})
             for ms in (0.0, 50.0, 100.0, 150.0, 200.0, 300.0)
         ),
-        *(Setting("margin", "deg", deg, usual_s, {"margin_deg": deg}) for deg in (0.0, 0.25, 0.5, 1.0, 2.0)),
+        *(Setting("margin", "deg", deg, usual_s, {"margin_deg": deg}) for deg in (0.0, 0.15, 0.3, 0.6, 1.2, 2.0)),
         *(
             Setting("evidence", "", level, usual_s, tracker={"confirm_evidence": level})
-            for level in (0.0, 0.75, 1.5, 3.0, 5.0, 8.0)
+            for level in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
         ),
         *(
             Setting("neutral score", "", score, usual_s, tracker={"neutral_score": score})
-            for score in (0.2, 0.38, 0.55, 0.7, 0.85)
+            for score in (0.15, 0.25, 0.34, 0.5, 0.7, 0.85)
         ),
-        *(Setting("coverage", "", share, usual_s, {"coverage": share}) for share in (0.0, 0.5, 0.8, 0.95)),
+        *(Setting("coverage", "", share, usual_s, {"coverage": share}) for share in (0.0, 0.3, 0.6, 0.8, 0.95)),
     )
 
 

@@ -22,10 +22,13 @@ from foreglow.reports.overlay import (
 from foreglow.reports.pen import Pen
 from foreglow.reports.road_light import AHEAD_M, ASIDE_M, TICKS_LX, RoadLight, colours, place_on_scale
 from foreglow.reports.tone import Tone
-from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, RoadAhead, Tracks, TrackState
 
 DEFAULT_HEIGHT_PX = 1080
 SMALLEST_HEIGHT_PX = 360
+
+EYE_HEIGHT_M = 1.2
+"""Of drivers of cars, above the road."""
 
 PANEL_SHARE = 4 / 9
 """Width of the right side over the picture's height: beside a camera of 4:3 this makes 16:9."""
@@ -89,8 +92,8 @@ class BeamView:
         Args:
             headlamps: What shines.
             height_px: Of the pictures; an odd one becomes even.
-            map_height_m: How high above the road the map of the light lies; 0 is what the road gets, 1.2 what drivers
-                get in their eyes.
+            map_height_m: How high above the road the map of the light lies; 0 is what the road gets,
+                `EYE_HEIGHT_M` what drivers get in their eyes.
 
         Raises:
             ValueError: If the height is below `SMALLEST_HEIGHT_PX`.
@@ -128,6 +131,11 @@ class BeamView:
         y_px = self._draw_matrices(panel, command, y_px + self._pen.px(36))
         self._draw_road(panel, frame.road, command, y_px + self._pen.px(44))
         return np.hstack([self._camera(frame, command, tracks, tone or Tone.of(frame.image)), panel])
+
+    def draw(self, frame: Frame, result: FrameResult, tone: Tone | None = None) -> Picture:
+        """The picture of a frame whose result has a beam, as `reports.video` draws."""
+        assert result.beam is not None
+        return self.picture(frame, result.beam, result.tracks, tone)
 
     def _camera(self, frame: Frame, command: BeamCommand, tracks: Tracks | None, tone: Tone) -> Picture:
         scale = self._height_px / frame.height_px

@@ -57,6 +57,20 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
     return lines
 
 
+def gap_line(story: Story, opened_s: float) -> str:
+    """Whether the beam was dark where the vehicle came into sight, and since when.
+
+    Args:
+        story: What happens; the vehicle comes into sight.
+        opened_s: When the gap opened; NaN for none.
+    """
+    assert story.sight is not None
+    if math.isnan(opened_s):
+        return "=> no dark gap in the beam where it came into sight"
+    line = f"=> dark gap in the beam {story.sight.time_s - opened_s:.2f} s before it was there"
+    return f"{line}, opened for something else" if opened_s < story.light.time_s else line
+
+
 def first_words(story: Story) -> str:
     """What is visible first."""
     hidden = "hidden " if story.is_hidden_first else ""

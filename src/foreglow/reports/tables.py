@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from foreglow.learning.training_run import TrainedModel
     from foreglow.learning.tuning import Tuning
     from foreglow.runtime import RunSummary
+    from foreglow.runtime.summary import BeamSummary
     from foreglow.simulation import DatasetSummary
 
 
@@ -32,12 +33,26 @@ def run_lines(summary: RunSummary, folder: Path) -> list[str]:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
     if summary.num_ranged == 0:
         lines.append("nothing has a range: the camera's calibration is not known (--calibration FILE)")
+    if summary.beam is not None:
+        lines += beam_lines(summary.beam, summary.num_frames)
     if summary.num_skipped:
         lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, listed in summary.json")
     if not summary.is_complete:
         lines.append("interrupted: the results are complete up to there")
     names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
     return [*lines, f"look in {folder}: {', '.join(names)}"]
+
+
+def beam_lines(beam: BeamSummary, num_frames: int) -> list[str]:
+    """What the headlamps were told, and why there was low beam."""
+    counts = {"full": beam.num_full, "glare-free": beam.num_glare_free, "low": beam.num_low}
+    shares = ", ".join(f"{name} {count / num_frames:.1%}" for name, count in counts.items())
+    gaps = "no gaps" if beam.mean_gap_deg is None else f"gaps {beam.mean_gap_deg:.1f} degrees wide in the mean"
+    lines = [f"beam, of the frames: {shares}; {gaps}"]
+    if beam.faults:
+        faults = ", ".join(f"{name} in {_counted(count, 'frame')}" for name, count in beam.faults.items())
+        lines.append(f"low beam for {faults}")
+    return lines
 
 
 def dataset_lines(summary: DatasetSummary) -> list[str]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import TypeAlias
 
 import av
 import cv2
@@ -17,6 +18,9 @@ from foreglow.files import naming
 from foreglow.reports.overlay import Picture, annotate
 from foreglow.reports.tone import Tone
 from foreglow.types import Frame, FrameResult
+
+Drawing: TypeAlias = Callable[[Frame, FrameResult, Tone | None], Picture]
+"""Makes the picture of a frame, such as `annotate`; the tone is None where it shall suit this frame alone."""
 
 DEFAULT_FPS = 18.0
 """Frame rate of a video whose source has none, Hz: that of one exposure cycle of PVDN."""
@@ -96,29 +100,30 @@ class Movie:
 
 
 class VideoSink:
-    """A result sink that writes the annotated frames as a `Movie`.
+    """A result sink that writes pictures of the frames as a `Movie`, annotated ones unless another drawing is given.
 
     The brightening curve is that of the first frame, so that the video does not flicker.
     """
 
-    def __init__(self, path: Path, fps: float | None = None) -> None:
+    def __init__(self, path: Path, fps: float | None = None, draw: Drawing = annotate) -> None:
         """A sink for the file `path`, as `Movie` takes them.
 
         Raises:
             ValueError: If `fps` is not a positive number.
         """
         self._movie = Movie(path, fps)
+        self._draw = draw
         self._tone: Tone | None = None
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Adds the annotated picture of `frame`.
+        """Adds the picture of `frame`.
 
         Raises:
             OSError: If the file cannot be written; the message names the path.
         """
         if self._tone is None:
             self._tone = Tone.of(frame.image)
-        self._movie.add(annotate(frame, result, self._tone))
+        self._movie.add(self._draw(frame, result, self._tone))
 
     def close(self) -> None:
         """Completes the video.
@@ -134,15 +139,16 @@ class VideoSink:
 
 
 class PictureSink:
-    """A result sink that writes the annotated picture of the last frame it gets as PNG; for a single image."""
+    """A result sink that writes the picture of the last frame it gets as PNG; for a single image."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, draw: Drawing = annotate) -> None:
         self._path = path
+        self._draw = draw
         self._picture: Picture | None = None
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Keeps the annotated picture of `frame`."""
-        self._picture = annotate(frame, result)
+        """Keeps the picture of `frame`."""
+        self._picture = self._draw(frame, result, None)
 
     def close(self) -> None:
         """Writes the picture, if there was a frame.

@@ -2,6 +2,7 @@
 
 from foreglow.runtime.folder import RESULT_NAMES, OutputFolder
 from foreglow.runtime.run import ResultSink, run
+from foreglow.runtime.stepper import Stepper
 from foreglow.runtime.summary import RunSummary
 
-__all__ = ["RESULT_NAMES", "OutputFolder", "ResultSink", "RunSummary", "run"]
+__all__ = ["RESULT_NAMES", "OutputFolder", "ResultSink", "RunSummary", "Stepper", "run"]

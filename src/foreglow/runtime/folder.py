@@ -7,7 +7,19 @@ from pathlib import Path
 
 from foreglow.files import naming
 
-RESULT_NAMES = ("frames.jsonl", "overlay.mp4", "overlay.png", "moments.png", "config.toml", "summary.json")
+RESULT_NAMES = (
+    "frames.jsonl",
+    "overlay.mp4",
+    "overlay.png",
+    "beam.mp4",
+    "beam.png",
+    "beam.asc",
+    "beam.blf",
+    "beam.log",
+    "moments.png",
+    "config.toml",
+    "summary.json",
+)
 """Every name that a run may write; `summary.json` is published last, so where it exists the set is whole. Only what is
 made of the results themselves, `moments.png` by `foreglow demo`, comes after it."""
 

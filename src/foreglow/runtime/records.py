@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.files import naming
-from foreglow.types import Frame, FrameResult, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Tracks, TrackState
 
 
 def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
@@ -21,8 +21,9 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
     Boxes are half-open `[x1, y1, x2, y2]` in full-frame pixels; `scores` goes with the proposals, in their order,
     each the exact value of the float32 that was compared with the threshold, and `ranges_m` and `range_sigmas_m`
     likewise: from the camera along the viewing ray, None for a box where nothing is known. `direct` is the probability
-    of a lamp itself, box by box, None where the model does not say. `tracks` has one object a track. Whatever a stage
-    did not make is None as a whole. All but `stage_ms` depend on the frame and the configuration alone.
+    of a lamp itself, box by box, None where the model does not say. `tracks` has one object a track, `beam` is the
+    `beam_record`. Whatever a stage did not make is None as a whole. All but `stage_ms` depend on the frame and the
+    configuration alone.
     """
     detections, ranges, tracks = result.detections, result.ranges, result.tracks
     return {
@@ -36,6 +37,7 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
         "ranges_m": None if ranges is None else _numbers(ranges.ranges_m),
         "range_sigmas_m": None if ranges is None else _numbers(ranges.sigmas_m),
         "tracks": None if tracks is None else _track_records(tracks),
+        "beam": None if result.beam is None else beam_record(result.beam),
         "stage_ms": {name: round(value, 4) for name, value in result.stage_ms.items()},
     }
 
@@ -65,6 +67,24 @@ def _track_records(tracks: Tracks) -> list[dict[str, Any]]:
             )
         )
     ]
+
+
+def beam_record(command: BeamCommand) -> dict[str, Any]:
+    """What `frames.jsonl` says about a beam command.
+
+    Gaps go from right to left; their borders are azimuths to the left in the vehicle's frame. `levels` has a list for
+    the left lamp and one for the right, in thousandths of full: whole numbers, rounded to the nearest.
+    """
+    ranges_m = _numbers(command.gap_ranges_m)
+    return {
+        "mode": BeamMode(command.mode).name.lower(),
+        "gaps": [
+            {"right_deg": round(right, 3), "left_deg": round(left, 3), "range_m": range_m}
+            for (right, left), range_m in zip(np.degrees(command.gaps_rad).tolist(), ranges_m, strict=True)
+        ],
+        "faults": list(command.faults),
+        "levels": np.rint(1000.0 * command.levels).astype(int).tolist(),
+    }
 
 
 def _probabilities(values: NDArray[np.floating]) -> list[float | None]:

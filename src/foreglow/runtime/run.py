@@ -11,9 +11,9 @@ from typing import Protocol
 
 from foreglow.config import config_to_toml
 from foreglow.datasets import FrameSource
-from foreglow.pipeline import Pipeline
 from foreglow.runtime.folder import OutputFolder
 from foreglow.runtime.records import FrameRecords
+from foreglow.runtime.stepper import Stepper
 from foreglow.runtime.summary import RunSummary, Tally
 from foreglow.types import Frame, FrameResult
 
@@ -65,7 +65,7 @@ class InterruptFlag:
 
 def run(
     source: FrameSource,
-    pipeline: Pipeline,
+    pipeline: Stepper,
     folder: OutputFolder,
     *,
     sinks: Sequence[ResultSink] = (),

@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections import defaultdict
+import math
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import TypeAlias
 
 import numpy as np
 
-from foreglow.pipeline import Pipeline
 from foreglow.provenance import checkout_state, processor_name
-from foreglow.types import Frame, FrameResult
+from foreglow.runtime.stepper import Stepper
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
 
 RunTime: TypeAlias = dict[str, float | None]
 """`median`, `p95` and `p99` of one stage in milliseconds; None where no frame was run."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class BeamSummary:
+    """What the headlamps were told in a run.
+
+    Attributes:
+        num_low: Frames that commanded low beam.
+        num_glare_free: High beam with dark gaps, or with LEDs that are not back yet.
+        num_full: High beam.
+        mean_gap_deg: Mean width of a gap; None where there never was one.
+        faults: Why there was low beam: by fault, in how many frames, the most frequent first.
+    """
+
+    num_low: int
+    num_glare_free: int
+    num_full: int
+    mean_gap_deg: float | None
+    faults: Mapping[str, int]
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +53,7 @@ class RunSummary:
         num_accepted: Boxes scored above the threshold; None without a model.
         num_ranged: Scored boxes that have a range; None where nothing estimates ranges.
         num_tracks: Tracks that were plausible at some time; None without a tracker.
+        beam: What the headlamps were told; None where no beam was wanted.
         num_skipped: Files that could not be read and were passed over.
         skipped: One line a skipped file: its path and why.
         frame_sizes_px: The (width, height) that occurred, in order of their first frame.
@@ -53,6 +74,7 @@ class RunSummary:
     num_accepted: int | None
     num_ranged: int | None
     num_tracks: int | None
+    beam: BeamSummary | None
     num_skipped: int
     skipped: Sequence[str]
     frame_sizes_px: Sequence[tuple[int, int]]
@@ -77,6 +99,7 @@ class Tally:
         self._num_accepted = 0
         self._num_ranged = 0
         self._tracks: set[tuple[str, int]] | None = None
+        self._beam: BeamTally | None = None
         self._sizes_px: dict[tuple[int, int], None] = {}
         self._stage_ms: defaultdict[str, list[float]] = defaultdict(list)
 
@@ -91,12 +114,15 @@ class Tally:
         if result.tracks is not None:
             plausible = result.tracks.ids[result.tracks.is_plausible].tolist()
             self._tracks = (self._tracks or set()) | {(frame.sequence, number) for number in plausible}
+        if result.beam is not None:
+            self._beam = self._beam or BeamTally()
+            self._beam.add(result.beam)
         self._sizes_px[frame.width_px, frame.height_px] = None
         for name, value in result.stage_ms.items():
             self._stage_ms[name].append(value)
         self._stage_ms["total"].append(sum(result.stage_ms.values()))
 
-    def summary(self, source: str, skipped: Sequence[str], pipeline: Pipeline, *, is_complete: bool) -> RunSummary:
+    def summary(self, source: str, skipped: Sequence[str], pipeline: Stepper, *, is_complete: bool) -> RunSummary:
         """The summary of all frames so far, with what is known about this machine and this Foreglow."""
         is_classified = pipeline.config.classifier.model is not None
         is_ranging = is_classified and pipeline.config.distance.estimator != "none"
@@ -111,6 +137,7 @@ class Tally:
             num_accepted=self._num_accepted if is_classified else None,
             num_ranged=self._num_ranged if is_ranging else None,
             num_tracks=None if self._tracks is None else len(self._tracks),
+            beam=None if self._beam is None else self._beam.summary(),
             num_skipped=len(skipped),
             skipped=tuple(skipped),
             frame_sizes_px=tuple(self._sizes_px),
@@ -120,6 +147,32 @@ class Tally:
             has_local_changes=has_local_changes,
             processor=processor_name(),
             dispatch=pipeline.dispatch,
+        )
+
+
+class BeamTally:
+    """Counts modes, faults and gaps, command by command."""
+
+    def __init__(self) -> None:
+        self._modes: Counter[int] = Counter()
+        self._faults: Counter[str] = Counter()
+        self._widths_rad: list[float] = []
+
+    def add(self, command: BeamCommand) -> None:
+        """Counts one command."""
+        self._modes[command.mode] += 1
+        self._faults.update(command.faults)
+        self._widths_rad += np.diff(command.gaps_rad)[:, 0].tolist()
+
+    def summary(self) -> BeamSummary:
+        """Of all commands so far."""
+        mean_gap_deg = round(math.degrees(float(np.mean(self._widths_rad))), 3) if self._widths_rad else None
+        return BeamSummary(
+            num_low=self._modes[BeamMode.LOW],
+            num_glare_free=self._modes[BeamMode.GLARE_FREE],
+            num_full=self._modes[BeamMode.FULL],
+            mean_gap_deg=mean_gap_deg,
+            faults=dict(self._faults.most_common()),
         )
 
 

@@ -8,8 +8,16 @@ import pytest
 
 from foreglow.simulation.scenes import planning
 from foreglow.simulation.scenes.encounter import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
-from foreglow.simulation.scenes.scenarios import SCENARIOS, SPLITS, draw_scenes, resized, scenario
-from foreglow.simulation.scenes.scene import RoadSpec, Scene
+from foreglow.simulation.scenes.scenarios import (
+    SCENARIOS,
+    SPLITS,
+    draw_scenes,
+    resized,
+    scenario,
+    with_beam,
+    without_traffic,
+)
+from foreglow.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
 from foreglow.simulation.scenes.surroundings import SurroundingsSpec, Verge, Wall
 from foreglow.simulation.world.road import Road
 
@@ -125,3 +133,17 @@ def test_cars_come_into_sight_as_planned_and_their_light_soon_before() -> None:
     assert 2.0 < np.median(times) < 5.0
     assert min(leads) >= 0.0  # who sees the car, sees what it lights
     assert np.median(leads) < 1.5
+
+
+def test_another_beam_changes_nothing_else() -> None:
+    one = fifty()[0]
+    changed = with_beam(one, "matrix")
+    assert (one.ego.beam, changed.ego.beam) == ("low", "matrix")
+    assert with_beam(changed, "low") == one
+
+
+def test_without_traffic_dark_cars_stay() -> None:
+    one = fifty()[0]
+    parked = VehicleSpec(timetable=((0.0, 50.0), (10.0, 50.0)), beam="off")
+    driven = VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0)))
+    assert without_traffic(one.model_copy(update={"vehicles": (driven, parked)})).vehicles == (parked,)

@@ -1,0 +1,38 @@
+"""The fifth stage as a whole: a policy, and the guard after it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from foreglow.beam.guard import Guard
+from foreglow.beam.policy import make_policy
+from foreglow.config import BeamConfig, GuardConfig
+from foreglow.photometry import read_headlamps
+from foreglow.types import BeamCommand, Frame, Tracks
+
+
+class BeamStage:
+    """Makes a beam command of each frame's tracks: what the policy wants, as far as the guard lets it."""
+
+    def __init__(self, config: BeamConfig, guard: GuardConfig) -> None:
+        """Reads the lamps and makes the policy.
+
+        Raises:
+            FileNotFoundError: If there is no such description of lamps.
+            ValueError: If it is broken, or there is no such policy; the message says what was expected.
+        """
+        headlamps = read_headlamps(config.headlamps)
+        self._min_direct = config.min_direct
+        self._policy = make_policy(config, headlamps)
+        self._guard = Guard(guard, headlamps)
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+        """What the headlamps shall shine after `frame`."""
+        direct = tracks.direct_probabilities
+        is_vehicle = np.isnan(direct) | (direct > self._min_direct)
+        return self._guard.check(self._policy.command(frame, tracks), tracks, frame, is_vehicle=is_vehicle)
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        self._policy.reset()
+        self._guard.reset()

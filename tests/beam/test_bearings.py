@@ -1,0 +1,89 @@
+"""Where tracks are, seen from the vehicle."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foreglow.beam.bearings import Bearings
+from foreglow.types import Tracks, TrackState
+from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
+
+S = FRAME_NS / 1e9
+
+
+def followed(azimuth_rad: float, state: TrackState = TrackState.CONFIRMED, number: int = 0) -> Tracks:
+    return tracks_of(
+        [box_around(azimuth_rad, -0.01, 0.01)], [80.0], states=[state], ages_s=1.0 + number * S, first_id=7
+    )
+
+
+@settings(deadline=None)
+@given(st.floats(-0.3, 0.3), st.floats(-0.1, 0.05), st.floats(0.001, 0.05))
+def test_directions_of_boxes(azimuth_rad: float, elevation_rad: float, width_rad: float) -> None:
+    tracks = tracks_of([box_around(azimuth_rad, elevation_rad, width_rad)], [80.0])
+    bearing = Bearings().update(frame_at(0), tracks)[0]
+    azimuth_rad, range_m = from_origin(azimuth_rad, 80.0)
+    assert bearing.azimuth_rad == pytest.approx(azimuth_rad, abs=0.003)
+    assert bearing.elevation_rad == pytest.approx(elevation_rad, abs=0.005)
+    assert bearing.half_width_rad == pytest.approx(width_rad / 2, rel=0.2)
+    assert bearing.range_m == pytest.approx(range_m, rel=1e-3)
+    assert math.isnan(bearing.direct)
+
+
+@pytest.mark.parametrize("rate_radps", [-0.4, 0.0, 0.25])
+def test_rates_settle(rate_radps: float) -> None:
+    bearings = Bearings()
+    rates = [
+        bearings.update(frame_at(number), followed(0.05 + rate_radps * number * S, number=number))[7].rate_radps
+        for number in range(12)
+    ]
+    assert rates[0] == 0.0
+    assert rates[-1] == pytest.approx(rate_radps, abs=0.07 * abs(rate_radps) + 1e-3)
+    assert abs(rates[1]) < abs(rate_radps) + 1e-9  # one step alone is not believed
+
+
+def test_without_a_range_the_direction_stays_the_cameras() -> None:
+    tracks = dataclasses.replace(followed(0.2), ranges_m=np.array([math.nan]), sigmas_m=np.array([math.inf]))
+    bearing = Bearings().update(frame_at(0), tracks)[7]
+    assert bearing.azimuth_rad == pytest.approx(0.2, abs=0.003)
+    assert math.isnan(bearing.range_m)
+
+
+def test_which_tracks_may_be_acted_on() -> None:
+    bearings = Bearings()
+    for number, state in enumerate([TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING]):
+        bearing = bearings.update(frame_at(number), followed(0.0, state, number))[7]
+        assert bearing.is_plausible == (state != TrackState.TENTATIVE)
+
+
+def test_the_greatest_confidence_is_kept() -> None:
+    bearings, kept = Bearings(), []
+    for number, confidence in enumerate([0.3, 0.8, 0.5]):
+        tracks = dataclasses.replace(followed(0.0, number=number), confidences=np.array([confidence]))
+        kept.append(bearings.update(frame_at(number), tracks)[7].confidence)
+    assert kept == [0.3, 0.8, 0.8]
+
+
+def test_tracks_that_end_and_a_new_start_are_forgotten() -> None:
+    bearings = Bearings()
+    moving = [bearings.update(frame_at(number), followed(0.1 * number, number=number)) for number in range(3)]
+    assert moving[-1][7].rate_radps > 0.5
+    assert bearings.update(frame_at(3), tracks_of([], [])) == {}
+    assert bearings.update(frame_at(4), followed(0.0, number=4))[7].rate_radps == 0.0
+    bearings.update(frame_at(5), followed(0.2, number=5))
+    bearings.reset()
+    again = bearings.update(frame_at(6), followed(0.2, number=6))[7]
+    assert again.rate_radps == 0.0
+
+
+def test_the_same_time_again_changes_no_rate() -> None:
+    bearings = Bearings()
+    for number in (0, 1, 1):
+        bearing = bearings.update(frame_at(number), followed(0.1 * number, number=number))[7]
+    assert math.isfinite(bearing.rate_radps)

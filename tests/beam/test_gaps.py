@@ -1,0 +1,52 @@
+"""Gaps that overlap become one; nothing that was dark becomes light."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.beam.gaps import Gap, merged
+
+GAPS = st.builds(
+    lambda right, width, near, depth: Gap(right, right + width, near, near + depth),
+    st.floats(-0.6, 0.6),
+    st.floats(0.001, 0.3),
+    st.floats(8, 200),
+    st.floats(0, 100) | st.just(float("inf")),
+)
+
+
+def covers(gaps: list[Gap], one: Gap) -> bool:
+    """Whether one of `gaps` holds all of `one`, its directions and its ranges."""
+    return any(
+        gap.right_rad <= one.right_rad
+        and one.left_rad <= gap.left_rad
+        and gap.near_m <= one.near_m
+        and one.far_m <= gap.far_m
+        for gap in gaps
+    )
+
+
+@given(st.lists(GAPS, max_size=8))
+def test_merged_gaps_cover_all_and_lie_apart(gaps: list[Gap]) -> None:
+    apart = merged(gaps)
+    assert all(covers(apart, gap) for gap in gaps)
+    assert all(before.left_rad < after.right_rad for before, after in pairwise(apart))
+    borders = {border for gap in gaps for border in gap[:2]}
+    assert {border for gap in apart for border in gap[:2]} <= borders
+    assert merged(apart) == apart
+
+
+@given(st.lists(GAPS, max_size=8), st.randoms())
+def test_the_order_does_not_matter(gaps: list[Gap], random: object) -> None:
+    shuffled = list(gaps)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert merged(shuffled) == merged(gaps)
+
+
+def test_gaps_that_touch_are_one_and_others_stay() -> None:
+    first, second, third = Gap(0.0, 0.1, 50, 60), Gap(0.1, 0.2, 30, 40), Gap(0.3, 0.4, 9, 9)
+    assert merged([third, second, first]) == [Gap(0.0, 0.2, 30, 60), third]
+    assert merged([]) == []

@@ -1,0 +1,295 @@
+"""What policies make of tracks: scenes of few frames, and what has to come of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from foreglow.beam import POLICIES, Gap, make_policy, occurrence
+from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, brightness
+from foreglow.config import BeamConfig
+from foreglow.photometry import read_headlamps
+from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead, Tracks, TrackState
+from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
+
+LAMPS = read_headlamps()
+CONFIG = BeamConfig(policy="foreglow")
+S = FRAME_NS / 1e9
+
+STRAIGHT = RoadAhead(np.column_stack([np.arange(-20.0, 400.0, 10.0), np.zeros((42, 2))]), half_width_m=3.5)
+TENTATIVE, CONFIRMED, COASTING = TrackState
+
+
+class Seen(NamedTuple):
+    """One light as a track."""
+
+    azimuth_rad: float
+    direct: float = 0.95
+    range_m: float = 80.0
+    state: TrackState = CONFIRMED
+    number: int = 0
+    sigma_m: float = 5.0
+    confidence: float = 0.9
+
+
+def tracks_at(number: int, *seen: Seen) -> Tracks:
+    tracks = tracks_of(
+        [box_around(one.azimuth_rad, -0.005, 0.006) for one in seen],
+        [one.range_m for one in seen],
+        sigmas_m=[math.inf if math.isnan(one.range_m) else one.sigma_m for one in seen],
+        states=[one.state for one in seen],
+        ages_s=1.0 + number * S,
+    )
+    return dataclasses.replace(
+        tracks,
+        ids=np.array([one.number for one in seen], np.int64),
+        direct_probabilities=np.array([one.direct for one in seen], np.float64),
+        confidences=np.array([one.confidence for one in seen], np.float64),
+    )
+
+
+def frame(number: int, road: RoadAhead | None = STRAIGHT) -> Frame:
+    return dataclasses.replace(frame_at(number), road=road)
+
+
+def policy(kind: type[Any] = ForeglowPolicy, **fields: Any) -> Any:
+    return kind(CONFIG.model_copy(update=fields), LAMPS)
+
+
+def gaps_after(one: ForeglowPolicy, *scenes: tuple[Seen, ...], road: RoadAhead | None = STRAIGHT) -> list[Gap]:
+    """The gaps of the last of some frames."""
+    gaps: list[Gap] = []
+    for number, seen in enumerate(scenes):
+        gaps = one.gaps(frame(number, road), tracks_at(number, *seen))
+    return gaps
+
+
+def holding(gaps: list[Gap], azimuth_rad: float) -> list[Gap]:
+    return [gap for gap in gaps if gap.right_rad < azimuth_rad < gap.left_rad]
+
+
+def brightest_there(command: BeamCommand, azimuth_rad: float, range_m: float = 80.0) -> float:
+    """Lux of the strongest LED at eyes in a direction."""
+    eyes = np.array([[range_m * math.cos(azimuth_rad), range_m * math.sin(azimuth_rad), 1.2]])
+    return float((LAMPS.illuminance_lx(eyes)[1][0] * command.levels).max())
+
+
+LAMP, LIGHT = Seen(0.05), Seen(-0.15, direct=0.05, range_m=60.0, number=1)
+
+
+def test_without_tracks_there_is_full_beam() -> None:
+    command = policy().command(frame(0), tracks_at(0))
+    assert command.mode == BeamMode.FULL
+    assert (command.levels == 1.0).all()
+    assert len(command.gaps_rad) == 0
+
+
+def test_a_lamp_has_a_gap_that_holds_its_vehicle() -> None:
+    command = policy().command(frame(0), tracks_at(0, LAMP))
+    assert command.mode == BeamMode.GLARE_FREE
+    (right, left), *others = command.gaps_rad.tolist()
+    assert not others
+    margin = math.atan2(1.2, LAMP.range_m) + math.radians(CONFIG.margin_deg)
+    azimuth_rad, range_m = from_origin(LAMP.azimuth_rad, LAMP.range_m)
+    assert right < azimuth_rad - margin < azimuth_rad + margin < left
+    assert brightest_there(command, azimuth_rad) <= CONFIG.led_limit_lx
+    assert brightest_there(command, -0.15) > 1.0  # and elsewhere it is bright
+    assert command.gap_ranges_m[0] == pytest.approx(range_m, rel=1e-3)
+
+
+@pytest.mark.parametrize("direct", [0.95, math.nan])
+def test_what_may_be_a_lamp_has_a_gap(direct: float) -> None:
+    assert holding(policy().gaps(frame(0), tracks_at(0, LAMP._replace(direct=direct))), LAMP.azimuth_rad)
+
+
+def test_nearer_vehicles_have_wider_gaps_and_unknown_ranges_are_taken_as_near() -> None:
+    widths = []
+    for range_m in (200.0, 100.0, math.nan, 20.0):
+        (gap,) = policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=range_m)))
+        widths.append(gap.left_rad - gap.right_rad)
+    assert widths == sorted(widths)
+    assert len(set(widths)) == 4
+
+
+def test_the_gap_leads_a_lamp_that_moves_aside() -> None:
+    towards_left, away = (
+        gaps_after(policy(), *((LAMP._replace(azimuth_rad=rate * S * number),) for number in range(20)))[0]
+        for rate in (0.1, -0.1)
+    )
+    middle, _ = from_origin(0.1 * S * 19, LAMP.range_m)
+    lead = towards_left.left_rad - middle - (middle - towards_left.right_rad)
+    assert lead == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
+    assert away.right_rad == pytest.approx(-towards_left.left_rad, abs=1e-3)
+
+
+def test_light_on_things_has_its_gap_where_the_vehicle_will_appear() -> None:
+    gaps = policy().gaps(frame(0), tracks_at(0, LIGHT))
+    expected = occurrence(STRAIGHT, LIGHT.range_m)
+    assert expected is not None
+    assert len(gaps) == 1
+    assert holding(gaps, expected.azimuth_rad)
+    assert not holding(gaps, LIGHT.azimuth_rad)
+    rest = 0.5 * (1.0 - CONFIG.coverage)
+    assert all(holding(gaps, azimuth_rad) for azimuth_rad in expected.quantiles_rad((rest, 0.5, 1.0 - rest)))
+
+
+@pytest.mark.parametrize(
+    "road", [None, RoadAhead(STRAIGHT.points_m[:6], half_width_m=3.5)], ids=["no road", "a road that ends before"]
+)
+def test_without_a_road_the_light_is_the_place(road: RoadAhead | None) -> None:
+    gaps = policy().gaps(frame(0, road), tracks_at(0, LIGHT))
+    assert len(gaps) == 1
+    assert holding(gaps, LIGHT.azimuth_rad)
+
+
+def test_light_is_explained_by_a_lamp_in_sight() -> None:
+    both = policy().gaps(frame(0), tracks_at(0, LAMP, LIGHT))
+    assert both == policy().gaps(frame(0), tracks_at(0, LAMP))
+
+
+def test_more_coverage_is_a_wider_gap() -> None:
+    widths = []
+    for coverage in (0.2, 0.5, 0.9):
+        (gap,) = policy(coverage=coverage).gaps(frame(0), tracks_at(0, LIGHT))
+        widths.append(gap.left_rad - gap.right_rad)
+    assert widths[0] < widths[1] < widths[2]
+
+
+@pytest.mark.parametrize("state", [CONFIRMED, COASTING])
+def test_plausible_tracks_count(state: TrackState) -> None:
+    assert policy().gaps(frame(0), tracks_at(0, LAMP._replace(state=state)))
+
+
+@pytest.mark.parametrize("seen", [LAMP, LIGHT])
+def test_a_tentative_track_alone_does_not(seen: Seen) -> None:
+    assert not policy().gaps(frame(0), tracks_at(0, seen._replace(state=TENTATIVE)))
+
+
+def test_tentative_lamps_count_while_a_gap_is_open() -> None:
+    coming = Seen(0.12, state=TENTATIVE, number=5)
+    shine = coming._replace(direct=0.1)
+    for opener in (LAMP, LIGHT):
+        assert holding(policy().gaps(frame(0), tracks_at(0, opener, coming)), coming.azimuth_rad)
+        assert not holding(policy().gaps(frame(0), tracks_at(0, opener, shine)), coming.azimuth_rad)
+    assert holding(gaps_after(policy(), (LAMP,), (coming,)), coming.azimuth_rad)  # held is open
+
+
+def test_a_gap_is_held_and_then_light_returns() -> None:
+    one, modes, levels = policy(), [], []
+    num_frames = math.ceil((2 * CONFIG.hold_s + CONFIG.restore_s) / S) + 4
+    for number in range(num_frames):
+        command = one.command(frame(number), tracks_at(number, *((LAMP,) if number < 3 else ())))
+        modes.append(len(command.gaps_rad))
+        levels.append(command.levels)
+        is_full = not len(command.gaps_rad) and bool((command.levels == 1.0).all())
+        assert command.mode == (BeamMode.FULL if is_full else BeamMode.GLARE_FREE)
+    last_seen = 2
+    num_held = math.floor(CONFIG.hold_s / S)
+    assert modes == [1] * (last_seen + num_held + 1) + [0] * (num_frames - last_seen - num_held - 1)
+    dark = levels[last_seen] < 0.5
+    assert dark.any()
+    for before, after in zip(levels[last_seen:], levels[last_seen + 1 :], strict=False):
+        assert (after >= before).all()
+        assert (after - before).max() <= S / CONFIG.restore_s + 1e-6
+    assert (levels[-1] == 1.0).all()
+    assert command.mode == BeamMode.FULL
+
+
+@pytest.mark.parametrize(
+    ("seen", "name"), [(LAMP, "min_confidence"), (LIGHT, "min_hidden_confidence")], ids=["lamp", "light"]
+)
+def test_a_gap_begins_once_its_track_was_confident_enough(seen: Seen, name: str) -> None:
+    wanted: dict[str, Any] = {name: 0.6}
+    unsure, sure = seen._replace(confidence=0.5), seen._replace(confidence=0.7)
+    assert not gaps_after(policy(**wanted), (unsure,), (unsure,))
+    assert gaps_after(policy(**wanted), (unsure,), (sure,), (unsure,))
+
+
+@pytest.mark.parametrize("kind", [ForeglowPolicy, PaperPolicy])
+def test_without_a_camera_nothing_has_a_direction(kind: type[Any]) -> None:
+    blind = dataclasses.replace(frame(0), camera=None)
+    assert policy(kind).gaps(blind, tracks_at(0, LAMP)) == []
+
+
+@pytest.mark.parametrize("kind", [ForeglowPolicy, PaperPolicy])
+def test_a_new_start_knows_nothing(kind: type[Any]) -> None:
+    def lived(one: BeamPolicy) -> list[BeamCommand]:
+        return [one.command(frame(n), tracks_at(n, *((LAMP,) if n in (1, 2) else ()))) for n in range(5)]
+
+    one = policy(kind)
+    first = lived(one)
+    one.reset()
+    for before, after in zip(first, lived(one), strict=True):
+        assert before.mode == after.mode
+        np.testing.assert_array_equal(before.levels, after.levels)
+        np.testing.assert_array_equal(before.gaps_rad, after.gaps_rad)
+
+
+def lit(number: int, *lights: tuple[Seen, int]) -> Frame:
+    """A frame in which each light has a brightness."""
+    image = np.full((960, 1280), 10, np.uint8)
+    for seen, value in lights:
+        x1, y1, x2, y2 = box_around(seen.azimuth_rad, -0.005, 0.006).astype(int)
+        image[y1:y2, x1:x2] = value
+    return dataclasses.replace(frame(number), image=image)
+
+
+@pytest.mark.parametrize("is_first_brighter", [True, False])
+def test_the_paper_sends_the_brightest_plausible_track_alone(is_first_brighter: bool) -> None:
+    other = Seen(-0.1, direct=0.1, number=1)
+    unproven = Seen(0.2, state=TENTATIVE, number=2)
+    values = (220, 140) if is_first_brighter else (140, 220)
+    seen = lit(0, (LAMP, values[0]), (other, values[1]), (unproven, 255))
+    (gap,) = policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP, other, unproven))
+    chosen = LAMP if is_first_brighter else other
+    assert holding([gap], chosen.azimuth_rad)
+    assert gap.left_rad - gap.right_rad == pytest.approx(0.006 + 2 * math.radians(CONFIG.margin_deg), rel=0.1)
+    assert not policy(PaperPolicy).gaps(seen, tracks_at(0, unproven))
+
+
+def test_brightness_of_boxes() -> None:
+    image = np.zeros((20, 30), np.uint8)
+    image[5, 7], image[19, 29] = 100, 200
+    assert brightness(image, np.array([6.5, 4.2, 8.0, 6.0])) == 100.0
+    assert brightness(image, np.array([-5.0, -5.0, 7.5, 5.5])) == 100.0
+    assert brightness(image, np.array([25.0, 15.0, 99.0, 99.0])) == 200.0
+    assert brightness(image, np.array([31.0, 2.0, 40.0, 9.0])) == 0.0
+
+
+@pytest.mark.parametrize(("name", "mode", "level"), [("low", BeamMode.LOW, 0.0), ("high", BeamMode.FULL, 1.0)])
+def test_plain_beams_look_at_nothing(name: str, mode: BeamMode, level: float) -> None:
+    one = make_policy(BeamConfig(policy=name), LAMPS)  # type: ignore[arg-type]
+    for seen in ((), (LAMP, LIGHT)):
+        command = one.command(frame(3), tracks_at(3, *seen))
+        assert (command.mode, command.timestamp_ns) == (mode, 3 * FRAME_NS)
+        assert (command.levels == level).all()
+        assert len(command.gaps_rad) == 0
+    one.reset()
+
+
+def test_policies_have_names() -> None:
+    assert isinstance(make_policy(CONFIG, LAMPS), POLICIES["foreglow"])
+    with pytest.raises(ValueError, match=r"beam\.policy: expected one of low, high, paper, foreglow, got 'none'"):
+        make_policy(BeamConfig(), LAMPS)
+
+
+def test_a_gap_is_not_held_when_time_jumps_back() -> None:
+    one = policy()
+    assert one.gaps(frame(10), tracks_at(10, LAMP))
+    assert not one.gaps(frame(0), tracks_at(0))
+
+
+def test_light_far_below_is_no_lamp() -> None:
+    """At 10 degrees below nothing but the road in front of the car is seen."""
+    low = dataclasses.replace(tracks_at(0, LAMP), boxes_xyxy_px=np.array([box_around(0.0, math.radians(-10), 0.006)]))
+    assert not policy().gaps(frame(0), low)
+
+
+def test_a_vehicle_beside_us_does_not_darken_the_whole_beam() -> None:
+    near, far = (policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=one)))[0] for one in (3.0, 15.0))
+    assert near.left_rad - near.right_rad < math.radians(12.0)
+    assert near.near_m == far.near_m == pytest.approx(20.0)
