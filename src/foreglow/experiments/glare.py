@@ -171,7 +171,10 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan) -> Glar
     r123 = score_glare(folder.name, (read_glare_drive(file) for file in files), R123, seed=plan.seed)
     settings = {one.name: one for one in settings_of(plan.delays)}
     points = tuple(
-        SensitivityPoint.of(one.parameter, one.unit, one.value, results.policy(name)) for name, one in settings.items()
+        dataclasses.replace(
+            SensitivityPoint.of(one.parameter, one.unit, one.value, results.policy(name)), policy="foreglow"
+        )
+        for name, one in settings.items()
     )
     results, r123 = (
         dataclasses.replace(

@@ -194,7 +194,8 @@ def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
         unit = f", {points[0].unit}" if points[0].unit else ""
         panel.set(xlabel=f"{points[0].parameter}{unit}")
         panel.set_title(title, fontsize=10)
-        panel.set_ylim(bottom=0.0)
+        known = [getattr(one, field) for one in points if math.isfinite(getattr(one, field))]
+        panel.set_ylim(0.0, 1.1 * max(known, default=1.0) or 1.0)
         panel.grid(axis="y", color=PALE, linewidth=0.6)
     panels[1].set_ylim(0.0, 1.04)
     handles, labels = panels[0].get_legend_handles_labels()
