@@ -1,18 +1,18 @@
-"""One frozen model per stage, and the `PipelineConfig` made of them; TOML in, and the used configuration out.
+"""One frozen model a stage.
 
 Sizes are given for the paper's camera and scale with the image's width; `ProposalConfig` says how.
 """
 
 from __future__ import annotations
 
-import tomllib
 from itertools import pairwise
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
-import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
+
+from foreglow.config.fields import FrozenModel
 
 Dispatch: TypeAlias = Literal["auto", "baseline", "avx2", "avx512"]
 """Instruction set of the native core: `auto` takes the best one that the processor has."""
@@ -24,13 +24,6 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 
 RangeLimit: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
 """From which range on, metres, and the limit there."""
-
-
-class FrozenModel(BaseModel):
-    """A frozen set of parameters: unknown fields, NaN, infinity and values of another type are errors."""
-
-    # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class ProposalConfig(FrozenModel):
@@ -324,143 +317,3 @@ class GuardConfig(FrozenModel):
                 f"{self.led_limits_cd}"
             )
         return self
-
-
-class PipelineConfig(FrozenModel):
-    """The configuration of the whole pipeline, one section a stage."""
-
-    proposals: ProposalConfig = ProposalConfig()
-    classifier: ClassifierConfig = ClassifierConfig()
-    distance: DistanceConfig = DistanceConfig()
-    tracker: TrackerConfig = TrackerConfig()
-    beam: BeamConfig = BeamConfig()
-    guard: GuardConfig = GuardConfig()
-
-    @property
-    def detector_only(self) -> PipelineConfig:
-        """The same without the stages that follow the detector."""
-        off = {
-            "distance": self.distance.model_copy(update={"estimator": "none"}),
-            "tracker": self.tracker.model_copy(update={"method": "none"}),
-        }
-        return self.model_copy(update=off)
-
-
-PRESETS: dict[str, PipelineConfig] = {
-    # Paper, table of the parameter search (kappa 0.4, w 19, s 0.01, d 4).
-    "paper": PipelineConfig(),
-    # Published code's hand-chosen baseline, run at 640x480.
-    "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
-    # Found by `foreglow tune data --objective light --images 1000 --trials 300 --jobs 2 --seed 3` on the drives of
-    # `make data`.
-    "foreglow": PipelineConfig(
-        proposals=ProposalConfig(
-            kappa=0.525,
-            window_px=61,
-            min_deviation=0.02,
-            gap_px=1,
-            max_area_px=inf,
-            min_width_px=5.0,
-            split_saddle=0.6,
-        ),
-        # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.24),
-        distance=DistanceConfig(estimator="road_surface"),
-        tracker=OUR_TRACKER,
-    ),
-}
-
-
-def preset(name: str) -> PipelineConfig:
-    """The configuration called `name`.
-
-    Raises:
-        ValueError: If there is no such preset; the message lists those that exist.
-
-    >>> preset("baseline").proposals.gap_px
-    13
-    """
-    if name not in PRESETS:
-        raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
-    return PRESETS[name]
-
-
-def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfig:
-    """The configuration in the TOML file `path`; what it does not mention comes from `base` (default: paper).
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
-    """
-    given = read_toml(path)
-    merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
-    for section, fields in given.items():
-        known = merged.get(section)
-        merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields
-    return validated(PipelineConfig, merged, str(path))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """What the TOML file `path` holds.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML; the message names the path and the place.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such configuration file")
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected TOML: {error}") from error
-
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-def validated(model: type[Model], fields: Any, origin: str) -> Model:
-    """`fields` as a `model`.
-
-    Raises:
-        ValueError: If a field is unknown, missing, of another type or out of range; the message names `origin`, the
-            first such field and what was expected.
-    """
-    try:
-        return model.model_validate(fields)
-    except ValidationError as error:
-        raise ValueError(f"{origin}: {_first_complaint(model, error)}") from error
-
-
-def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
-    """The first field that is wrong, what was expected and what was found, as one line."""
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"]) or "configuration"
-    if first["type"] == "value_error":  # one of our own checks, which says all of it
-        return f"{field}.{first['ctx']['error']}"
-    if first["type"] == "missing" and isinstance(first["input"], dict):
-        return f"{field}: missing"
-    if first["type"] == "extra_forbidden":
-        section = model.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 2 else None
-        owner = model if section is None else section.annotation
-        known = owner.model_fields if isinstance(owner, type) and issubclass(owner, BaseModel) else {}
-        return f"{field}: unknown" + (f", expected one of {', '.join(known)}" if known else "")
-    return f"{field}: {first['msg']}, got {first['input']!r}"
-
-
-def config_to_toml(config: PipelineConfig) -> str:
-    r"""`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
-
-    >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
-    [classifier]
-    model = "model.onnx"
-    score_threshold = 0.5
-    num_threads = 1
-    """
-    # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
-    sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
-    return tomli_w.dumps(
-        {
-            section: {name: str(value) if isinstance(value, Path) else value for name, value in fields.items()}
-            for section, fields in sections.items()
-        }
-    )

@@ -1,0 +1,45 @@
+"""One frozen model per stage, and the `PipelineConfig` made of them; TOML in, and the used configuration out."""
+
+from foreglow.config.fields import (
+    FrozenModel,
+    read_toml,
+    validated,
+)
+from foreglow.config.pipeline import (
+    PRESETS,
+    PipelineConfig,
+    config_to_toml,
+    preset,
+    read_config,
+)
+from foreglow.config.stages import (
+    OUR_TRACKER,
+    PUBLISHED_TRACKER,
+    BeamConfig,
+    ClassifierConfig,
+    Dispatch,
+    DistanceConfig,
+    GuardConfig,
+    ProposalConfig,
+    TrackerConfig,
+)
+
+__all__ = [
+    "OUR_TRACKER",
+    "PRESETS",
+    "PUBLISHED_TRACKER",
+    "BeamConfig",
+    "ClassifierConfig",
+    "Dispatch",
+    "DistanceConfig",
+    "FrozenModel",
+    "GuardConfig",
+    "PipelineConfig",
+    "ProposalConfig",
+    "TrackerConfig",
+    "config_to_toml",
+    "preset",
+    "read_config",
+    "read_toml",
+    "validated",
+]

@@ -1,0 +1,63 @@
+"""What all configurations are made of: strict frozen fields, TOML in, and one clear complaint."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+
+class FrozenModel(BaseModel):
+    """A frozen set of parameters: unknown fields, NaN, infinity and values of another type are errors."""
+
+    # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What the TOML file `path` holds.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML; the message names the path and the place.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such configuration file")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected TOML: {error}") from error
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(model: type[Model], fields: Any, origin: str) -> Model:
+    """`fields` as a `model`.
+
+    Raises:
+        ValueError: If a field is unknown, missing, of another type or out of range; the message names `origin`, the
+            first such field and what was expected.
+    """
+    try:
+        return model.model_validate(fields)
+    except ValidationError as error:
+        raise ValueError(f"{origin}: {_first_complaint(model, error)}") from error
+
+
+def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
+    """The first field that is wrong, what was expected and what was found, as one line."""
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"]) or "configuration"
+    if first["type"] == "value_error":  # one of our own checks, which says all of it
+        return f"{field}.{first['ctx']['error']}"
+    if first["type"] == "missing" and isinstance(first["input"], dict):
+        return f"{field}: missing"
+    if first["type"] == "extra_forbidden":
+        section = model.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 2 else None
+        owner = model if section is None else section.annotation
+        known = owner.model_fields if isinstance(owner, type) and issubclass(owner, BaseModel) else {}
+        return f"{field}: unknown" + (f", expected one of {', '.join(known)}" if known else "")
+    return f"{field}: {first['msg']}, got {first['input']!r}"

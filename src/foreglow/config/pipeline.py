@@ -1,0 +1,113 @@
+"""The `PipelineConfig` made of all stages', its presets, and the way into a file and back."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from foreglow.config.fields import FrozenModel, read_toml, validated
+from foreglow.config.stages import (
+    OUR_TRACKER,
+    BeamConfig,
+    ClassifierConfig,
+    DistanceConfig,
+    GuardConfig,
+    ProposalConfig,
+    TrackerConfig,
+)
+
+
+class PipelineConfig(FrozenModel):
+    """The configuration of the whole pipeline, one section a stage."""
+
+    proposals: ProposalConfig = ProposalConfig()
+    classifier: ClassifierConfig = ClassifierConfig()
+    distance: DistanceConfig = DistanceConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    beam: BeamConfig = BeamConfig()
+    guard: GuardConfig = GuardConfig()
+
+    @property
+    def detector_only(self) -> PipelineConfig:
+        """The same without the stages that follow the detector."""
+        off = {
+            "distance": self.distance.model_copy(update={"estimator": "none"}),
+            "tracker": self.tracker.model_copy(update={"method": "none"}),
+        }
+        return self.model_copy(update=off)
+
+
+PRESETS: dict[str, PipelineConfig] = {
+    # Paper, table of the parameter search (kappa 0.4, w 19, s 0.01, d 4).
+    "paper": PipelineConfig(),
+    # Published code's hand-chosen baseline, run at 640x480.
+    "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
+    # Found by `foreglow tune data --objective light --images 1000 --trials 300 --jobs 2 --seed 3` on the drives of
+    # `make data`.
+    "foreglow": PipelineConfig(
+        proposals=ProposalConfig(
+            kappa=0.525,
+            window_px=61,
+            min_deviation=0.02,
+            gap_px=1,
+            max_area_px=inf,
+            min_width_px=5.0,
+            split_saddle=0.6,
+        ),
+        # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.24),
+        distance=DistanceConfig(estimator="road_surface"),
+        tracker=OUR_TRACKER,
+    ),
+}
+
+
+def preset(name: str) -> PipelineConfig:
+    """The configuration called `name`.
+
+    Raises:
+        ValueError: If there is no such preset; the message lists those that exist.
+
+    >>> preset("baseline").proposals.gap_px
+    13
+    """
+    if name not in PRESETS:
+        raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
+    return PRESETS[name]
+
+
+def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfig:
+    """The configuration in the TOML file `path`; what it does not mention comes from `base` (default: paper).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
+    """
+    given = read_toml(path)
+    merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
+    for section, fields in given.items():
+        known = merged.get(section)
+        merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields
+    return validated(PipelineConfig, merged, str(path))
+
+
+def config_to_toml(config: PipelineConfig) -> str:
+    r"""`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
+
+    >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
+    [classifier]
+    model = "model.onnx"
+    score_threshold = 0.5
+    num_threads = 1
+    """
+    # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
+    sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
+    return tomli_w.dumps(
+        {
+            section: {name: str(value) if isinstance(value, Path) else value for name, value in fields.items()}
+            for section, fields in sections.items()
+        }
+    )
