@@ -1,0 +1,29 @@
+"""The values that flow: Frame -> Proposals -> Detections -> Ranges -> Tracks -> BeamCommand, and the FrameResult that
+keeps them.
+
+Every type is frozen and checked once, when it is made. Arrays are plural, boxes are half-open
+`xyxy` in full-frame pixels (x = column to the right, y = row downwards), and no array may be written to afterwards.
+"""
+
+from foreglow.types.arrays import Boxes, Image
+from foreglow.types.beam import BeamCommand, BeamMode
+from foreglow.types.boxes import Detections, Proposals, Ranges
+from foreglow.types.frame import EgoMotion, Frame, RoadAhead
+from foreglow.types.result import FrameResult
+from foreglow.types.tracks import Tracks, TrackState
+
+__all__ = [
+    "BeamCommand",
+    "BeamMode",
+    "Boxes",
+    "Detections",
+    "EgoMotion",
+    "Frame",
+    "FrameResult",
+    "Image",
+    "Proposals",
+    "Ranges",
+    "RoadAhead",
+    "TrackState",
+    "Tracks",
+]

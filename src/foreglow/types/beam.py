@@ -1,0 +1,73 @@
+"""What our headlamps shall shine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.types.arrays import frozen_view
+
+
+class BeamMode(IntEnum):
+    """What our headlamps shine."""
+
+    LOW = 0
+    """Low beam alone: all LEDs above it are off."""
+    GLARE_FREE = 1
+    """High beam with dark gaps."""
+    FULL = 2
+    """High beam without any."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamCommand:
+    """What our matrix headlamps shall shine.
+
+    Attributes:
+        timestamp_ns: Time of exposure of the frame that it follows from, nanoseconds.
+        mode: A `BeamMode`; with LOW all levels are 0 and there are no gaps.
+        levels: Shape (2, L), float64 in [0, 1], left and right lamp, one for each LED above the low beam; as the lamp
+            description numbers them.
+        gaps_rad: Shape (G, 2), float64, right and left border of each dark gap: azimuth to the left in the vehicle's
+            frame, right < left, from right to left and apart.
+        gap_ranges_m: Shape (G,), float64, from the vehicle's origin to what each gap is for; NaN where unknown.
+        faults: Why there is low beam although high beam was wanted; names of faults, empty without any.
+
+    Raises:
+        ValueError: If a shape or a dtype is wrong, a level is outside [0, 1] or NaN, gaps are not in order, or LOW has
+            light above the low beam.
+    """
+
+    timestamp_ns: int
+    mode: BeamMode
+    levels: NDArray[np.float64]
+    gaps_rad: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    gap_ranges_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    faults: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        levels, gaps, ranges_m = self.levels, self.gaps_rad, self.gap_ranges_m
+        if levels.ndim != 2 or levels.shape[0] != 2 or levels.shape[1] == 0 or levels.dtype != np.float64:
+            raise ValueError(
+                f"BeamCommand.levels: expected float64 of shape (2, L), got {levels.dtype} of shape {levels.shape}"
+            )
+        if not (np.minimum.reduce(levels, axis=None) >= 0.0 and np.maximum.reduce(levels, axis=None) <= 1.0):
+            raise ValueError("BeamCommand.levels: expected values in [0, 1], got NaN or a value outside")
+        if gaps.ndim != 2 or gaps.shape[1] != 2 or ranges_m.shape != (len(gaps),):
+            raise ValueError(
+                f"BeamCommand.gaps_rad: expected shape (G, 2) and G ranges, got {gaps.shape} and {ranges_m.shape}"
+            )
+        if not (np.diff(gaps.ravel()) > 0).all() or not np.isfinite(gaps).all():
+            raise ValueError(f"BeamCommand.gaps_rad: expected borders in order and apart, got {gaps.tolist()}")
+        if self.mode == BeamMode.LOW and (len(gaps) or levels.any()):
+            raise ValueError("BeamCommand.levels: expected 0 everywhere, and no gaps, with low beam")
+        for name in ("levels", "gaps_rad", "gap_ranges_m"):
+            object.__setattr__(self, name, frozen_view(getattr(self, name)))
+
+    @classmethod
+    def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:
+        """Low beam, and why."""
+        return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults)

@@ -1,0 +1,138 @@
+"""Boxes in one image: proposed, scored, ranged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.types.arrays import Boxes, frozen_view
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Boxes that may hold a light artifact, sorted by y1, x1, y2, x2.
+
+    Attributes:
+        boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels; N = 0 means that nothing stands out.
+
+    Raises:
+        ValueError: If the shape, the dtype or a box's order of corners is wrong.
+    """
+
+    boxes_xyxy_px: Boxes
+
+    def __post_init__(self) -> None:
+        boxes = self.boxes_xyxy_px
+        if boxes.ndim != 2 or boxes.shape[1] != 4:
+            raise ValueError(f"Proposals.boxes_xyxy_px: expected shape (N, 4), got {boxes.shape}")
+        if boxes.dtype != np.int32:
+            raise ValueError(f"Proposals.boxes_xyxy_px: expected int32, got {boxes.dtype}")
+        is_ordered = boxes[:, :2] < boxes[:, 2:]
+        if not np.logical_and.reduce(is_ordered, axis=None):
+            bad = int(np.flatnonzero(~is_ordered.all(axis=1))[0])
+            raise ValueError(
+                f"Proposals.boxes_xyxy_px: box {bad} is {boxes[bad].tolist()}, expected x1 < x2 and y1 < y2"
+            )
+        object.__setattr__(self, "boxes_xyxy_px", frozen_view(boxes))
+
+    def __len__(self) -> int:
+        return len(self.boxes_xyxy_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """All proposals of a frame with their scores.
+
+    Attributes:
+        proposals: The proposals that were scored.
+        scores: Shape (N,), float32 in [0, 1], one for each proposal: how sure the classifier is of a light artifact.
+        score_threshold: A proposal is accepted when its score is above this.
+        direct_probabilities: Shape (N,), float32 in [0, 1]: how sure the classifier is that it is the lamp itself, if
+            it is light at all, before anything is known of how often either is seen; NaN where the model does not
+            say. An empty array becomes NaNs.
+
+    Raises:
+        ValueError: If an array's shape or dtype is wrong, or a score is outside [0, 1] or NaN.
+    """
+
+    proposals: Proposals
+    scores: NDArray[np.float32]
+    score_threshold: float
+    direct_probabilities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+
+    def __post_init__(self) -> None:
+        scores, count = self.scores, len(self.proposals)
+        if scores.shape != (count,) or scores.dtype != np.float32:
+            raise ValueError(
+                f"Detections.scores: expected float32 of shape ({count},), got {scores.dtype} of shape {scores.shape}"
+            )
+        if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
+            raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
+        direct = self.direct_probabilities
+        if not len(direct):
+            direct = np.full(count, np.nan, np.float32)
+        if direct.shape != (count,) or direct.dtype != np.float32:
+            raise ValueError(
+                f"Detections.direct_probabilities: expected float32 of shape ({count},), got {direct.dtype} of shape "
+                f"{direct.shape}"
+            )
+        object.__setattr__(self, "scores", frozen_view(scores))
+        object.__setattr__(self, "direct_probabilities", frozen_view(direct))
+
+    def __len__(self) -> int:
+        return len(self.proposals)
+
+    @property
+    def boxes_xyxy_px(self) -> Boxes:
+        """All scored boxes, shape (N, 4), int32, half-open, full-frame pixels."""
+        return self.proposals.boxes_xyxy_px
+
+    @property
+    def is_accepted(self) -> NDArray[np.bool_]:
+        """Shape (N,): which boxes are light artifacts; compared in double precision, as when files are evaluated."""
+        return np.asarray(self.scores.astype(np.float64) > self.score_threshold)
+
+    @property
+    def accepted_boxes_xyxy_px(self) -> Boxes:
+        """The accepted boxes, shape (M, 4), int32, half-open, full-frame pixels."""
+        return self.boxes_xyxy_px[self.is_accepted]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranges:
+    """How far away the light in each box is: from the camera along the viewing ray, to what shines or is lit.
+
+    Attributes:
+        detections: The boxes.
+        ranges_m: Shape (N,), float64, positive; NaN where nothing is known.
+        sigmas_m: Shape (N,), float64, standard deviation, positive; infinite where the range is NaN, or an estimator
+            cannot tell how good it is.
+
+    Raises:
+        ValueError: If a shape or a dtype is wrong, a range is not positive, or a range that is NaN has a finite sigma.
+    """
+
+    detections: Detections
+    ranges_m: NDArray[np.float64]
+    sigmas_m: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.detections)
+        for name in ("ranges_m", "sigmas_m"):
+            array = getattr(self, name)
+            if array.shape != (count,) or array.dtype != np.float64:
+                raise ValueError(
+                    f"Ranges.{name}: expected float64 of shape ({count},), got {array.dtype} of shape {array.shape}"
+                )
+        is_unknown = np.isnan(self.ranges_m)
+        if (self.ranges_m <= 0).any() or np.isinf(self.ranges_m).any():
+            raise ValueError("Ranges.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
+        if not (self.sigmas_m > 0).all() or np.isfinite(self.sigmas_m[is_unknown]).any():
+            raise ValueError("Ranges.sigmas_m: expected positive numbers, and infinity beside a range that is NaN")
+        for name in ("ranges_m", "sigmas_m"):
+            object.__setattr__(self, name, frozen_view(getattr(self, name)))
+
+    def __len__(self) -> int:
+        return len(self.detections)

@@ -1,0 +1,142 @@
+"""What goes in: an image, and what the car knew when it was taken."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Camera
+from foreglow.types.arrays import Image, frozen_view
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoMotion:
+    """How our vehicle moves at the time of an image.
+
+    Attributes:
+        speed_mps: Forward speed.
+        yaw_rate_radps: Rate of turn to the left.
+        pitch_rad: How far the body's nose is up against the road under it, beyond its rest; NaN where no sensor tells.
+
+    Raises:
+        ValueError: If speed or yaw rate is not finite, or the pitch is infinite.
+    """
+
+    speed_mps: float
+    yaw_rate_radps: float
+    pitch_rad: float = math.nan
+
+    def __post_init__(self) -> None:
+        for name in ("speed_mps", "yaw_rate_radps"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"EgoMotion.{name}: expected a finite number, got {getattr(self, name)}")
+        if math.isinf(self.pitch_rad):
+            raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {self.pitch_rad}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadAhead:
+    """The road in front of us as a map or a street message has it: a ribbon around the carriageway's centre line.
+
+    It is written in the frame of the vehicle as the map believes it to stand: on the road, and along it.
+
+    Attributes:
+        points_m: Shape (N, 3), N >= 2, the centre line in the vehicle's frame, metres, in the order of driving and
+            no two neighbours alike; it may end anywhere, and says nothing of what lies beyond.
+        half_width_m: From the centre line to either edge.
+        cross_slopes: Shape (N,), rise for each metre to the left, no unit; an empty array, where the map has none,
+            becomes zeros.
+        error_bound_m: How far along the road the believed position may be off; infinite where unknown.
+
+    Raises:
+        ValueError: If a shape is wrong, a number is not finite (the bound: NaN or negative), or two neighbouring
+            points are the same.
+    """
+
+    points_m: NDArray[np.float64]
+    half_width_m: float
+    cross_slopes: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    error_bound_m: float = math.inf
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points_m, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+            raise ValueError(f"RoadAhead.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError("RoadAhead.points_m: expected finite numbers, got NaN or infinity")
+        is_same = ~np.diff(points, axis=0).any(axis=1)
+        if is_same.any():
+            raise ValueError(
+                f"RoadAhead.points_m: expected neighbours that differ, points {int(np.flatnonzero(is_same)[0])} and "
+                "the next are the same"
+            )
+        if not (math.isfinite(self.half_width_m) and self.half_width_m > 0):
+            raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
+        if not self.error_bound_m >= 0:
+            raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
+        slopes = np.array(self.cross_slopes, np.float64) if np.size(self.cross_slopes) else np.zeros(len(points))
+        if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
+            raise ValueError(f"RoadAhead.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
+        object.__setattr__(self, "points_m", frozen_view(points))
+        object.__setattr__(self, "cross_slopes", frozen_view(slopes))
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One grey camera image, when it was taken, and what the car knew at that time.
+
+    Attributes:
+        image: Shape (height, width), uint8 or uint16, at least 1x1; any strides.
+        timestamp_ns: Time of exposure in nanoseconds; the zero is the source's own.
+        frame: Number that identifies the image in its source (PVDN: the image id; else its index from 0).
+        sequence: Name of the sequence, empty where the source has none.
+        path: Where the image came from, for messages; empty for an array in memory.
+        camera: Calibration of an image of this size; None where unknown: then nothing has a range.
+        motion: How our vehicle moves; None where unknown.
+        road: The road ahead by a map or a street message; None where there is none.
+
+    Raises:
+        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, or the camera is for
+            images of another size.
+    """
+
+    image: Image
+    timestamp_ns: int
+    frame: int = 0
+    sequence: str = ""
+    path: str = ""
+    camera: Camera | None = None
+    motion: EgoMotion | None = None
+    road: RoadAhead | None = None
+
+    def __post_init__(self) -> None:
+        origin = f"{self.path}: " if self.path else ""
+        if not isinstance(self.image, np.ndarray) or self.image.ndim != 2:
+            shape = getattr(self.image, "shape", type(self.image).__name__)
+            raise ValueError(f"{origin}Frame.image: expected a grey array of shape (height, width), got {shape}")
+        if self.image.dtype not in (np.uint8, np.uint16):
+            raise ValueError(f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}")
+        if self.image.size == 0:
+            raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
+        if self.camera is not None and (self.camera.height_px, self.camera.width_px) != self.image.shape:
+            raise ValueError(
+                f"{origin}Frame.camera: expected a calibration for images of {self.image.shape[1]}x"
+                f"{self.image.shape[0]} px, got one for {self.camera.width_px}x{self.camera.height_px} px"
+            )
+        object.__setattr__(self, "image", frozen_view(self.image))
+
+    @property
+    def width_px(self) -> int:
+        """Number of columns."""
+        return int(self.image.shape[1])
+
+    @property
+    def height_px(self) -> int:
+        """Number of rows."""
+        return int(self.image.shape[0])

@@ -1,0 +1,103 @@
+"""What is followed over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.types.arrays import frozen_view
+
+
+class TrackState(IntEnum):
+    """Where a track is in its life."""
+
+    TENTATIVE = 0
+    """Not yet plausible: not to be acted on."""
+    CONFIRMED = 1
+    """Plausible, and detected in this frame."""
+    COASTING = 2
+    """Plausible, but not detected in this frame: predicted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """The light artifacts that are followed over time, in the order of their ids.
+
+    Attributes:
+        ids: Shape (M,), int64, unique since the last reset, ascending; never given twice.
+        states: Shape (M,), int64, a `TrackState` each.
+        boxes_xyxy_px: Shape (M, 4), float64, filtered, half-open, full-frame pixels, x1 < x2 and y1 < y2.
+        confidences: Shape (M,), float64 in [0, 1], the filtered score.
+        num_hits: Shape (M,), int64, detections that the track has taken so far, at least 1.
+        num_misses: Shape (M,), int64, frames in a row without one, up to this frame.
+        ages_s: Shape (M,), float64, time since its first detection.
+        ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray; NaN where unknown.
+        sigmas_m: Shape (M,), float64, standard deviation of the range; infinite where unknown.
+        detections: Shape (M,), int64, place of the box in this frame's `Detections`; -1 without one.
+        direct_probabilities: Shape (M,), float64 in [0, 1], filtered: that it is a lamp itself and not its light on
+            something; NaN where unknown. An empty array becomes NaNs.
+
+    Raises:
+        ValueError: If a shape or a dtype is wrong, ids do not ascend, or a box is not in order or not finite.
+    """
+
+    ids: NDArray[np.int64]
+    states: NDArray[np.int64]
+    boxes_xyxy_px: NDArray[np.float64]
+    confidences: NDArray[np.float64]
+    num_hits: NDArray[np.int64]
+    num_misses: NDArray[np.int64]
+    ages_s: NDArray[np.float64]
+    ranges_m: NDArray[np.float64]
+    sigmas_m: NDArray[np.float64]
+    detections: NDArray[np.int64]
+    direct_probabilities: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not len(self.direct_probabilities):
+            object.__setattr__(self, "direct_probabilities", np.full(count, np.nan))
+        for name, dtype in _TRACK_DTYPES.items():
+            array = getattr(self, name)
+            shape = (count, 4) if name == "boxes_xyxy_px" else (count,)
+            if array.shape != shape or array.dtype != dtype:
+                raise ValueError(
+                    f"Tracks.{name}: expected {np.dtype(dtype).name} of shape {shape}, got {array.dtype} of shape "
+                    f"{array.shape}"
+                )
+            object.__setattr__(self, name, frozen_view(array))
+        boxes = self.boxes_xyxy_px
+        if not (self.ids[1:] > self.ids[:-1]).all():
+            raise ValueError(f"Tracks.ids: expected ascending numbers, got {self.ids.tolist()}")
+        if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
+            raise ValueError("Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2 and y1 < y2")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def is_plausible(self) -> NDArray[np.bool_]:
+        """Shape (M,): which tracks may be acted on, confirmed or coasting."""
+        return np.asarray(self.states != TrackState.TENTATIVE)
+
+
+_TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
+    {
+        "ids": np.int64,
+        "states": np.int64,
+        "boxes_xyxy_px": np.float64,
+        "confidences": np.float64,
+        "num_hits": np.int64,
+        "num_misses": np.int64,
+        "ages_s": np.float64,
+        "ranges_m": np.float64,
+        "sigmas_m": np.float64,
+        "detections": np.int64,
+        "direct_probabilities": np.float64,
+    }
+)
