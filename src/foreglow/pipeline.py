@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,12 +47,18 @@ class Pipeline:
         """The instruction set that the native core uses: `baseline`, `avx2` or `avx512`; None with another back end."""
         return self._proposer.dispatch if isinstance(self._proposer, NativeProposer) else None
 
-    def step(self, frame: Frame | NDArray[Any]) -> FrameResult:
+    def step(
+        self, frame: Frame | NDArray[Any], *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()
+    ) -> FrameResult:
         """What the stages make of `frame`.
 
         Args:
             frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
                 Without a camera in it nothing has a range.
+            now_ns: The frames' clock, by which the guard sees how old the image is when its command is there; None off
+                line, where no time passes. Nothing else knows of it.
+            faults: What is known to be wrong around the pipeline, such as frames that did not come; any of it means
+                low beam, from which light comes back slowly.
 
         Raises:
             ValueError: If a plain image is not grey uint8 or uint16.
@@ -76,7 +82,7 @@ class Pipeline:
                 tracks = self._tracker.update(frame, detections, ranges)
                 clock.took("tracking")
                 if self._beam is not None:
-                    beam = self._beam.command(frame, tracks)
+                    beam = self._beam.command(frame, tracks, time_ns=now_ns and now_ns(), faults=faults)
                     clock.took("beam")
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, clock.stage_ms, ranges, tracks, beam)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -42,10 +44,10 @@ class Noting(Pipeline):
         super().__init__(CONFIG)
         self.notes: list[int | str] = []
 
-    def step(self, frame: Frame | np.ndarray) -> FrameResult:
+    def step(self, frame: Frame | np.ndarray, **context: Any) -> FrameResult:
         assert isinstance(frame, Frame)
         self.notes.append(frame.frame)
-        return super().step(frame)
+        return super().step(frame, **context)
 
     def reset(self) -> None:
         self.notes.append("reset")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from foreglow.beam.guard import Guard
@@ -26,11 +28,14 @@ class BeamStage:
         self._policy = make_policy(config, headlamps)
         self._guard = Guard(guard, headlamps)
 
-    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
-        """What the headlamps shall shine after `frame`."""
+    def command(
+        self, frame: Frame, tracks: Tracks, *, time_ns: int | None = None, faults: Sequence[str] = ()
+    ) -> BeamCommand:
+        """What the headlamps shall shine after `frame`; time and faults are the guard's, as in `Guard.check`."""
         direct = tracks.direct_probabilities
         is_vehicle = np.isnan(direct) | (direct > self._min_direct)
-        return self._guard.check(self._policy.command(frame, tracks), tracks, frame, is_vehicle=is_vehicle)
+        wanted = self._policy.command(frame, tracks)
+        return self._guard.check(wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle)
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
