@@ -42,6 +42,13 @@ class Pipeline:
         self._tracker = make_tracker(tracker) if tracker.method != "none" else None
         self._beam = BeamStage(self.config.beam, self.config.guard) if self.config.beam.policy != "none" else None
 
+        self._clock = _StageClock()
+
+    @property
+    def stage(self) -> str | None:
+        """The stage under way, also after it raised; None between frames. For those who watch from another thread."""
+        return self._clock.stage
+
     @property
     def dispatch(self) -> str | None:
         """The instruction set that the native core uses: `baseline`, `avx2` or `avx512`; None with another back end."""
@@ -65,25 +72,26 @@ class Pipeline:
         """
         if isinstance(frame, np.ndarray):
             frame = Frame(frame, timestamp_ns=0)
-        clock = _StageClock()
+        clock = self._clock = _StageClock()
+        clock.begin("proposals")
         proposals = self._proposer.propose(frame.image)
-        clock.took("proposals")
         detections: Detections | None = None
         ranges: Ranges | None = None
         tracks: Tracks | None = None
         beam: BeamCommand | None = None
         if self._classifier is not None:
+            clock.begin("classifier")
             detections = self._classifier.classify(frame, proposals)
-            clock.took("classifier")
             if self._estimator is not None and frame.camera is not None:
+                clock.begin("distance")
                 ranges = self._estimator.estimate(frame, detections)
-                clock.took("distance")
             if self._tracker is not None:
+                clock.begin("tracking")
                 tracks = self._tracker.update(frame, detections, ranges)
-                clock.took("tracking")
                 if self._beam is not None:
+                    clock.begin("beam")
                     beam = self._beam.command(frame, tracks, time_ns=now_ns and now_ns(), faults=faults)
-                    clock.took("beam")
+        clock.end()
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, clock.stage_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
@@ -99,14 +107,25 @@ class Pipeline:
 
 
 class _StageClock:
-    """Takes the time that each stage needs, milliseconds."""
+    """Takes the time that each stage needs, milliseconds.
+
+    Attributes:
+        stage: The one that is under way; None before the first, and after the last.
+    """
 
     def __init__(self) -> None:
         self.stage_ms: dict[str, float] = {}
-        self._latest_ns = time.perf_counter_ns()
+        self.stage: str | None = None
+        self._begun_ns = 0
 
-    def took(self, stage: str) -> None:
-        """The time since the stage before is this one's."""
+    def begin(self, stage: str) -> None:
+        """The next stage begins, where the one before ends."""
+        self.end()
+        self.stage = stage
+
+    def end(self) -> None:
+        """The stage under way ends."""
         now_ns = time.perf_counter_ns()
-        self.stage_ms[stage] = (now_ns - self._latest_ns) / 1e6
-        self._latest_ns = now_ns
+        if self.stage is not None:
+            self.stage_ms[self.stage] = (now_ns - self._begun_ns) / 1e6
+        self.stage, self._begun_ns = None, now_ns

@@ -5,6 +5,7 @@ from foreglow.config.fields import (
     read_toml,
     validated,
 )
+from foreglow.config.live import LiveConfig
 from foreglow.config.pipeline import (
     PRESETS,
     PipelineConfig,
@@ -34,6 +35,7 @@ __all__ = [
     "DistanceConfig",
     "FrozenModel",
     "GuardConfig",
+    "LiveConfig",
     "PipelineConfig",
     "ProposalConfig",
     "TrackerConfig",

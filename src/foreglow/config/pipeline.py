@@ -9,6 +9,7 @@ from typing import Any
 import tomli_w
 
 from foreglow.config.fields import FrozenModel, read_toml, validated
+from foreglow.config.live import LiveConfig
 from foreglow.config.stages import (
     OUR_TRACKER,
     BeamConfig,
@@ -21,7 +22,7 @@ from foreglow.config.stages import (
 
 
 class PipelineConfig(FrozenModel):
-    """The configuration of the whole pipeline, one section a stage."""
+    """The configuration of the whole pipeline, one section a stage, and that of the live loop around it."""
 
     proposals: ProposalConfig = ProposalConfig()
     classifier: ClassifierConfig = ClassifierConfig()
@@ -29,6 +30,7 @@ class PipelineConfig(FrozenModel):
     tracker: TrackerConfig = TrackerConfig()
     beam: BeamConfig = BeamConfig()
     guard: GuardConfig = GuardConfig()
+    live: LiveConfig = LiveConfig()
 
     @property
     def detector_only(self) -> PipelineConfig:

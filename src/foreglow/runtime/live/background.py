@@ -1,0 +1,87 @@
+"""Sinks that must not keep the beam waiting: each has a thread of its own, and may fall behind or fail alone."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+
+from foreglow.runtime.health import Health, LiveSink
+from foreglow.types import Frame, FrameResult
+
+NUM_WAITING = 64
+"""So many frames may wait for a sink, 3.6 s of a camera; further ones are not given to it."""
+
+
+class Background:
+    """A sink in a thread of its own.
+
+    Attributes:
+        sink: The sink.
+        num_lost: Frames that it was not given, because it fell behind or had failed.
+        error: Why it failed; None while it did not.
+    """
+
+    def __init__(self, sink: LiveSink, *, is_lossless: bool = False) -> None:
+        """Starts the thread.
+
+        Args:
+            sink: What takes the results; it is called from that thread alone.
+            is_lossless: Whether `write` waits for room, where time does not count.
+        """
+        self.sink = sink
+        self.num_lost = 0
+        self.error: Exception | None = None
+        self._is_lossless = is_lossless
+        self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(NUM_WAITING)
+        self._thread = threading.Thread(target=self._run, name=f"sink {type(sink).__name__}", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether it has failed, or no room for another frame."""
+        return self.error is not None or self._waiting.full()
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Hands a frame over, or counts it as lost."""
+        if not self._put(lambda: self.sink.write(frame, result)):
+            self.num_lost += 1
+
+    def write_health(self, health: Health) -> None:
+        """Hands the health over, if there is room."""
+        self._put(lambda: self.sink.write_health(health))
+
+    def close(self) -> None:
+        """Waits until all is written, and completes it; a sink that had failed lets go of what it wrote."""
+        self._waiting.put(None)
+        self._thread.join()
+        if self.error is None:
+            try:
+                self.sink.close()
+            except Exception as error:
+                self.error = error
+        if self.error is not None:
+            self.sink.discard()
+
+    def discard(self) -> None:
+        """Lets go of all that was written."""
+        self._waiting.put(None)
+        self._thread.join()
+        self.sink.discard()
+
+    def _put(self, call: Callable[[], None]) -> bool:
+        if self.error is not None:
+            return False
+        try:
+            self._waiting.put(call, block=self._is_lossless)
+        except queue.Full:
+            return False
+        return True
+
+    def _run(self) -> None:
+        while (call := self._waiting.get()) is not None:
+            if self.error is None:
+                try:
+                    call()
+                except Exception as error:  # whatever it is, the beam goes on
+                    self.error = error

@@ -1,0 +1,273 @@
+"""The live loop: one thread reads, one computes, and this one watches both."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from foreglow.config import PipelineConfig
+from foreglow.photometry import read_headlamps
+from foreglow.runtime.health import Health, LiveSink
+from foreglow.runtime.live.background import Background
+from foreglow.runtime.live.faults import FaultBook, LiveFault
+from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.runtime.live.sources import LiveSource
+from foreglow.runtime.live.summary import LiveSummary, live_summary
+from foreglow.runtime.live.watch import CAMERA, FrameWatch
+from foreglow.runtime.live.worker import STAGE, LivePipeline, Stepped, Worker
+from foreglow.runtime.run import InterruptFlag
+from foreglow.runtime.summary import Tally
+from foreglow.types import BeamCommand
+
+GUARD, BUS, SINKS = "guard", "bus", "sinks"
+"""Further origins of faults; those of `CAMERA` and `STAGE` mean low beam."""
+
+MAX_HUNG = 3
+"""So many pipelines may hang, each in a thread that nobody can end; then it is better to start the program anew."""
+
+SWITCH_S = 0.0005
+"""A thread that has to wait for another one's Python waits no longer than this, in place of 5 ms."""
+
+HEALTH_S = 1.0
+
+
+class BeamOutput(Protocol):
+    """Takes commands to the lamps."""
+
+    def send(self, command: BeamCommand) -> None:
+        """Sends a command.
+
+        Raises:
+            OSError: If that is not possible now.
+        """
+        ...
+
+    def close(self) -> None:
+        """Ends the connection."""
+        ...
+
+
+class LiveLoop:
+    """Frames in, commands out, in real time; whatever goes wrong is low beam, noted, and over when its cause is.
+
+    The newest frame wins. A command goes to the lamps at once; sinks get results in threads of their own.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        make_pipeline: Callable[[], LivePipeline],
+        config: PipelineConfig,
+        *,
+        outputs: Sequence[BeamOutput] = (),
+        sinks: Sequence[LiveSink] = (),
+        beat: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Takes all that it is made of; nothing runs yet.
+
+        Args:
+            source: The frames.
+            make_pipeline: Makes a pipeline of `config`, with a beam policy; called in the computing thread.
+            config: The configuration.
+            outputs: Where commands go.
+            sinks: Where results and the health go.
+            beat: Called again and again while all threads are alive: for a watchdog outside.
+
+        Raises:
+            ValueError: If the lamps' description is broken.
+        """
+        self._source, self._config = source, config.live
+        self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
+        self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)
+        self._num_leds = read_headlamps(config.beam.headlamps).num_leds
+        self._book = FaultBook(source.now_ns, (CAMERA, STAGE))
+        self._mailbox = Mailbox(is_lossless=source.is_lossless)
+        self._sinks = [Background(sink, is_lossless=source.is_lossless) for sink in sinks]
+        self._tally = Tally()
+        self._is_stopped = threading.Event()
+        self._has_ended = threading.Event()
+        self._error: Exception | None = None
+        self._is_ended = False
+        self._lock = threading.RLock()
+        self._num_taken = self._num_hung = self._num_late = 0
+        self._beam: BeamCommand | None = None
+        self._low_s = self._health_s = -1.0
+        self._told: tuple[str, ...] = ()
+
+    def run(self, limit: int | None = None) -> LiveSummary:
+        """Runs until the source is over, Ctrl-C, or so many frames; sinks are then complete, and the lamps in low beam.
+
+        Raises:
+            TimeoutError: If pipelines hang again and again.
+            Exception: What making the pipeline raised, or a source that is no camera.
+        """
+        pipeline = self._make_pipeline()
+        switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        gc.collect()
+        gc.freeze()  # what is there now stays: later collections need not look at it
+        self._begun_s = time.monotonic()
+        self._watch = FrameWatch(self._config, self._period_s, self._source.max_silence_s, self._book)
+        self._worker = self._new_worker(pipeline)
+        reader = threading.Thread(target=self._read, name="read", daemon=True)
+        reader.start()
+        is_complete = False
+        try:
+            with InterruptFlag() as interrupt:
+                while not (interrupt.is_set or self._is_over(limit)):
+                    self._supervise()
+                    self._is_stopped.wait(self._period_s / 4)
+                is_complete = not interrupt.is_set
+        finally:
+            self._stop(reader)
+            gc.unfreeze()
+            sys.setswitchinterval(switch_s)
+        if self._error is not None:
+            raise self._error
+        run = self._tally.summary(self._source.name, self._source.skipped, pipeline, is_complete=is_complete)
+        num_lost = sum(sink.num_lost for sink in self._sinks)
+        errors = [f"{type(one.sink).__name__}: {one.error}" for one in self._sinks if one.error is not None]
+        return live_summary(run, self._book, self._mailbox.num_dropped, self._num_late, num_lost, errors)
+
+    def _is_over(self, limit: int | None) -> bool:
+        """Whether all frames are done, or enough of them."""
+        if limit is not None and self._tally.num_frames >= limit:
+            return True
+        return self._has_ended.is_set() and self._num_taken >= self._mailbox.num_put - self._mailbox.num_dropped
+
+    def _stop(self, reader: threading.Thread) -> None:
+        """Ends the threads, completes the sinks, and leaves the lamps in low beam."""
+        self._is_stopped.set()
+        self._mailbox.close()
+        self._worker.stop(self._config.abandon_s)
+        reader.join(self._config.abandon_s)  # a camera may keep it for longer
+        with self._lock:
+            self._is_ended = True
+            if self._beam is not None:
+                self._send(BeamCommand.low(self._source.now_ns(), self._num_leds))
+        for output in self._outputs:
+            output.close()
+        for sink in self._sinks:
+            sink.close()
+
+    def _read(self) -> None:
+        """Reads frames, as long as there are any; the thread of its own."""
+        while not self._is_stopped.is_set():
+            try:
+                for frame in self._source:
+                    if self._is_stopped.is_set():
+                        return
+                    if self._watch.arrived(frame):
+                        self._mailbox.put(Arrival(frame, self._source.now_ns()))
+                reason = "the source has ended"
+            except Exception as error:
+                if not self._source.is_endless:
+                    self._error = error
+                reason = f"{type(error).__name__}: {error}"
+            if not self._source.is_endless:
+                self._has_ended.set()
+                return
+            self._watch.lost(reason)
+            self._is_stopped.wait(self._config.retry_s)
+
+    def _supervise(self) -> None:
+        """Looks at both threads; commands low beam where one of them does not do its part."""
+        is_silent = not self._has_ended.is_set() and self._watch.listen()
+        is_hanging = self._worker.busy_s > self._config.max_step_s
+        if is_hanging:
+            self._worker.has_hung = True
+            self._book.note(STAGE, [LiveFault.STAGE_HANGS], self._worker.stage)
+        if self._worker.busy_s > self._config.abandon_s or not self._worker.is_alive:
+            self._abandon()
+        now_s = time.monotonic()
+        is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
+        if is_waiting and now_s - self._low_s >= self._period_s:
+            self._low_s = now_s
+            with self._lock:
+                self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
+        self._note_sinks()
+        if now_s - self._health_s >= HEALTH_S or self._book.active != self._told:
+            self._health_s, self._told = now_s, self._book.active
+            self._tell_health()
+        self._beat()
+
+    def _abandon(self) -> None:
+        """Leaves the worker that hangs, or has died, alone, and begins with a new one.
+
+        Raises:
+            TimeoutError: If too many hang.
+        """
+        self._num_hung += 1
+        if self._num_hung >= MAX_HUNG:
+            raise TimeoutError(f"{self._worker.stage}: hung {self._num_hung} times; start again")
+        with self._lock:
+            self._worker.stop()
+            self._num_taken += 1
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], f"the one before hangs in {self._worker.stage}")
+            self._worker = self._new_worker()
+
+    def _new_worker(self, pipeline: LivePipeline | None = None) -> Worker:
+        now_ns, deliver = self._source.now_ns, self._deliver
+        worker = Worker(self._make_pipeline, self._mailbox, self._book, now_ns, self._config, deliver)
+        worker.start(pipeline)
+        return worker
+
+    def _deliver(self, worker: Worker, stepped: Stepped) -> None:
+        """Sends the command of a frame at once, then passes its result on; in the computing thread."""
+        frame, result = stepped.arrival.frame, stepped.result
+        with self._lock:
+            if worker is not self._worker or self._is_ended:
+                return
+            self._num_taken += 1
+            beam = None if result is None or worker.has_hung else result.beam
+            if beam is None:
+                beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *stepped.faults)
+            ready_ns = self._source.now_ns()
+            self._send(beam)
+        sent_ns = self._source.now_ns()
+        self._book.note(GUARD, [name for name in beam.faults if name not in stepped.faults])
+        if result is None:
+            return
+        stage_ms = {
+            "capture": (stepped.arrival.arrived_ns - frame.timestamp_ns) / 1e6,
+            "queue": (stepped.begun_ns - stepped.arrival.arrived_ns) / 1e6,
+            **result.stage_ms,
+            "send": (sent_ns - ready_ns) / 1e6,
+        }
+        result = dataclasses.replace(result, beam=beam, stage_ms=stage_ms)
+        self._tally.add(frame, result)
+        self._num_late += sent_ns - frame.timestamp_ns > self._period_s * 1e9
+        for sink in self._sinks:
+            sink.write(frame, result)
+
+    def _send(self, command: BeamCommand) -> None:
+        """Sends a command to all outputs, and keeps it."""
+        self._beam = command
+        errors = []
+        for output in self._outputs:
+            try:
+                output.send(command)
+            except (OSError, ValueError) as error:
+                errors.append(str(error))
+        self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
+
+    def _note_sinks(self) -> None:
+        behind = [f"{type(one.sink).__name__}: {one.error or 'behind'}" for one in self._sinks if one.is_behind]
+        self._book.note(SINKS, [LiveFault.NOT_RECORDED] if behind else [], "; ".join(behind))
+
+    def _tell_health(self) -> None:
+        health = Health(
+            self._source.now_ns(),
+            self._told,
+            self._tally.num_frames,
+            self._mailbox.num_dropped,
+            self._num_late,
+            self._beam,
+        )
+        for sink in self._sinks:
+            sink.write_health(health)

@@ -1,0 +1,66 @@
+"""Watches what comes in: whether frames come, in time and in order."""
+
+from __future__ import annotations
+
+import time
+
+from foreglow.config import LiveConfig
+from foreglow.runtime.live.faults import FaultBook, LiveFault
+from foreglow.types import Frame
+
+CAMERA = "camera"
+"""The origin of these faults."""
+
+
+class FrameWatch:
+    """Judges every frame that arrives by its time, and the silence between them by the wall's clock."""
+
+    def __init__(self, config: LiveConfig, period_s: float, max_silence_s: float | None, book: FaultBook) -> None:
+        """Begins to listen now; the first frame may take as long as a lost source takes to open.
+
+        Args:
+            config: What is too long.
+            period_s: A frame's time.
+            max_silence_s: A longer silence is a fault; None goes by the period.
+            book: Where faults are noted.
+        """
+        self._book = book
+        self._max_silence_s = max_silence_s or config.silent_frames * period_s
+        self._max_step_ns = config.slow_frames * period_s * 1e9
+        self._num_steady = config.num_steady
+        self._heard_s = time.monotonic() + config.retry_s
+        self._latest: Frame | None = None
+        self._num_slow, self._num_in_time = 0, config.num_steady
+        self._lost = ""
+
+    def arrived(self, frame: Frame) -> bool:
+        """Takes note of a frame; whether it is newer than the one before, and to be used."""
+        self._heard_s, self._lost = time.monotonic(), ""
+        before, step_ns = self._latest, 0
+        if before is not None and before.sequence == frame.sequence:
+            step_ns = frame.timestamp_ns - before.timestamp_ns
+            if step_ns <= 0:
+                self._note(LiveFault.OUT_OF_ORDER)
+                return False
+        self._latest = frame
+        is_slow = step_ns > self._max_step_ns
+        self._num_slow = self._num_slow + 1 if is_slow else 0
+        self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
+        self._note()
+        return True
+
+    def lost(self, reason: str) -> None:
+        """Takes note that the source raised, and with what; the next frame ends that."""
+        self._lost = reason
+        self._note(LiveFault.CAMERA_GONE)
+
+    def listen(self) -> bool:
+        """Whether the source is silent for too long, or lost; called again and again."""
+        is_silent = bool(self._lost) or time.monotonic() - self._heard_s > self._max_silence_s
+        if is_silent:
+            self._note(LiveFault.CAMERA_GONE)
+        return is_silent
+
+    def _note(self, *faults: LiveFault) -> None:
+        slow = [] if self._num_in_time >= self._num_steady else [LiveFault.CAMERA_SLOW]
+        self._book.note(CAMERA, [*faults, *slow], self._lost)

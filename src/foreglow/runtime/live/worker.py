@@ -1,0 +1,175 @@
+"""The thread that computes: takes the newest frame, steps the pipeline, and hands over what came of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from foreglow.config import LiveConfig, PipelineConfig
+from foreglow.runtime.live.faults import FaultBook, LiveFault
+from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.types import Frame, FrameResult
+
+STAGE = "stage"
+"""The origin of these faults."""
+
+
+class LivePipeline(Protocol):
+    """A `Pipeline`, as far as it is driven live."""
+
+    config: PipelineConfig
+
+    @property
+    def stage(self) -> str | None:
+        """As `Pipeline.stage`."""
+        ...
+
+    @property
+    def dispatch(self) -> str | None:
+        """As `Pipeline.dispatch`."""
+        ...
+
+    def step(self, frame: Frame, *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()) -> FrameResult:
+        """As `Pipeline.step`."""
+        ...
+
+    def reset(self) -> None:
+        """As `Pipeline.reset`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stepped:
+    """What a worker made of a frame.
+
+    Attributes:
+        arrival: The frame, and when it came.
+        begun_ns: When its turn came, by the frames' clock.
+        result: What the stages made of it; None where one raised.
+        faults: What means low beam for it.
+    """
+
+    arrival: Arrival
+    begun_ns: int
+    result: FrameResult | None
+    faults: tuple[str, ...]
+
+
+class Worker:
+    """One thread with one pipeline.
+
+    Attributes:
+        has_hung: Set by who watches when a frame takes too long: its result is late, and not to be shone.
+    """
+
+    def __init__(
+        self,
+        make_pipeline: Callable[[], LivePipeline],
+        mailbox: Mailbox,
+        book: FaultBook,
+        now_ns: Callable[[], int],
+        config: LiveConfig,
+        deliver: Callable[[Worker, Stepped], None],
+    ) -> None:
+        """Takes all that it is made of; `start` begins.
+
+        Args:
+            make_pipeline: Makes the pipeline, in the thread, where none is given, and after too many failures anew.
+            mailbox: Where frames come from.
+            book: Where faults are noted.
+            now_ns: The frames' clock.
+            config: How many failures are too many.
+            deliver: Called with what came of each frame.
+        """
+        self._make_pipeline, self._mailbox, self._book = make_pipeline, mailbox, book
+        self._now_ns, self._config, self._deliver = now_ns, config, deliver
+        self._pipeline: LivePipeline | None = None
+        self._sequence: str | None = None
+        self._num_failures = 0
+        self._busy_since_s: float | None = None
+        self.has_hung = False
+        self._is_stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="compute", daemon=True)
+
+    def start(self, pipeline: LivePipeline | None = None) -> None:
+        """Starts the thread, with this pipeline, or one that it makes."""
+        self._pipeline = pipeline
+        self._thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def busy_s(self) -> float:
+        """How long the frame at hand has taken so far; 0 without one."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    @property
+    def has_pipeline(self) -> bool:
+        """Whether its pipeline is made."""
+        return self._pipeline is not None
+
+    @property
+    def stage(self) -> str:
+        """The stage under way."""
+        pipeline = self._pipeline
+        return (pipeline.stage if pipeline is not None else None) or "between the stages"
+
+    def stop(self, timeout_s: float = 0.0) -> None:
+        """Takes no further frame; waits so long for the one at hand."""
+        self._is_stopped.set()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while not self._is_stopped.is_set():
+            if self._pipeline is None and not self._make():
+                self._is_stopped.wait(self._config.retry_s)
+                continue
+            arrival = self._mailbox.take(0.1)
+            if arrival is not None:
+                self._busy_since_s = time.monotonic()
+                stepped = self._step(arrival)
+                self._busy_since_s = None
+                self._deliver(self, stepped)
+                self.has_hung = False
+
+    def _make(self) -> bool:
+        """Makes the pipeline, and says whether that went well."""
+        try:
+            self._pipeline = self._make_pipeline()
+        except Exception as error:  # such as a model that is being replaced; tried again
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], _told(error))
+        self._sequence, self._num_failures = None, 0
+        return self._pipeline is not None
+
+    def _step(self, arrival: Arrival) -> Stepped:
+        pipeline, frame, begun_ns = self._pipeline, arrival.frame, self._now_ns()
+        assert pipeline is not None
+        faults = self._book.heeded()
+        try:
+            if frame.sequence != self._sequence:
+                pipeline.reset()
+                self._sequence = frame.sequence
+            result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
+        except Exception as error:  # any stage, any error: low beam, and the next frame is another chance
+            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_told(error)}")
+            self._sequence = None
+            self._num_failures += 1
+            if self._num_failures >= self._config.max_failures:
+                self._pipeline = None
+            return Stepped(arrival, begun_ns, None, self._book.heeded())
+        self._num_failures = 0
+        if self.has_hung:
+            faults = (*faults, *self._book.heeded())
+        self._book.note(STAGE)
+        return Stepped(arrival, begun_ns, result, faults)
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
