@@ -12,7 +12,7 @@ import pytest
 
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
-from foreglow.runtime.can_output import LOG_SUFFIXES, CanBusSink, CanLogSink
+from foreglow.runtime.can_output import LOG_SUFFIXES, CanBus, CanLogSink, open_can_bus
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Proposals
 
 can = pytest.importorskip("can")
@@ -22,10 +22,14 @@ PERIOD = 55 * MS
 IMAGE = np.zeros((2, 2), np.uint8)
 
 
-def result_at(time_ns: int, level: float = 1.0) -> tuple[Frame, FrameResult]:
-    beam = BeamCommand(
+def command_at(time_ns: int, level: float = 1.0) -> BeamCommand:
+    return BeamCommand(
         time_ns, BeamMode.GLARE_FREE, np.full((2, 84), level), np.array([[-0.1, 0.05]]), np.array([77.0])
     )
+
+
+def result_at(time_ns: int, level: float = 1.0) -> tuple[Frame, FrameResult]:
+    beam = command_at(time_ns, level)
     return Frame(IMAGE, time_ns), FrameResult(0, time_ns, Proposals(np.zeros((0, 4), np.int32)), None, beam=beam)
 
 
@@ -154,7 +158,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         sink.write(*result_at(0))
 
 
-@pytest.mark.parametrize("make", [lambda: CanLogSink(Path("beam.log")), lambda: CanBusSink("virtual", "x")])
+@pytest.mark.parametrize("make", [lambda: CanLogSink(Path("beam.log")), lambda: CanBus("virtual", "x")])
 def test_without_the_extra(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "can", None)
     with pytest.raises(ModuleNotFoundError) as error:
@@ -171,17 +175,15 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
     except (OSError, can.CanError) as error:
         pytest.skip(f"no such bus on this machine: {error}")
     with lamps_bus:
-        sink, lamps = CanBusSink(interface, channel), LampReceiver()
+        bus, lamps = open_can_bus(f"{interface}:{channel}"), LampReceiver()
         for number in range(6):
-            sink.write(*result_at(number * PERIOD, 1.0))
+            bus.send(command_at(number * PERIOD, 1.0))
             for _ in range(5):
                 message = lamps_bus.recv(timeout=2.0)
                 assert message is not None
                 assert message.arbitration_id in (*LEVELS_IDS, GAPS_ID)
                 lamps.receive(number * PERIOD + 20 * MS, message.arbitration_id, bytes(message.data))
-        sink.write(*without_beam(6 * PERIOD))
-        assert lamps_bus.recv(timeout=0.01) is None
-        sink.close()
+        bus.close()
         levels, faults = lamps.shining(5 * PERIOD + 20 * MS)
         assert (levels == 1.0).all()
         assert faults == ()
@@ -190,19 +192,20 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
 
 def test_other_interfaces() -> None:
     with pytest.raises(ValueError, match="nonsense:can0: expected an interface of python-can"):
-        CanBusSink("nonsense", "can0")
+        open_can_bus("nonsense:can0")
 
 
 def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    sink = CanBusSink("virtual", "foreglow-full")
+    bus = CanBus("virtual", "foreglow-full")
 
-    def fail(_: Any) -> None:
+    def fail(_: Any, timeout: float) -> None:
+        assert 0 < timeout < PERIOD / 1e9
         raise can.CanOperationError("buffer full")
 
-    monkeypatch.setattr(sink, "_bus", type("Bus", (), {"send": staticmethod(fail), "shutdown": lambda _: None})())
+    monkeypatch.setattr(bus, "_bus", type("Bus", (), {"send": staticmethod(fail), "shutdown": lambda _: None})())
     with pytest.raises(OSError, match="virtual:foreglow-full: buffer full"):
-        sink.write(*result_at(0))
-    sink.discard()
+        bus.send(command_at(0))
+    bus.close()
 
 
 def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,4 +214,4 @@ def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(can, "Bus", fail)
     with pytest.raises(OSError, match="socketcan:can7: no such device"):
-        CanBusSink("socketcan", "can7")
+        open_can_bus("can7")

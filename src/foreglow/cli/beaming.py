@@ -87,7 +87,7 @@ def beam(
         base = _configuration_of_run(source, out, config, is_other=preset is not None or model is not None)
     else:
         base = configuration_of(preset or DEFAULT_PRESET, config, model)
-    configuration = _with_beam(base, policy, lamps)
+    configuration = with_beam(base, policy, lamps)
     headlamps = read_headlamps(configuration.beam.headlamps)
     _check_can(can, headlamps, is_compact=compact)
     pipeline: Stepper
@@ -121,7 +121,7 @@ def _configuration_of_run(run: Path, out: Path, file: Path | None, *, is_other: 
     return configuration if file is None else read_config(file, configuration)
 
 
-def _with_beam(configuration: PipelineConfig, policy: str | None, lamps: Path | None) -> PipelineConfig:
+def with_beam(configuration: PipelineConfig, policy: str | None, lamps: Path | None) -> PipelineConfig:
     """`configuration` with the policy and the lamps that were asked for."""
     from foreglow.beam import POLICIES
 

@@ -1,4 +1,4 @@
-"""Result sinks that put each frame's beam command on a CAN bus: into a log file, or onto a live one."""
+"""Beam commands as CAN frames: into a log file, each at the time of its image, or onto a live bus at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.files import naming, open_atomic
-from foreglow.types import Frame, FrameResult
+from foreglow.types import BeamCommand, Frame, FrameResult
 
 if TYPE_CHECKING:
     import can
@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """Vector's text and binary logs, and candump's."""
 
-
 PAUSE_NS = 1_000_000_000
 """Between two sequences in a log."""
+
+SEND_TIMEOUT_S = 0.02
+"""A bus that does not take a frame for so long is not to be waited for."""
 
 
 class CanLogSink:
@@ -103,16 +105,17 @@ class CanLogSink:
             raise _DiscardedError
 
 
-class CanBusSink:
-    """Sends the commands onto a live bus, as soon as they are there."""
+class CanBus:
+    """Sends commands onto a live bus."""
 
-    def __init__(self, interface: str, channel: str | int, *, ramp_s: float = 0.0) -> None:
+    def __init__(self, interface: str, channel: str | int, *, ramp_s: float = 0.0, has_levels: bool = True) -> None:
         """Opens the bus.
 
         Args:
             interface: As python-can calls it: `virtual`, `socketcan`, `udp_multicast` ...
             channel: Name, number or address of the bus.
             ramp_s: How long lamps of cars that take borders shall take to brighten.
+            has_levels: False leaves out the levels of the LEDs.
 
         Raises:
             ModuleNotFoundError: If python-can is not installed (extra `can`).
@@ -122,7 +125,7 @@ class CanBusSink:
         import can
 
         self._name = f"{interface}:{channel}"
-        self._encoder = CommandEncoder(ramp_s)
+        self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
         try:
             self._bus: Any = can.Bus(interface=interface, channel=channel, fd=True)
         except can.CanInterfaceNotImplementedError as error:
@@ -130,29 +133,37 @@ class CanBusSink:
         except can.CanError as error:
             raise OSError(f"{self._name}: {error}") from error
 
-    def write(self, frame: Frame, result: FrameResult) -> None:
-        """Sends the frames of the result's command, if it has one.
+    def send(self, command: BeamCommand) -> None:
+        """Sends the frames of a command.
 
         Raises:
-            OSError: If the bus does not take them; the lamps then go to low beam by themselves.
+            OSError: If the bus does not take them within `SEND_TIMEOUT_S` each; the lamps then go to low beam by
+                themselves.
             ValueError: If the command is not for lamps of 84 LEDs.
         """
         import can
 
-        if result.beam is not None:
-            try:
-                for message in _messages(self._encoder.frames(result.beam), frame.timestamp_ns):
-                    self._bus.send(message)
-            except can.CanError as error:
-                raise OSError(f"{self._name}: {error}") from error
+        try:
+            for message in _messages(self._encoder.frames(command), command.timestamp_ns):
+                self._bus.send(message, timeout=SEND_TIMEOUT_S)
+        except can.CanError as error:
+            raise OSError(f"{self._name}: {error}") from error
 
     def close(self) -> None:
         """Leaves the bus."""
         self._bus.shutdown()
 
-    def discard(self) -> None:
-        """Leaves the bus."""
-        self._bus.shutdown()
+
+def open_can_bus(channel: str, *, ramp_s: float = 0.0) -> CanBus:
+    """The bus that a user names: `interface:channel` of python-can, or a channel of SocketCAN such as `can0`.
+
+    Raises:
+        ModuleNotFoundError: If python-can is not installed (extra `can`).
+        ValueError: If there is no such interface.
+        OSError: If the bus cannot be opened.
+    """
+    interface, colon, rest = channel.partition(":")
+    return CanBus(interface, rest, ramp_s=ramp_s) if colon else CanBus("socketcan", channel, ramp_s=ramp_s)
 
 
 class _DiscardedError(Exception):

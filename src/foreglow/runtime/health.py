@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from foreglow.runtime.run import ResultSink
-from foreglow.types import BeamCommand
+from foreglow.types import BeamCommand, Frame, FrameResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +40,25 @@ class LiveSink(ResultSink, Protocol):
     def write_health(self, health: Health) -> None:
         """Takes what is known now."""
         ...
+
+
+class ResultsOnly:
+    """A result sink as a live one, which is not told of the health."""
+
+    def __init__(self, sink: ResultSink) -> None:
+        self._sink = sink
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Passes a result on."""
+        self._sink.write(frame, result)
+
+    def write_health(self, health: Health) -> None:
+        """Does nothing."""
+
+    def close(self) -> None:
+        """Completes the sink."""
+        self._sink.close()
+
+    def discard(self) -> None:
+        """Lets the sink let go."""
+        self._sink.discard()

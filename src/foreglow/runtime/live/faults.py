@@ -101,6 +101,12 @@ class FaultBook:
         with self._lock:
             return tuple(dict.fromkeys(name for faults in self._active.values() for name in faults))
 
+    @property
+    def unheeded(self) -> tuple[str, ...]:
+        """What means low beam and began, or was said again, since `heeded` was last asked, also if it is over."""
+        with self._lock:
+            return tuple(self._unheeded)
+
     def heeded(self) -> tuple[str, ...]:
         """What means low beam for the next command: what is wrong now, and what was since this was last asked."""
         with self._lock:

@@ -164,6 +164,8 @@ class LiveLoop:
                         return
                     if self._watch.arrived(frame):
                         self._mailbox.put(Arrival(frame, self._source.now_ns()))
+                    else:
+                        self._command_low()
                 reason = "the source has ended"
             except Exception as error:
                 if not self._source.is_endless:
@@ -180,7 +182,6 @@ class LiveLoop:
         is_silent = not self._has_ended.is_set() and self._watch.listen()
         is_hanging = self._worker.busy_s > self._config.max_step_s
         if is_hanging:
-            self._worker.has_hung = True
             self._book.note(STAGE, [LiveFault.STAGE_HANGS], self._worker.stage)
         if self._worker.busy_s > self._config.abandon_s or not self._worker.is_alive:
             self._abandon()
@@ -188,8 +189,7 @@ class LiveLoop:
         is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
         if is_waiting and now_s - self._low_s >= self._period_s:
             self._low_s = now_s
-            with self._lock:
-                self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
+            self._command_low()
         self._note_sinks()
         if now_s - self._health_s >= HEALTH_S or self._book.active != self._told:
             self._health_s, self._told = now_s, self._book.active
@@ -224,13 +224,13 @@ class LiveLoop:
             if worker is not self._worker or self._is_ended:
                 return
             self._num_taken += 1
-            beam = None if result is None or worker.has_hung else result.beam
-            if beam is None:
-                beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *stepped.faults)
+            beam, faults = None if result is None else result.beam, self._book.unheeded
+            if beam is None or faults:  # something went wrong while it was made
+                beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *faults)
             ready_ns = self._source.now_ns()
             self._send(beam)
         sent_ns = self._source.now_ns()
-        self._book.note(GUARD, [name for name in beam.faults if name not in stepped.faults])
+        self._book.note(GUARD, [name for name in beam.faults if name not in set(LiveFault)])
         if result is None:
             return
         stage_ms = {
@@ -244,6 +244,11 @@ class LiveLoop:
         self._num_late += sent_ns - frame.timestamp_ns > self._period_s * 1e9
         for sink in self._sinks:
             sink.write(frame, result)
+
+    def _command_low(self) -> None:
+        """Commands low beam now, for all that is wrong."""
+        with self._lock:
+            self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
 
     def _send(self, command: BeamCommand) -> None:
         """Sends a command to all outputs, and keeps it."""

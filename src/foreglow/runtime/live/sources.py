@@ -23,7 +23,7 @@ ANSWER_S = 1.0
 
 
 READ_AFTER = 0.5
-"""The next recorded frame is read after this share of a frame's time: a camera decodes nothing while there is computing."""
+"""The next recorded frame is read after this share of a frame's time, so that decoding does not disturb computing."""
 
 
 class LiveSource(FrameSource, Protocol):

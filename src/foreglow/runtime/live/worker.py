@@ -49,21 +49,15 @@ class Stepped:
         arrival: The frame, and when it came.
         begun_ns: When its turn came, by the frames' clock.
         result: What the stages made of it; None where one raised.
-        faults: What means low beam for it.
     """
 
     arrival: Arrival
     begun_ns: int
     result: FrameResult | None
-    faults: tuple[str, ...]
 
 
 class Worker:
-    """One thread with one pipeline.
-
-    Attributes:
-        has_hung: Set by who watches when a frame takes too long: its result is late, and not to be shone.
-    """
+    """One thread with one pipeline."""
 
     def __init__(
         self,
@@ -90,7 +84,6 @@ class Worker:
         self._sequence: str | None = None
         self._num_failures = 0
         self._busy_since_s: float | None = None
-        self.has_hung = False
         self._is_stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="compute", daemon=True)
 
@@ -137,7 +130,6 @@ class Worker:
                 stepped = self._step(arrival)
                 self._busy_since_s = None
                 self._deliver(self, stepped)
-                self.has_hung = False
 
     def _make(self) -> bool:
         """Makes the pipeline, and says whether that went well."""
@@ -163,12 +155,10 @@ class Worker:
             self._num_failures += 1
             if self._num_failures >= self._config.max_failures:
                 self._pipeline = None
-            return Stepped(arrival, begun_ns, None, self._book.heeded())
+            return Stepped(arrival, begun_ns, None)
         self._num_failures = 0
-        if self.has_hung:
-            faults = (*faults, *self._book.heeded())
         self._book.note(STAGE)
-        return Stepped(arrival, begun_ns, result, faults)
+        return Stepped(arrival, begun_ns, result)
 
 
 def _told(error: Exception) -> str:

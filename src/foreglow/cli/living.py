@@ -1,0 +1,151 @@
+"""`live`: from a camera, or what stands in for one, to commands in real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foreglow.cli.app import (
+    DEFAULT_PRESET,
+    CalibrationOption,
+    CanLogOption,
+    ConfigOption,
+    DbcOption,
+    LimitOption,
+    MapOption,
+    MappingOption,
+    ModelOption,
+    PoseErrorOption,
+    PosesOption,
+    PresetOption,
+    TimeOffsetOption,
+    app,
+    configuration_of,
+    file,
+    folder,
+    size_of,
+)
+from foreglow.cli.beaming import with_beam
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import VehicleData
+    from foreglow.runtime.health import LiveSink
+    from foreglow.runtime.live import BeamOutput, LiveSource, LiveSummary
+
+SOURCE_HELP = (
+    "camera:0, camera:/dev/video0, gstreamer:PIPELINE; an address such as rtsp://...; simulate:curve or "
+    "simulate:FILE.toml in closed loop; or what `run` takes, at its own rate."
+)
+
+
+@app.command()
+def live(
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help=SOURCE_HELP)],
+    can: Annotated[
+        str | None,
+        typer.Option(metavar="CHANNEL", help="CAN bus for the lamps: can0, or python-can's INTERFACE:CHANNEL."),
+    ] = None,
+    out: Annotated[Path | None, folder(help="Also write results, summary and faults to this folder.")] = None,
+    limit: LimitOption = None,
+    speed: Annotated[
+        float, typer.Option(metavar="X", help="Replay so many times as fast; 0 as fast as it goes, dropping nothing.")
+    ] = 1.0,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size to ask a camera for.")] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Rate to ask a camera for, and to expect.")] = None,
+    camera_delay: Annotated[
+        float, typer.Option(min=0.0, max=1.0, metavar="S", help="From a camera's exposure to a frame's arrival.")
+    ] = 0.0,
+    policy: Annotated[
+        str | None, typer.Option(metavar="foreglow|paper|low|high", help="Who decides about the beam.")
+    ] = None,
+    lamps: Annotated[Path | None, file(help="TOML of the headlamps (default: those that ship).")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of a simulated drive.")] = 0,
+    quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it is rendered.")] = "training",
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: ConfigOption = None,
+    calibration: CalibrationOption = None,
+    can_log: CanLogOption = None,
+    dbc: DbcOption = None,
+    mapping: MappingOption = None,
+    road_map: MapOption = None,
+    poses: PosesOption = None,
+    time_offset: TimeOffsetOption = 0.0,
+    pose_error: PoseErrorOption = 5.0,
+) -> None:
+    """Run on SOURCE as it happens: tracks and beam commands in real time, low beam whenever something is wrong."""
+    from foreglow.datasets.vehicle_logs import open_vehicle_data
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_live
+
+    configuration = with_beam(configuration_of(preset, config, model), policy, lamps)
+    if configuration.classifier.model is None or configuration.tracker.method == "none":
+        raise ValueError("live: expected a model (--model FILE) and a tracker: without them there are no tracks")
+    files = (calibration, can_log, dbc, mapping, road_map, poses)
+    data: VehicleData | None = None
+    if any(one is not None for one in files):
+        data = open_vehicle_data(*files, time_offset_s=time_offset, pose_error_m=pose_error)
+    size_px = None if size is None else size_of(size)
+    options = CameraOptions(size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data)
+    opened = open_live(source, options, speed=speed or float("inf"), seed=seed, quality=quality)
+    _finish(_run(opened, configuration, can, out, [], limit), out)
+
+
+def _run(
+    source: LiveSource,
+    configuration: PipelineConfig,
+    can: str | None,
+    out: Path | None,
+    sinks: Sequence[LiveSink],
+    limit: int | None,
+) -> LiveSummary:
+    """Runs the loop, with the lamps at its end and the status on the screen."""
+    from foreglow.config import config_to_toml
+    from foreglow.pipeline import Pipeline
+    from foreglow.reports.live_status import LiveStatus
+    from foreglow.runtime import OutputFolder
+    from foreglow.runtime.can_output import open_can_bus
+    from foreglow.runtime.health import ResultsOnly
+    from foreglow.runtime.live import DriveAround, LiveLoop
+    from foreglow.runtime.live.notify import ServiceNotifier
+    from foreglow.runtime.records import FrameRecords
+
+    outputs: list[BeamOutput] = [source] if isinstance(source, DriveAround) else []
+    if can is not None:
+        outputs.append(open_can_bus(can, ramp_s=configuration.beam.restore_s))
+    results = None if out is None else OutputFolder(out)
+    takers: list[LiveSink] = [LiveStatus(), *sinks]
+    if results is not None:
+        takers.append(ResultsOnly(FrameRecords(results.partial("frames.jsonl"))))
+    notifier = ServiceNotifier()
+    loop = LiveLoop(
+        source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=takers, beat=notifier.beat
+    )
+    try:
+        summary = loop.run(limit)
+        notifier.stop()
+        if results is not None:
+            results.write_text("config.toml", config_to_toml(configuration))
+            results.write_text("summary.json", summary.to_json())
+            results.publish()
+    except BaseException:
+        if results is not None:
+            results.discard()
+        raise
+    return summary
+
+
+def _finish(summary: LiveSummary, out: Path | None) -> None:
+    """Says what came of it; exits with 130 where it was interrupted, and with 2 where something was not recorded."""
+    from foreglow.reports.live_status import live_lines
+
+    typer.echo("\n".join([*live_lines(summary), *([] if out is None else [f"look in {out}"])]))
+    if summary.sink_errors:
+        raise typer.Exit(2)
+    if not summary.run.is_complete:
+        raise typer.Exit(130)

@@ -1,0 +1,37 @@
+"""Tells systemd that we are up and alive, so that it can start us anew when we are not."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+
+
+class ServiceNotifier:
+    """Speaks sd_notify's protocol where `NOTIFY_SOCKET` names a socket, and does nothing elsewhere."""
+
+    def __init__(self) -> None:
+        """Reads the environment."""
+        self._address = os.environ.get("NOTIFY_SOCKET", "")
+        self._interval_s = int(os.environ.get("WATCHDOG_USEC", "0")) / 2e6
+        self._beat_s: float | None = None
+
+    def beat(self) -> None:
+        """Says READY at the first call, and WATCHDOG twice in the time after which systemd gives up."""
+        now_s = time.monotonic()
+        if self._beat_s is None:
+            self._tell("READY=1")
+        elif not self._interval_s or now_s - self._beat_s < self._interval_s:
+            return
+        self._beat_s = now_s
+        self._tell("WATCHDOG=1")
+
+    def stop(self) -> None:
+        """Says that we are about to end."""
+        self._tell("STOPPING=1")
+
+    def _tell(self, message: str) -> None:
+        if self._address:
+            address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+                notify.sendto(message.encode(), address)

@@ -1,0 +1,347 @@
+"""The table of faults: each is recorded, means low beam within two frames, and ends when its cause does."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.beam.faults import GuardFault
+from foreglow.pipeline import Pipeline
+from foreglow.runtime.live import LiveFault
+from foreglow.types import BeamMode, Frame
+from tests.runtime.live.stand_ins import PERIOD_S, Keeper, Lamps, ScriptedCamera, Step, live_config, run_live
+
+BEGIN, END = 20, 30
+"""In these frames something is wrong; there are 60."""
+
+STAGES = {
+    "proposals": ("_proposer", "propose"),
+    "classifier": ("_classifier", "classify"),
+    "distance": ("_estimator", "estimate"),
+    "tracking": ("_tracker", "update"),
+    "beam": ("_beam", "command"),
+}
+
+
+def with_image(frame: Frame, image: np.ndarray) -> Frame:
+    return dataclasses.replace(frame, image=image)
+
+
+def frozen(frames: list[Frame]) -> list[Frame]:
+    return [with_image(frame, frames[BEGIN].image) for frame in frames[BEGIN:END]]
+
+
+def black(frames: list[Frame]) -> list[Frame]:
+    return [with_image(frame, frame.image // 64) for frame in frames[BEGIN:END]]
+
+
+def saturated(frames: list[Frame]) -> list[Frame]:
+    return [with_image(frame, np.full_like(frame.image, 255)) for frame in frames[BEGIN:END]]
+
+
+def without_camera(frames: list[Frame]) -> list[Frame]:
+    return [dataclasses.replace(frame, camera=None) for frame in frames[BEGIN:END]]
+
+
+def without_speed(frames: list[Frame]) -> list[Frame]:
+    return [dataclasses.replace(frame, motion=None) for frame in frames[BEGIN:END]]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fault", "num_until_low"),
+    [
+        (frozen, GuardFault.FROZEN, 2),
+        (black, GuardFault.BLACK, 0),
+        (saturated, GuardFault.SATURATED, 0),
+        (without_camera, GuardFault.NO_CAMERA, 0),
+        (without_speed, GuardFault.NO_SPEED, 0),
+    ],
+)
+def test_wrong_frames(
+    spoil: Callable[[list[Frame]], list[Frame]], fault: str, num_until_low: int, drive: list[Frame]
+) -> None:
+    wrong = spoil(drive)
+    source = ScriptedCamera([*drive[:BEGIN], *wrong, *drive[END:60]])
+    summary, lamps = run_live(source, live_config())
+    commands = lamps.of_frames()
+    assert all(commands[frame.timestamp_ns].mode != BeamMode.LOW for frame in drive[:BEGIN])
+    for frame in wrong[num_until_low:]:
+        assert commands[frame.timestamp_ns].mode == BeamMode.LOW
+        assert fault in commands[frame.timestamp_ns].faults
+    assert commands[drive[END + 2].timestamp_ns].mode != BeamMode.LOW  # light comes back
+    assert summary.fault_counts[fault] == 1
+    event = next(event for event in summary.faults if event.fault == fault)
+    assert event.until_ns is not None
+
+
+def test_frames_out_of_order(drive: list[Frame]) -> None:
+    frames = [*drive[:BEGIN], *drive[BEGIN - 10 : BEGIN], *drive[END:60]]
+    keeper = Keeper()
+    summary, lamps = run_live(ScriptedCamera(frames), live_config(silent_frames=20.0), sinks=[keeper])
+    first = lamps.is_low.index(True)
+    assert BEGIN - 2 <= first <= BEGIN  # one frame may be under way, and one wait
+    num_low = len(commands_with(lamps, LiveFault.OUT_OF_ORDER))
+    assert num_low >= 10 + 1  # each of them, and the next one in order
+    assert all(lamps.is_low[first : first + num_low])
+    assert not any(lamps.is_low[first + num_low + 1 : -1])
+    assert [frame.timestamp_ns for frame, _ in keeper.results] == [
+        frame.timestamp_ns for frame in (*drive[:BEGIN], *drive[END:60])
+    ]
+    assert summary.fault_counts[LiveFault.OUT_OF_ORDER] == 1
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_stage_that_raises(stage: str, drive: list[Frame]) -> None:
+    raising = {frame.timestamp_ns for frame in drive[BEGIN : BEGIN + 2]}
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        spoil(pipeline, stage, lambda now_ns: fail() if now_ns in raising else None)
+        return pipeline
+
+    def fail() -> None:
+        raise ZeroDivisionError("planted")
+
+    configuration = live_config()
+    keeper = Keeper()
+    summary, lamps = run_live(ScriptedCamera(drive[:60]), configuration, make, [keeper])
+    commands = lamps.of_frames()
+    for frame in drive[BEGIN : BEGIN + 3]:  # the third is the one that shows that it goes on
+        assert commands[frame.timestamp_ns].mode == BeamMode.LOW
+        assert LiveFault.STAGE_FAILED in commands[frame.timestamp_ns].faults
+    assert commands[drive[BEGIN + 4].timestamp_ns].mode != BeamMode.LOW
+    assert summary.run.num_frames == 58
+    assert summary.fault_counts == {LiveFault.STAGE_FAILED: 1}
+    assert summary.faults[0].detail == f"{stage}: ZeroDivisionError: planted"
+    assert summary.faults[0].until_ns is not None
+    assert keeper.ends == ["close"]
+
+
+def test_stage_that_raises_always_until_the_pipeline_is_made_anew(drive: list[Frame]) -> None:
+    made: list[Pipeline] = []
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        if not made:
+            spoil(pipeline, "tracking", lambda now_ns: 1 // 0 if now_ns >= drive[BEGIN].timestamp_ns else None)
+        made.append(pipeline)
+        return pipeline
+
+    configuration = live_config(max_failures=3)
+    summary, lamps = run_live(ScriptedCamera(drive[:60]), configuration, make)
+    assert len(made) == 2
+    assert summary.run.num_frames == 57
+    assert lamps.of_frames()[drive[BEGIN + 5].timestamp_ns].mode != BeamMode.LOW
+
+
+def test_stage_that_hangs_comes_back(drive: list[Frame]) -> None:
+    released = threading.Event()
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        spoil(pipeline, "classifier", lambda now_ns: released.wait(20) if now_ns == drive[BEGIN].timestamp_ns else None)
+        return pipeline
+
+    configuration = live_config(abandon_s=15.0)
+    watching = threading.Thread(target=release_when_low, args=(lamps := Watched(), released))
+    watching.start()
+    summary, _ = run_watched(ScriptedCamera(drive[:60], is_live=True), configuration, make, lamps)
+    watching.join()
+    assert LiveFault.STAGE_HANGS in lamps.commands[lamps.first_low].faults
+    hung = next(event for event in summary.faults if event.fault == LiveFault.STAGE_HANGS)
+    assert hung.detail == "classifier"
+    assert hung.until_ns is not None
+    assert lamps.of_frames()[drive[BEGIN].timestamp_ns].mode == BeamMode.LOW  # what it brought late is not shone
+    assert not lamps.is_low[-2]  # and light comes back
+    assert summary.num_dropped > 0
+
+
+def test_stage_that_hangs_for_good(drive: list[Frame]) -> None:
+    never = threading.Event()
+    made: list[Pipeline] = []
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        if not made:
+            spoil(pipeline, "distance", lambda now_ns: never.wait(60) if now_ns >= drive[BEGIN].timestamp_ns else None)
+        made.append(pipeline)
+        return pipeline
+
+    configuration = live_config(abandon_s=0.3)
+    summary, lamps = run_live(ScriptedCamera(drive, is_live=True), configuration, make)
+    never.set()
+    assert len(made) == 2
+    assert {LiveFault.STAGE_HANGS, LiveFault.NO_PIPELINE} <= summary.fault_counts.keys()
+    assert not lamps.is_low[-2]
+
+
+def test_too_many_hang(drive: list[Frame]) -> None:
+    never = threading.Event()
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        spoil(pipeline, "distance", lambda _: never.wait(60))
+        return pipeline
+
+    configuration = live_config(abandon_s=0.2)
+    with pytest.raises(TimeoutError, match="distance: hung 3 times"):
+        run_live(ScriptedCamera(drive, is_live=True), configuration, make)
+    never.set()
+
+
+def test_camera_gone_and_back(drive: list[Frame]) -> None:
+    script: list[Step] = [*drive[:BEGIN], 1.0, *drive[BEGIN:60]]
+    summary, lamps = run_live(ScriptedCamera(script, is_live=True), live_config())
+    gone = next(event for event in summary.faults if event.fault == LiveFault.CAMERA_GONE)
+    assert gone.until_ns is not None
+    while_gone = [one for one in lamps.commands if one.faults == (LiveFault.CAMERA_GONE,)]
+    assert len(while_gone) >= 5  # again and again, so that the lamps do not fall silent
+    assert all(one.mode == BeamMode.LOW for one in while_gone)
+    commands = lamps.of_frames()
+    assert LiveFault.CAMERA_GONE in commands[drive[BEGIN].timestamp_ns].faults
+    assert not lamps.is_low[-2]
+
+
+def test_lost_camera_is_opened_anew(drive: list[Frame]) -> None:
+    source = ScriptedCamera(
+        [*drive[:10], OSError("unplugged")], [OSError("not yet")], drive[40:60], is_live=True, is_endless=True
+    )
+    summary, lamps = run_live(source, live_config(retry_s=0.2), limit=28)
+    assert summary.run.num_frames == 28
+    gone = next(event for event in summary.faults if event.fault == LiveFault.CAMERA_GONE)
+    assert gone.detail == "OSError: unplugged"
+    assert commands_with(lamps, LiveFault.CAMERA_GONE)
+    assert not lamps.is_low[-2]
+
+
+def test_slow_camera(drive: list[Frame]) -> None:
+    frames = [*drive[:BEGIN], *drive[BEGIN:50:2], *drive[50:70]]  # half the rate: 9 Hz
+    summary, lamps = run_live(ScriptedCamera(frames), live_config())
+    commands = lamps.of_frames()
+    assert commands[drive[BEGIN - 2].timestamp_ns].mode != BeamMode.LOW
+    for frame in drive[BEGIN + 4 : 50 : 2]:  # the second frame that came late, and all after it
+        assert LiveFault.CAMERA_SLOW in commands[frame.timestamp_ns].faults
+    assert commands[drive[58].timestamp_ns].mode != BeamMode.LOW
+    assert summary.fault_counts == {LiveFault.CAMERA_SLOW: 1}
+
+
+def test_one_missing_frame_is_no_fault(drive: list[Frame]) -> None:
+    frames = [*drive[:BEGIN], *drive[BEGIN + 1 : 60]]
+    summary, lamps = run_live(ScriptedCamera(frames), live_config())
+    assert summary.fault_counts == {}
+    assert not any(lamps.is_low[:-1])
+
+
+def test_bus_that_fails_for_a_while(drive: list[Frame]) -> None:
+    class Failing(Lamps):
+        def send(self, command: Any) -> None:
+            if drive[BEGIN].timestamp_ns <= command.timestamp_ns < drive[END].timestamp_ns:
+                raise OSError("can0: buffer full")
+            super().send(command)
+
+    summary, _ = run_watched(ScriptedCamera(drive[:60]), live_config(), None, Failing())
+    assert summary.fault_counts == {LiveFault.BUS: 1}
+    assert summary.faults[0].detail == "can0: buffer full"
+    assert summary.faults[0].until_ns is not None
+    assert summary.run.num_frames == 60
+
+
+def test_recording_that_fails(drive: list[Frame]) -> None:
+    class FullDisk(Keeper):
+        def write(self, frame: Frame, result: Any) -> None:
+            if len(self.results) == 5:
+                raise OSError(28, "No space left on device", "x.mcap")
+            super().write(frame, result)
+
+    broken, well = FullDisk(), Keeper()
+    summary, lamps = run_live(ScriptedCamera(drive[:40]), live_config(), sinks=[broken, well])
+    assert summary.run.num_frames == 40
+    assert not any(lamps.is_low[:-1])  # recording is not driving
+    assert "No space left" in summary.sink_errors[0]
+    assert summary.num_unrecorded > 0
+    assert LiveFault.NOT_RECORDED in summary.fault_counts
+    assert (broken.ends, well.ends) == (["discard"], ["close"])
+    assert len(well.results) == 40
+
+
+def test_command_that_comes_too_late(drive: list[Frame]) -> None:
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        spoil(pipeline, "tracking", lambda now_ns: time.sleep(0.4) if now_ns == drive[BEGIN].timestamp_ns else None)
+        return pipeline
+
+    configuration = live_config(max_step_s=5.0, abandon_s=10.0)
+    _, lamps = run_live(ScriptedCamera(drive[:60], is_live=True), configuration, make)
+    assert GuardFault.TOO_OLD in lamps.of_frames()[drive[BEGIN].timestamp_ns].faults
+    assert not lamps.is_low[-2]
+
+
+def spoil(pipeline: Pipeline, stage: str, what: Callable[[int], Any]) -> None:
+    """Does `what` with the time of each frame before a stage looks at it."""
+    part, method = STAGES[stage]
+    target = getattr(pipeline, part)
+    known = getattr(target, method)
+    step = pipeline.step
+    now_ns = [0]
+
+    def stepping(frame: Frame, **context: Any) -> Any:
+        now_ns[0] = frame.timestamp_ns
+        return step(frame, **context)
+
+    def spoiled(*arguments: Any, **context: Any) -> Any:
+        what(now_ns[0])
+        return known(*arguments, **context)
+
+    pipeline.step = stepping  # type: ignore[method-assign, assignment]
+    setattr(pipeline, part, Spoiled(target, method, spoiled))
+
+
+class Spoiled:
+    """Another object, with one method in place of its own."""
+
+    def __init__(self, target: Any, method: str, replacement: Callable[..., Any]) -> None:
+        self._target = target
+        setattr(self, method, replacement)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._target, name)
+
+
+class Watched(Lamps):
+    """Lamps whose first low beam somebody waits for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.went_low = threading.Event()
+
+    @property
+    def first_low(self) -> int:
+        return self.is_low.index(True)
+
+    def send(self, command: Any) -> None:
+        super().send(command)
+        if command.mode == BeamMode.LOW:
+            self.went_low.set()
+
+
+def release_when_low(lamps: Watched, released: threading.Event) -> None:
+    lamps.went_low.wait(20)
+    time.sleep(3 * PERIOD_S)
+    released.set()
+
+
+def run_watched(source: ScriptedCamera, configuration: Any, make: Any, lamps: Lamps) -> tuple[Any, Lamps]:
+    from foreglow.runtime.live import LiveLoop
+
+    loop = LiveLoop(source, make or (lambda: Pipeline(configuration)), configuration, outputs=[lamps])
+    return loop.run(), lamps
+
+
+def commands_with(lamps: Lamps, fault: str) -> list[Any]:
+    return [one for one in lamps.commands if fault in one.faults]

@@ -1,0 +1,192 @@
+"""The parts of the live loop, each alone."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.config import LiveConfig
+from foreglow.runtime.live.background import NUM_WAITING, Background
+from foreglow.runtime.live.faults import MAX_EVENTS, FaultBook
+from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.runtime.live.notify import ServiceNotifier
+from foreglow.runtime.live.watch import FrameWatch
+from foreglow.types import Frame
+from tests.runtime.live.stand_ins import Keeper
+from tests.stand_ins import night_frames, result_of
+
+PERIOD_NS = 50_000_000
+
+
+def arrival(number: int) -> Arrival:
+    return Arrival(Frame(np.zeros((2, 2), np.uint8), number), number)
+
+
+def test_the_newest_frame_wins() -> None:
+    mailbox = Mailbox()
+    for number in range(5):
+        mailbox.put(arrival(number))
+    taken = mailbox.take(0.0)
+    assert taken is not None
+    assert taken.arrived_ns == 4
+    assert (mailbox.num_put, mailbox.num_dropped) == (5, 4)
+    assert mailbox.take(0.0) is None
+
+
+def test_lossless_waits() -> None:
+    mailbox = Mailbox(is_lossless=True)
+
+    def put_all() -> None:
+        for number in range(20):
+            mailbox.put(arrival(number))
+
+    thread = threading.Thread(target=put_all)
+    thread.start()
+    taken = [one.arrived_ns for _ in range(20) if (one := mailbox.take(10.0)) is not None]
+    thread.join()
+    assert taken == list(range(20))
+    assert mailbox.num_dropped == 0
+
+
+def test_closed_mailbox_lets_everybody_go() -> None:
+    mailbox = Mailbox(is_lossless=True)
+    mailbox.put(arrival(0))
+    thread = threading.Thread(target=mailbox.put, args=(arrival(1),))
+    thread.start()
+    mailbox.close()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert mailbox.take(10.0) is None
+
+
+def test_book_of_faults() -> None:
+    now = [0]
+    book = FaultBook(lambda: now[0], ("camera",))
+    book.note("camera")
+    assert not book.active
+    book.note("camera", ["gone"], "unplugged")
+    now[0] = 3
+    book.note("camera", ["gone", "slow"])
+    book.note("bus", ["failed"])
+    assert book.active == ("gone", "slow", "failed")
+    now[0] = 5
+    book.note("camera", ["slow"])
+    assert book.unheeded == ("gone", "slow")
+    assert book.heeded() == ("gone", "slow")  # what was since the last time, too; a bus is none of the beam's business
+    assert not book.unheeded
+    assert book.heeded() == ("slow",)
+    book.note("camera")
+    assert book.heeded() == ()
+    assert [(one.fault, one.from_ns, one.until_ns, one.detail) for one in book.events] == [
+        ("gone", 0, 5, "unplugged"),
+        ("slow", 3, 5, ""),
+        ("failed", 3, None, ""),
+    ]
+    assert dict(book.counts) == {"gone": 1, "slow": 1, "failed": 1}
+
+
+def test_book_keeps_no_more_than_it_says() -> None:
+    book = FaultBook(lambda: 0, ())
+    for _ in range(MAX_EVENTS + 10):
+        book.note("camera", ["gone"])
+        book.note("camera")
+    assert len(book.events) == MAX_EVENTS
+    assert book.counts["gone"] == MAX_EVENTS + 10
+
+
+def frames_at(*times: float) -> list[Frame]:
+    return [Frame(np.zeros((2, 2), np.uint8), round(one * PERIOD_NS)) for one in times]
+
+
+def test_watch_of_a_slow_camera() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(slow_frames=1.6, num_steady=3), 0.05, None, book)
+    seen = []
+    for frame in frames_at(0, 1, 2, 4, 5, 7, 9, 11, 12, 13, 14, 15):
+        assert watch.arrived(frame)
+        seen.append(bool(book.active))
+    #                  0  1  2  4  5  7  9  11 12 13 14 15: the second late one in a row, until three came in time
+    assert seen == [bool(one) for one in (0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0)]
+
+
+def test_watch_of_the_order() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(), 0.05, None, book)
+    assert [watch.arrived(frame) for frame in frames_at(0, 1, 1, 0.5, 2)] == [True, True, False, False, True]
+    assert book.counts["frame_out_of_order"] == 1
+    other = Frame(np.zeros((2, 2), np.uint8), 0, sequence="another")
+    assert watch.arrived(other)  # sequences share no time
+
+
+def test_watch_of_silence() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(retry_s=0.01), 0.001, None, book)
+    assert not watch.listen()
+    time.sleep(0.1)
+    assert watch.listen()
+    assert list(book.active) == ["camera_gone"]
+    watch.arrived(frames_at(0)[0])
+    assert not book.active
+
+
+class Blocked(Keeper):
+    """A sink that waits for a signal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.released = threading.Event()
+
+    def write(self, frame: Frame, result: object) -> None:
+        self.released.wait(20)
+        super().write(frame, result)  # type: ignore[arg-type]
+
+
+def test_sink_that_falls_behind() -> None:
+    sink = Blocked()
+    background = Background(sink)
+    frames = night_frames(NUM_WAITING + 10)
+    for frame in frames:
+        background.write(frame, result_of(frame, []))
+    assert background.is_behind
+    assert 9 <= background.num_lost <= 10  # one may have been taken already
+    sink.released.set()
+    background.close()
+    assert len(sink.results) == len(frames) - background.num_lost
+    assert [frame.frame for frame, _ in sink.results] == [frame.frame for frame in frames][: len(sink.results)]
+    assert sink.ends == ["close"]
+
+
+def test_sink_that_cannot_be_completed() -> None:
+    class Full(Keeper):
+        def close(self) -> None:
+            raise OSError("full")
+
+    background = Background(Full())
+    background.close()
+    assert str(background.error) == "full"
+
+
+def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service:
+        service.bind(str(tmp_path / "notify"))
+        service.settimeout(10)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "1")
+        notifier = ServiceNotifier()
+        notifier.beat()
+        time.sleep(0.001)
+        notifier.beat()
+        notifier.stop()
+        told = [service.recv(100).decode() for _ in range(4)]
+    assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "STOPPING=1"]
+
+
+def test_service_notifier_without_a_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    monkeypatch.setattr(socket, "socket", None)
+    ServiceNotifier().beat()

@@ -1,0 +1,251 @@
+"""Cameras, streams, replays and simulated drives as live sources."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.util
+import io
+import itertools
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from foreglow.datasets import shipped_drive
+from foreglow.runtime.live import DriveAround, Paced
+from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
+from foreglow.runtime.live.opening import open_live
+from foreglow.types import BeamCommand, BeamMode, Frame
+from tests.runtime.live.stand_ins import live_config, run_live
+from tests.stand_ins import ListSource, night_frames, night_image
+
+
+def test_paced_frames_come_at_their_times() -> None:
+    frames = night_frames(8)
+    paced = Paced(ListSource(frames), speed=2.0)
+    assert paced.rate_hz == 40.0
+    early_ns = [paced.now_ns() - frame.timestamp_ns for frame in paced]
+    assert min(early_ns) >= 0
+    assert not paced.is_lossless
+
+
+def test_paced_clock_goes_as_fast() -> None:
+    paced = Paced(ListSource(night_frames(1)), speed=50.0)
+    next(iter(paced))
+    before_ns, then_ns = paced.now_ns(), time.monotonic_ns()
+    time.sleep(0.05)
+    passed_ns, by_the_wall_ns = paced.now_ns() - before_ns, time.monotonic_ns() - then_ns
+    assert passed_ns == pytest.approx(50 * by_the_wall_ns, rel=0.2)
+
+
+def test_paced_sequences_each_have_their_time() -> None:
+    frames = [*night_frames(3), *night_frames(3, "S00002")]
+    paced = Paced(ListSource(frames), speed=20.0)
+    ages_ns = [paced.now_ns() - frame.timestamp_ns for frame in paced]
+    assert min(ages_ns) >= 0
+    assert max(ages_ns) < 20 * 1e9
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
+def test_impossible_speed(speed: float) -> None:
+    with pytest.raises(ValueError, match="speed: expected a positive number"):
+        Paced(ListSource([]), speed)
+
+
+def test_live_results_are_those_of_a_run_off_line(drive: list[Frame]) -> None:
+    from foreglow.pipeline import Pipeline
+    from foreglow.runtime.records import frame_record
+    from tests.runtime.live.stand_ins import Keeper
+
+    keeper = Keeper()
+    source = Paced(ListSource(drive), math.inf)
+    summary, _ = run_live(source, live_config(), sinks=[keeper])
+    offline = Pipeline(live_config())
+    expected = [frame_record(frame, offline.step(frame)) for frame in drive]
+    found = [frame_record(frame, result) for frame, result in keeper.results]
+    for record in (*expected, *found):
+        record.pop("stage_ms", None)
+    assert found == expected
+    assert summary.num_dropped == 0
+
+
+def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:
+    frames = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns) for frame in drive]
+    summary, _ = run_live(Paced(ListSource(frames), speed=60.0), live_config(rate_hz=1000.0))
+    assert summary.num_dropped > 0
+    assert summary.run.num_frames + summary.num_dropped == len(frames)
+
+
+class FakeCapture:
+    """OpenCV's capture of a camera that brings three frames and is then unplugged."""
+
+    instances: list[FakeCapture] = []  # noqa: RUF012
+
+    def __init__(self, device: int | str, backend: int) -> None:
+        self.device, self.backend = device, backend
+        self.properties: dict[int, float] = {}
+        self.num_read, self.is_released = 0, False
+        self.instances.append(self)
+
+    def isOpened(self) -> bool:
+        return self.device != 9
+
+    def set(self, name: int, value: float) -> bool:
+        self.properties[name] = value
+        return True
+
+    def read(self) -> tuple[bool, Any]:
+        self.num_read += 1
+        grey = night_image(self.num_read)
+        return self.num_read <= 3, np.repeat(grey[:, :, np.newaxis], 3, axis=2)
+
+    def release(self) -> None:
+        self.is_released = True
+
+
+@pytest.fixture
+def capture(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeCapture]]:
+    FakeCapture.instances = []
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    yield FakeCapture.instances
+    assert all(one.is_released for one in FakeCapture.instances)
+
+
+def test_camera(capture: list[FakeCapture]) -> None:
+    camera = open_live("camera:0", CameraOptions(size_px=(128, 96), rate_hz=18.0, delay_s=0.01))
+    assert isinstance(camera, CaptureCamera)
+    assert camera.is_endless
+    frames: list[tuple[Frame, int]] = []
+    with pytest.raises(OSError, match="camera:0: brings no more frames"):
+        frames.extend((frame, camera.now_ns()) for frame in camera)
+    assert len(frames) == 3
+    frames.extend((frame, camera.now_ns()) for frame in itertools.islice(camera, 2))  # opened anew, numbers go on
+    assert [frame.frame for frame, _ in frames] == list(range(len(frames)))
+    assert all(now_ns - frame.timestamp_ns >= 10_000_000 for frame, now_ns in frames)
+    assert (frames[0][0].image == night_image(1)).all()
+    assert capture[0].device == 0
+    assert capture[0].backend == cv2.CAP_V4L2
+    assert capture[0].properties == {
+        cv2.CAP_PROP_FRAME_WIDTH: 128,
+        cv2.CAP_PROP_FRAME_HEIGHT: 96,
+        cv2.CAP_PROP_FPS: 18.0,
+        cv2.CAP_PROP_BUFFERSIZE: 1,
+    }
+
+
+@pytest.mark.usefixtures("capture")
+def test_camera_that_is_not_there() -> None:
+    with pytest.raises(OSError, match="camera:9: cannot be opened"):
+        next(iter(open_live("camera:9", CameraOptions())))
+
+
+def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:
+    next(iter(open_live("camera:/dev/video2", CameraOptions())))
+    next(iter(open_live("gstreamer:videotestsrc ! appsink", CameraOptions())))
+    assert [(one.device, one.backend) for one in capture] == [
+        ("/dev/video2", cv2.CAP_V4L2),
+        ("videotestsrc ! appsink", cv2.CAP_GSTREAMER),
+    ]
+
+
+def mpeg_stream(num_frames: int) -> bytes:
+    """A short stream as a network camera sends it."""
+    file = io.BytesIO()
+    with av.open(file, "w", format="mpegts") as container:
+        stream: Any = container.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        for number in range(num_frames):
+            grey = np.repeat(night_image(number)[:, :, np.newaxis], 3, axis=2).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
+        container.mux(stream.encode())
+    return file.getvalue()
+
+
+def test_stream_over_a_network() -> None:
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        connection, _ = server.accept()
+        with connection, contextlib.suppress(ConnectionError):
+            for _ in range(40):  # what is sent while the stream is examined is not seen
+                connection.sendall(mpeg_stream(12))
+                time.sleep(0.05)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    camera = open_live(f"tcp://127.0.0.1:{server.getsockname()[1]}", CameraOptions())
+    assert isinstance(camera, StreamCamera)
+    frames = list(itertools.islice(camera, 10))
+    thread.join()
+    server.close()
+    assert len(frames) == 10
+    assert frames[0].image.shape == (96, 128)
+    times_ns = [frame.timestamp_ns for frame in frames]
+    assert times_ns == sorted(set(times_ns))
+
+
+def test_stream_that_is_not_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(OSError, match=rf"tcp://127.0.0.1:{port}: cannot be opened"):
+        next(iter(open_live(f"tcp://127.0.0.1:{port}", CameraOptions())))
+
+
+def test_paths_and_scenarios(tmp_path: Path) -> None:
+    assert isinstance(open_live(str(shipped_drive()), CameraOptions()), Paced)
+    drive = open_live("simulate:curve", CameraOptions(), seed=3)
+    assert isinstance(drive, DriveAround)
+    assert drive.name == "curve/3"
+    with pytest.raises(ValueError, match="scenario: expected one of"):
+        open_live("simulate:nowhere", CameraOptions())
+    with pytest.raises(FileNotFoundError):
+        open_live(str(tmp_path / "none"), CameraOptions())
+
+
+def test_what_the_car_knows_is_put_beside_frames() -> None:
+    class Data:
+        def camera(self, _: Frame) -> None:
+            return None
+
+        def motion(self, _: Frame) -> Any:
+            from foreglow.types import EgoMotion
+
+            return EgoMotion(20.0, 0.0)
+
+        def road(self, _: Frame) -> None:
+            return None
+
+    source = open_live(str(shipped_drive()), CameraOptions(data=Data()), speed=math.inf)
+    first = next(iter(source))
+    assert first.motion is not None
+    assert first.motion.speed_mps == 20.0
+    assert first.camera is not None  # what the drive itself knows stays
+    assert first.road is not None
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs the extra sim")
+def test_our_own_light_in_closed_loop() -> None:
+    from foreglow.simulation import resized, scenario
+
+    scene = resized(scenario("curve", 1), 160, 120)
+    drive = DriveAround(scene, "fast")
+    means = []
+    for frame in itertools.islice(drive, 8):
+        means.append(frame.image.mean())
+        level = 1.0 if frame.frame < 5 else 0.0
+        mode = BeamMode.FULL if level else BeamMode.LOW
+        drive.send(BeamCommand(frame.timestamp_ns, mode, np.full((2, 84), level)))
+        assert drive.lux(frame).keys() == {f"vehicle {one.vehicle_id}" for one in drive._drive.latest.vehicles}  # type: ignore[union-attr]
+        assert frame.timestamp_ns <= drive.now_ns() <= frame.timestamp_ns + 1e9 / scene.rate_hz
+    dark, lit = np.mean(means[:2]), np.mean(means[4:6])  # the lamps want some good commands before they shine
+    assert lit > dark + 0.3
+    assert means[7] < (dark + lit) / 2
