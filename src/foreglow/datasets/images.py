@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import tokenize
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -144,18 +146,25 @@ def _decoded(data: bytes, path: Path) -> NDArray[Any]:
             check_size(*jpeg_size_px(data), "header")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    # The message is ours to give: OpenCV would write its own to standard error.
-    logging = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
-        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+        with quiet_opencv():
+            array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise ValueError(f"{path}: expected an image, cannot be decoded: {error.err or error.code}") from None
-    finally:
-        logging.setLogLevel(level)
     if array is None:
         raise ValueError(f"{path}: expected an image ({known_formats()}), is none, or truncated or damaged")
     return np.asarray(array)
+
+
+@contextlib.contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """While entered OpenCV writes nothing to standard error: the message is ours to give."""
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
 
 
 def known_formats() -> str:

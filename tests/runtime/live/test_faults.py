@@ -2,71 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 
+from benchmarks.faulty import PERIOD_S, STAGES, WRONG_FRAMES, Lamps, ScriptedCamera, Step, live_config, spoil
 from foreglow.beam.faults import GuardFault
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.live import LiveFault
 from foreglow.types import BeamMode, Frame
-from tests.runtime.live.stand_ins import PERIOD_S, Keeper, Lamps, ScriptedCamera, Step, live_config, run_live
+from tests.runtime.live.stand_ins import Keeper, run_live
 
 BEGIN, END = 20, 30
 """In these frames something is wrong; there are 60."""
 
-STAGES = {
-    "proposals": ("_proposer", "propose"),
-    "classifier": ("_classifier", "classify"),
-    "distance": ("_estimator", "estimate"),
-    "tracking": ("_tracker", "update"),
-    "beam": ("_beam", "command"),
-}
 
-
-def with_image(frame: Frame, image: np.ndarray) -> Frame:
-    return dataclasses.replace(frame, image=image)
-
-
-def frozen(frames: list[Frame]) -> list[Frame]:
-    return [with_image(frame, frames[BEGIN].image) for frame in frames[BEGIN:END]]
-
-
-def black(frames: list[Frame]) -> list[Frame]:
-    return [with_image(frame, frame.image // 64) for frame in frames[BEGIN:END]]
-
-
-def saturated(frames: list[Frame]) -> list[Frame]:
-    return [with_image(frame, np.full_like(frame.image, 255)) for frame in frames[BEGIN:END]]
-
-
-def without_camera(frames: list[Frame]) -> list[Frame]:
-    return [dataclasses.replace(frame, camera=None) for frame in frames[BEGIN:END]]
-
-
-def without_speed(frames: list[Frame]) -> list[Frame]:
-    return [dataclasses.replace(frame, motion=None) for frame in frames[BEGIN:END]]
-
-
-@pytest.mark.parametrize(
-    ("spoil", "fault", "num_until_low"),
-    [
-        (frozen, GuardFault.FROZEN, 2),
-        (black, GuardFault.BLACK, 0),
-        (saturated, GuardFault.SATURATED, 0),
-        (without_camera, GuardFault.NO_CAMERA, 0),
-        (without_speed, GuardFault.NO_SPEED, 0),
-    ],
-)
-def test_wrong_frames(
-    spoil: Callable[[list[Frame]], list[Frame]], fault: str, num_until_low: int, drive: list[Frame]
-) -> None:
-    wrong = spoil(drive)
+@pytest.mark.parametrize("fault", WRONG_FRAMES)
+def test_wrong_frames(fault: str, drive: list[Frame]) -> None:
+    wrong = WRONG_FRAMES[fault](drive[BEGIN:END])
+    num_until_low = 2 if fault == GuardFault.FROZEN else 0
     source = ScriptedCamera([*drive[:BEGIN], *wrong, *drive[END:60]])
     summary, lamps = run_live(source, live_config())
     commands = lamps.of_frames()
@@ -151,7 +107,7 @@ def test_stage_that_hangs_comes_back(drive: list[Frame]) -> None:
     configuration = live_config(abandon_s=15.0)
     watching = threading.Thread(target=release_when_low, args=(lamps := Watched(), released))
     watching.start()
-    summary, _ = run_watched(ScriptedCamera(drive[:60], is_live=True), configuration, make, lamps)
+    summary, _ = run_live(ScriptedCamera(drive[:60], is_live=True), configuration, make, lamps=lamps)
     watching.join()
     assert LiveFault.STAGE_HANGS in lamps.commands[lamps.first_low].faults
     hung = next(event for event in summary.faults if event.fault == LiveFault.STAGE_HANGS)
@@ -245,7 +201,7 @@ def test_bus_that_fails_for_a_while(drive: list[Frame]) -> None:
                 raise OSError("can0: buffer full")
             super().send(command)
 
-    summary, _ = run_watched(ScriptedCamera(drive[:60]), live_config(), None, Failing())
+    summary, _ = run_live(ScriptedCamera(drive[:60]), live_config(), lamps=Failing())
     assert summary.fault_counts == {LiveFault.BUS: 1}
     assert summary.faults[0].detail == "can0: buffer full"
     assert summary.faults[0].until_ns is not None
@@ -282,37 +238,6 @@ def test_command_that_comes_too_late(drive: list[Frame]) -> None:
     assert not lamps.is_low[-2]
 
 
-def spoil(pipeline: Pipeline, stage: str, what: Callable[[int], Any]) -> None:
-    """Does `what` with the time of each frame before a stage looks at it."""
-    part, method = STAGES[stage]
-    target = getattr(pipeline, part)
-    known = getattr(target, method)
-    step = pipeline.step
-    now_ns = [0]
-
-    def stepping(frame: Frame, **context: Any) -> Any:
-        now_ns[0] = frame.timestamp_ns
-        return step(frame, **context)
-
-    def spoiled(*arguments: Any, **context: Any) -> Any:
-        what(now_ns[0])
-        return known(*arguments, **context)
-
-    pipeline.step = stepping  # type: ignore[method-assign, assignment]
-    setattr(pipeline, part, Spoiled(target, method, spoiled))
-
-
-class Spoiled:
-    """Another object, with one method in place of its own."""
-
-    def __init__(self, target: Any, method: str, replacement: Callable[..., Any]) -> None:
-        self._target = target
-        setattr(self, method, replacement)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._target, name)
-
-
 class Watched(Lamps):
     """Lamps whose first low beam somebody waits for."""
 
@@ -334,13 +259,6 @@ def release_when_low(lamps: Watched, released: threading.Event) -> None:
     lamps.went_low.wait(20)
     time.sleep(3 * PERIOD_S)
     released.set()
-
-
-def run_watched(source: ScriptedCamera, configuration: Any, make: Any, lamps: Lamps) -> tuple[Any, Lamps]:
-    from foreglow.runtime.live import LiveLoop
-
-    loop = LiveLoop(source, make or (lambda: Pipeline(configuration)), configuration, outputs=[lamps])
-    return loop.run(), lamps
 
 
 def commands_with(lamps: Lamps, fault: str) -> list[Any]:

@@ -20,12 +20,15 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.faulty import live_config
 from foreglow.datasets import shipped_drive
+from foreglow.pipeline import Pipeline
 from foreglow.runtime.live import DriveAround, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_live
+from foreglow.runtime.records import frame_record
 from foreglow.types import BeamCommand, BeamMode, Frame
-from tests.runtime.live.stand_ins import live_config, run_live
+from tests.runtime.live.stand_ins import Keeper, run_live
 from tests.stand_ins import ListSource, night_frames, night_image
 
 
@@ -62,10 +65,6 @@ def test_impossible_speed(speed: float) -> None:
 
 
 def test_live_results_are_those_of_a_run_off_line(drive: list[Frame]) -> None:
-    from foreglow.pipeline import Pipeline
-    from foreglow.runtime.records import frame_record
-    from tests.runtime.live.stand_ins import Keeper
-
     keeper = Keeper()
     source = Paced(ListSource(drive), math.inf)
     summary, _ = run_live(source, live_config(), sinks=[keeper])

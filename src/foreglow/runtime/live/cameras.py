@@ -13,7 +13,7 @@ import cv2
 from av.error import FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
-from foreglow.datasets.images import check_size
+from foreglow.datasets.images import check_size, quiet_opencv
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
 
@@ -85,7 +85,8 @@ class CaptureCamera(_Arriving):
         self._device, self._backend = device, backend
 
     def __iter__(self) -> Iterator[Frame]:
-        capture = cv2.VideoCapture(self._device, self._backend)
+        with quiet_opencv():
+            capture = cv2.VideoCapture(self._device, self._backend)
         try:
             if not capture.isOpened():
                 raise OSError(f"{self.name}: cannot be opened")

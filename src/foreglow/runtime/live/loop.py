@@ -212,8 +212,8 @@ class LiveLoop:
             self._worker = self._new_worker()
 
     def _new_worker(self, pipeline: LivePipeline | None = None) -> Worker:
-        now_ns, deliver = self._source.now_ns, self._deliver
-        worker = Worker(self._make_pipeline, self._mailbox, self._book, now_ns, self._config, deliver)
+        now_ns = None if self._source.is_lossless else self._source.now_ns
+        worker = Worker(self._make_pipeline, self._mailbox, self._book, now_ns, self._config, self._deliver)
         worker.start(pipeline)
         return worker
 
@@ -227,9 +227,10 @@ class LiveLoop:
             beam, faults = None if result is None else result.beam, self._book.unheeded
             if beam is None or faults:  # something went wrong while it was made
                 beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *faults)
-            ready_ns = self._source.now_ns()
+            ready_ns = time.monotonic_ns()
             self._send(beam)
-        sent_ns = self._source.now_ns()
+            sent_ns = time.monotonic_ns()
+        age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
         self._book.note(GUARD, [name for name in beam.faults if name not in set(LiveFault)])
         if result is None:
             return
@@ -241,7 +242,7 @@ class LiveLoop:
         }
         result = dataclasses.replace(result, beam=beam, stage_ms=stage_ms)
         self._tally.add(frame, result)
-        self._num_late += sent_ns - frame.timestamp_ns > self._period_s * 1e9
+        self._num_late += age_ns > self._period_s * 1e9
         for sink in self._sinks:
             sink.write(frame, result)
 

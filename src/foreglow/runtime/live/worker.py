@@ -64,7 +64,7 @@ class Worker:
         make_pipeline: Callable[[], LivePipeline],
         mailbox: Mailbox,
         book: FaultBook,
-        now_ns: Callable[[], int],
+        now_ns: Callable[[], int] | None,
         config: LiveConfig,
         deliver: Callable[[Worker, Stepped], None],
     ) -> None:
@@ -74,7 +74,7 @@ class Worker:
             make_pipeline: Makes the pipeline, in the thread, where none is given, and after too many failures anew.
             mailbox: Where frames come from.
             book: Where faults are noted.
-            now_ns: The frames' clock.
+            now_ns: The frames' clock; None where time does not count.
             config: How many failures are too many.
             deliver: Called with what came of each frame.
         """
@@ -141,7 +141,8 @@ class Worker:
         return self._pipeline is not None
 
     def _step(self, arrival: Arrival) -> Stepped:
-        pipeline, frame, begun_ns = self._pipeline, arrival.frame, self._now_ns()
+        pipeline, frame = self._pipeline, arrival.frame
+        begun_ns = arrival.arrived_ns if self._now_ns is None else self._now_ns()
         assert pipeline is not None
         faults = self._book.heeded()
         try:
