@@ -12,7 +12,7 @@ import pytest
 
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
-from foreglow.runtime.can_output import LOG_SUFFIXES, CanBus, CanLogSink, open_can_bus
+from foreglow.runtime.can_output import LOG_SUFFIXES, CanBus, CanLogSink
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Proposals
 
 can = pytest.importorskip("can")
@@ -158,7 +158,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         sink.write(*result_at(0))
 
 
-@pytest.mark.parametrize("make", [lambda: CanLogSink(Path("beam.log")), lambda: CanBus("virtual", "x")])
+@pytest.mark.parametrize("make", [lambda: CanLogSink(Path("beam.log")), lambda: CanBus("virtual:x")])
 def test_without_the_extra(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "can", None)
     with pytest.raises(ModuleNotFoundError) as error:
@@ -175,7 +175,7 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
     except (OSError, can.CanError) as error:
         pytest.skip(f"no such bus on this machine: {error}")
     with lamps_bus:
-        bus, lamps = open_can_bus(f"{interface}:{channel}"), LampReceiver()
+        bus, lamps = CanBus(f"{interface}:{channel}"), LampReceiver()
         for number in range(6):
             bus.send(command_at(number * PERIOD, 1.0))
             for _ in range(5):
@@ -192,11 +192,11 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
 
 def test_other_interfaces() -> None:
     with pytest.raises(ValueError, match="nonsense:can0: expected an interface of python-can"):
-        open_can_bus("nonsense:can0")
+        CanBus("nonsense:can0")
 
 
 def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    bus = CanBus("virtual", "foreglow-full")
+    bus = CanBus("virtual:foreglow-full")
 
     def fail(_: Any, timeout: float) -> None:
         assert 0 < timeout < PERIOD / 1e9
@@ -213,5 +213,5 @@ def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
         raise can.CanInitializationError("no such device")
 
     monkeypatch.setattr(can, "Bus", fail)
-    with pytest.raises(OSError, match="socketcan:can7: no such device"):
-        open_can_bus("can7")
+    with pytest.raises(OSError, match="can7: no such device"):
+        CanBus("can7")

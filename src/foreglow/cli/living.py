@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,6 +71,9 @@ def live(
     model: ModelOption = None,
     config: ConfigOption = None,
     calibration: CalibrationOption = None,
+    can_in: Annotated[
+        str | None, typer.Option(metavar="CHANNEL", help="CAN bus that tells our motion and the road, with a camera.")
+    ] = None,
     can_log: CanLogOption = None,
     dbc: DbcOption = None,
     mapping: MappingOption = None,
@@ -79,7 +83,6 @@ def live(
     pose_error: PoseErrorOption = 5.0,
 ) -> None:
     """Run on SOURCE as it happens: tracks and beam commands in real time, low beam whenever something is wrong."""
-    from foreglow.datasets.vehicle_logs import open_vehicle_data
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live
 
@@ -87,13 +90,36 @@ def live(
     if configuration.classifier.model is None or configuration.tracker.method == "none":
         raise ValueError("live: expected a model (--model FILE) and a tracker: without them there are no tracks")
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    data: VehicleData | None = None
-    if any(one is not None for one in files):
-        data = open_vehicle_data(*files, time_offset_s=time_offset, pose_error_m=pose_error)
-    size_px = None if size is None else size_of(size)
-    options = CameraOptions(size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data)
-    opened = open_live(source, options, speed=speed or float("inf"), seed=seed, quality=quality)
-    _finish(_run(opened, configuration, can, out, [], limit), out)
+    with contextlib.ExitStack() as closing:
+        data = _vehicle_data(files, can_in, time_offset, pose_error, closing)
+        size_px = None if size is None else size_of(size)
+        options = CameraOptions(size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data)
+        opened = open_live(source, options, speed=speed or float("inf"), seed=seed, quality=quality)
+        summary = _run(opened, configuration, can, out, [], limit)
+    _finish(summary, out)
+
+
+def _vehicle_data(
+    files: Sequence[Path | None],
+    can_in: str | None,
+    time_offset_s: float,
+    pose_error_m: float,
+    closing: contextlib.ExitStack,
+) -> VehicleData | None:
+    """What is known of each frame: by the files, in the order of `open_vehicle_data`, and by the car's bus."""
+    from foreglow.calibration import read_calibration
+    from foreglow.datasets.vehicle_logs import VehicleFiles, open_vehicle_data
+    from foreglow.runtime.live.vehicle_bus import VehicleBus
+
+    calibration, can_log, dbc, mapping, road_map, poses = files
+    if can_in is None:
+        is_any = any(one is not None for one in files)
+        return open_vehicle_data(*files, time_offset_s=time_offset_s, pose_error_m=pose_error_m) if is_any else None
+    if any(one is not None for one in (can_log, road_map, poses)):
+        raise ValueError("--can-in: expected neither --can-log nor --map with it: the bus tells motion and road")
+    camera = None if calibration is None else read_calibration(calibration)
+    bus = closing.enter_context(contextlib.closing(VehicleBus(can_in, dbc, mapping)))
+    return VehicleFiles(camera=camera, log=bus.log, names=(str(calibration), can_in, ""))
 
 
 def _run(
@@ -109,7 +135,7 @@ def _run(
     from foreglow.pipeline import Pipeline
     from foreglow.reports.live_status import LiveStatus
     from foreglow.runtime import OutputFolder
-    from foreglow.runtime.can_output import open_can_bus
+    from foreglow.runtime.can_output import CanBus
     from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import DriveAround, LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
@@ -117,7 +143,7 @@ def _run(
 
     outputs: list[BeamOutput] = [source] if isinstance(source, DriveAround) else []
     if can is not None:
-        outputs.append(open_can_bus(can, ramp_s=configuration.beam.restore_s))
+        outputs.append(CanBus(can, ramp_s=configuration.beam.restore_s))
     results = None if out is None else OutputFolder(out)
     takers: list[LiveSink] = [LiveStatus(), *sinks]
     if results is not None:

@@ -105,15 +105,33 @@ class CanLogSink:
             raise _DiscardedError
 
 
+def open_bus(channel: str) -> can.BusABC:
+    """The bus that a user names: `interface:channel` of python-can, or a channel of SocketCAN such as `can0`.
+
+    Raises:
+        ModuleNotFoundError: If python-can is not installed (extra `can`).
+        ValueError: If there is no such interface.
+        OSError: If the bus cannot be opened.
+    """
+    import can
+
+    interface, colon, rest = channel.partition(":")
+    try:
+        return can.Bus(interface=interface if colon else "socketcan", channel=rest if colon else channel, fd=True)
+    except can.CanInterfaceNotImplementedError as error:
+        raise ValueError(f"{channel}: expected an interface of python-can: {error}") from None
+    except can.CanError as error:
+        raise OSError(f"{channel}: {error}") from error
+
+
 class CanBus:
     """Sends commands onto a live bus."""
 
-    def __init__(self, interface: str, channel: str | int, *, ramp_s: float = 0.0, has_levels: bool = True) -> None:
+    def __init__(self, channel: str, *, ramp_s: float = 0.0, has_levels: bool = True) -> None:
         """Opens the bus.
 
         Args:
-            interface: As python-can calls it: `virtual`, `socketcan`, `udp_multicast` ...
-            channel: Name, number or address of the bus.
+            channel: As for `open_bus`.
             ramp_s: How long lamps of cars that take borders shall take to brighten.
             has_levels: False leaves out the levels of the LEDs.
 
@@ -122,16 +140,9 @@ class CanBus:
             ValueError: If there is no such interface.
             OSError: If the bus cannot be opened.
         """
-        import can
-
-        self._name = f"{interface}:{channel}"
+        self._name = channel
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
-        try:
-            self._bus: Any = can.Bus(interface=interface, channel=channel, fd=True)
-        except can.CanInterfaceNotImplementedError as error:
-            raise ValueError(f"{self._name}: expected an interface of python-can: {error}") from None
-        except can.CanError as error:
-            raise OSError(f"{self._name}: {error}") from error
+        self._bus = open_bus(channel)
 
     def send(self, command: BeamCommand) -> None:
         """Sends the frames of a command.
@@ -152,18 +163,6 @@ class CanBus:
     def close(self) -> None:
         """Leaves the bus."""
         self._bus.shutdown()
-
-
-def open_can_bus(channel: str, *, ramp_s: float = 0.0) -> CanBus:
-    """The bus that a user names: `interface:channel` of python-can, or a channel of SocketCAN such as `can0`.
-
-    Raises:
-        ModuleNotFoundError: If python-can is not installed (extra `can`).
-        ValueError: If there is no such interface.
-        OSError: If the bus cannot be opened.
-    """
-    interface, colon, rest = channel.partition(":")
-    return CanBus(interface, rest, ramp_s=ramp_s) if colon else CanBus("socketcan", channel, ramp_s=ramp_s)
 
 
 class _DiscardedError(Exception):

@@ -1,7 +1,7 @@
 """Data of the user's own drive beside its images: CAN logs, maps with poses, and a calibration."""
 
-from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
+from foreglow.datasets.vehicle_logs.can_log import CanDecoder, CanLog, read_can_log
 from foreglow.datasets.vehicle_logs.can_writing import write_can_log
 from foreglow.datasets.vehicle_logs.opening import VehicleFiles, open_vehicle_data
 
-__all__ = ["CanLog", "VehicleFiles", "open_vehicle_data", "read_can_log", "write_can_log"]
+__all__ = ["CanDecoder", "CanLog", "VehicleFiles", "open_vehicle_data", "read_can_log", "write_can_log"]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import struct
+import threading
 import zlib
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
 from foreglow.config import read_toml, validated
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
@@ -32,6 +33,9 @@ OWN_DBC, OWN_MAPPING = (Path(__file__).with_name(name) for name in ("street.dbc"
 
 Value = TypeVar("Value")
 
+CanKey: TypeAlias = tuple[int, bool]
+"""A frame's identifier, and whether it is an extended one."""
+
 
 class Latest(Generic[Value]):
     """Values over time, of which the latest counts.
@@ -42,11 +46,15 @@ class Latest(Generic[Value]):
         stale_s: How long one counts.
     """
 
-    def __init__(self, pairs: Sequence[tuple[int, Value]], stale_s: float) -> None:
-        ordered = sorted(pairs, key=lambda pair: pair[0])
-        self.times_ns = [time_ns for time_ns, _ in ordered]
-        self.values = [value for _, value in ordered]
+    def __init__(self, stale_s: float) -> None:
+        self.times_ns: list[int] = []
+        self.values: list[Value] = []
         self.stale_s = stale_s
+
+    def add(self, time_ns: int, value: Value) -> None:
+        """Adds the latest value."""
+        self.times_ns.append(time_ns)
+        self.values.append(value)
 
     def at(self, timestamp_ns: int) -> Value | None:
         """The latest value at or before a time; None where there is none, or it is stale."""
@@ -55,40 +63,61 @@ class Latest(Generic[Value]):
             return None
         return self.values[place]
 
+    def forget(self, before_ns: int) -> None:
+        """Forgets what is older."""
+        place = bisect_left(self.times_ns, before_ns)
+        del self.times_ns[:place], self.values[:place]
+
 
 class CanLog:
-    """What a car told on its bus over time.
+    """What a car told on its bus over time; one thread may add to it while another asks.
 
     Attributes:
-        first_ns: Time of the first frame that was used.
+        first_ns: Time of the first value; 0 before.
         last_ns: Time of the last.
         has_street: Whether any whole street message is in it.
+        is_empty: Whether nothing is.
     """
 
-    def __init__(
-        self,
-        streets: Sequence[tuple[int, StreetMessage | None]],
-        speeds_mps: Sequence[tuple[int, float]],
-        yaw_rates_radps: Sequence[tuple[int, float]],
-    ) -> None:
-        """Takes values with their times in nanoseconds, at least one; None is a position that the car does not know."""
-        self._streets = Latest(streets, STREET_STALE_S)
-        self._speeds_mps = Latest(speeds_mps, MOTION_STALE_S)
-        self._yaw_rates_radps = Latest(yaw_rates_radps, MOTION_STALE_S)
-        times_ns = [*self._streets.times_ns, *self._speeds_mps.times_ns, *self._yaw_rates_radps.times_ns]
-        self.first_ns, self.last_ns = min(times_ns), max(times_ns)
-        self.has_street = any(message is not None for _, message in streets)
+    def __init__(self, keep_s: float = math.inf) -> None:
+        """An empty one, which forgets what is older than the last by more than `keep_s`."""
+        self._keep_ns = keep_s * 1e9
+        self._streets = Latest[StreetMessage | None](STREET_STALE_S)
+        self._numbers = {"speed": Latest[float](MOTION_STALE_S), "yaw_rate": Latest[float](MOTION_STALE_S)}
+        self._lock = threading.Lock()
+        self.first_ns = self.last_ns = 0
+        self.has_street, self.is_empty = False, True
+
+    def add_street(self, time_ns: int, message: StreetMessage | None) -> None:
+        """Adds the road at the latest position, None for one that the car does not know; times do not fall."""
+        self.has_street |= message is not None
+        self._add(self._streets, time_ns, message)
+
+    def add_number(self, quantity: str, time_ns: int, value: float) -> None:
+        """Adds a `speed` in m/s or a `yaw_rate` in rad/s; times do not fall."""
+        self._add(self._numbers[quantity], time_ns, value)
 
     def street(self, timestamp_ns: int) -> StreetMessage | None:
         """The street message of the latest position at or before a time; None if it is stale or unknown."""
-        return self._streets.at(timestamp_ns)
+        with self._lock:
+            return self._streets.at(timestamp_ns)
 
     def motion(self, timestamp_ns: int) -> EgoMotion | None:
         """The latest speed and yaw rate at or before a time; None if one is stale."""
-        speed_mps, yaw_rate_radps = self._speeds_mps.at(timestamp_ns), self._yaw_rates_radps.at(timestamp_ns)
+        with self._lock:
+            speed_mps, yaw_rate_radps = (self._numbers[one].at(timestamp_ns) for one in ("speed", "yaw_rate"))
         if speed_mps is None or yaw_rate_radps is None:
             return None
         return EgoMotion(speed_mps, yaw_rate_radps)
+
+    def _add(self, latest: Latest[Value], time_ns: int, value: Value) -> None:
+        with self._lock:
+            self.first_ns = time_ns if self.is_empty else min(self.first_ns, time_ns)
+            self.last_ns = time_ns if self.is_empty else max(self.last_ns, time_ns)
+            self.is_empty = False
+            latest.add(time_ns, value)
+            if math.isfinite(self._keep_ns):
+                latest.forget(time_ns - round(self._keep_ns))
 
 
 def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None = None) -> CanLog:
@@ -108,9 +137,12 @@ def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None
         ValueError: If a file is broken, the mapping names what the DBC does not have, or no frame of it is in the log.
     """
     path = Path(path)
-    if (dbc is None) != (mapping is None):
-        raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
-    return _Decoder(dbc or OWN_DBC, mapping or OWN_MAPPING).read(path)
+    decoder = CanDecoder(dbc, mapping)
+    for time_ns, key, data in sorted(_frames(path, decoder.keys), key=lambda frame: frame[0]):
+        decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
+    if decoder.log.is_empty:
+        raise ValueError(f"{path}: expected frames of {', '.join(decoder.message_names)}, got none")
+    return decoder.log
 
 
 def read_mapping(path: Path) -> CanMapping:
@@ -143,13 +175,34 @@ def read_dbc(path: Path) -> dict[str, Message]:
     return {message.name: message for message in cast("Database", database).messages}
 
 
-class _Decoder:
-    """Turns frames into values, by a DBC and a mapping that fits it."""
+class CanDecoder:
+    """Turns frames into a log, by a DBC and a mapping that fits it.
 
-    def __init__(self, dbc: Path, mapping: Path) -> None:
+    Attributes:
+        log: What the frames told so far.
+    """
+
+    def __init__(self, dbc: Path | None = None, mapping: Path | None = None, *, keep_s: float = math.inf) -> None:
+        """Reads both files; None for our own.
+
+        Args:
+            dbc: What is in the frames.
+            mapping: What its signals mean; goes with `dbc`.
+            keep_s: How long values are kept.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ModuleNotFoundError: If cantools is not installed (extra `can`).
+            ValueError: If a file is broken, or the mapping names what the DBC does not have.
+        """
+        if (dbc is None) != (mapping is None):
+            raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
+        dbc, mapping = dbc or OWN_DBC, mapping or OWN_MAPPING
+        self.log = CanLog(keep_s)
         messages = read_dbc(dbc)
         self._mapping = read_mapping(mapping)
-        self._sections: dict[tuple[int, bool], tuple[Message, list[tuple[str, dict[str, str]]]]] = {}
+        self._street_frames = StreetFrames(self._mapping)
+        self._sections: dict[CanKey, tuple[Message, list[tuple[str, dict[str, str]]]]] = {}
         for name, section in self._mapping.sections():
             if section.message not in messages:
                 known = ", ".join(sorted(messages)[:20])
@@ -167,36 +220,41 @@ class _Decoder:
             key = message.frame_id, message.is_extended_frame
             self._sections.setdefault(key, (message, []))[1].append((name, section.signals()))
 
-    def read(self, path: Path) -> CanLog:
-        """What the log at `path` tells."""
-        streets: list[tuple[int, StreetMessage | None]] = []
-        numbers: dict[str, list[tuple[int, float]]] = {"speed": [], "yaw_rate": []}
-        frames = StreetFrames(self._mapping)
-        for time_ns, section, values in self._values(path):
-            if section == "segment":
-                frames.add_segment(values, time_ns)
-            elif section == "slope":
-                frames.add_slope(values)
-            elif section == "position":
-                streets.append((time_ns, frames.message(values, time_ns)))
-            else:
-                numbers[section].append((time_ns, _number(values, getattr(self._mapping, section))))
-        if not streets and not any(numbers.values()):
-            names = ", ".join(message.name for message, _ in self._sections.values())
-            raise ValueError(f"{path}: expected frames of {names}, got none")
-        return CanLog(streets, numbers["speed"], numbers["yaw_rate"])
+    @property
+    def keys(self) -> Collection[CanKey]:
+        """Of the frames that it wants."""
+        return self._sections.keys()
 
-    def _values(self, path: Path) -> Iterator[tuple[int, str, dict[str, float]]]:
-        """For each frame that a section names, in order of time: the time, the section and its values by field."""
-        for time_ns, key, data in sorted(_frames(path, self._sections), key=lambda frame: frame[0]):
-            message, sections = self._sections[key]
-            decoded = _decoded(message, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
-            for name, signals in sections:
-                if all(signal in decoded for signal in signals.values()):
-                    yield time_ns, name, {field: decoded[signal] for field, signal in signals.items()}
+    @property
+    def message_names(self) -> list[str]:
+        """Of the same."""
+        return [message.name for message, _ in self._sections.values()]
+
+    def take(self, time_ns: int, key: CanKey, data: bytes, where: str) -> None:
+        """Adds what a frame tells to the log; frames come in the order of time, and only those of `keys`.
+
+        Raises:
+            ValueError: If the frame is not as the DBC says; the message begins with `where`.
+        """
+        message, sections = self._sections[key]
+        decoded = _decoded(message, data, where)
+        for name, signals in sections:
+            if all(signal in decoded for signal in signals.values()):
+                self._add(time_ns, name, {field: decoded[signal] for field, signal in signals.items()})
+
+    def _add(self, time_ns: int, section: str, values: dict[str, float]) -> None:
+        """Adds the values of a section, by field."""
+        if section == "segment":
+            self._street_frames.add_segment(values, time_ns)
+        elif section == "slope":
+            self._street_frames.add_slope(values)
+        elif section == "position":
+            self.log.add_street(time_ns, self._street_frames.message(values, time_ns))
+        else:
+            self.log.add_number(section, time_ns, _number(values, getattr(self._mapping, section)))
 
 
-def _frames(path: Path, keys: Any) -> list[tuple[int, tuple[int, bool], bytes]]:
+def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, bytes]]:
     """Time, key and data of the frames in a log whose key (id, is extended) is among `keys`."""
     import can
     from can.io.blf import BLFParseError

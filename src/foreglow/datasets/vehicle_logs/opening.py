@@ -69,7 +69,7 @@ class VehicleFiles:
         Raises:
             ValueError: If the log is of another time.
         """
-        if self._log is None:
+        if self._log is None or self._log.is_empty:
             return None
         return self._log.motion(self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1]))
 
@@ -103,7 +103,7 @@ class VehicleFiles:
         return self._road_map.ahead(pose, error_bound_m=self._pose_error_m, is_on_road=is_on_road)
 
     def _road_by_message(self, frame: Frame) -> RoadAhead | None:
-        if self._log is None:
+        if self._log is None or self._log.is_empty:
             return None
         time_ns = self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1])
         message = self._log.street(time_ns)

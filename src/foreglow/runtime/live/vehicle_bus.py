@@ -1,0 +1,75 @@
+"""What our car tells on its CAN bus while we drive: speed, yaw rate and the road ahead."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+from foreglow.datasets.vehicle_logs import CanDecoder, CanLog
+from foreglow.runtime.can_output import open_bus
+
+KEEP_S = 10.0
+"""What is older is of no use to any frame."""
+
+WAIT_S = 0.2
+
+
+class VehicleBus:
+    """Listens to a bus in a thread of its own; times are of the machine's steady clock, as live cameras have it.
+
+    Attributes:
+        log: What the car told in the last seconds.
+        num_broken: Frames that were not as the DBC says.
+    """
+
+    def __init__(self, channel: str, dbc: Path | None = None, mapping: Path | None = None) -> None:
+        """Opens the bus and listens from now on.
+
+        Args:
+            channel: As for `open_bus`.
+            dbc: What is in the frames; None for our own.
+            mapping: What its signals mean; goes with `dbc`.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ModuleNotFoundError: If the extra `can` is not installed.
+            ValueError: If a file is broken, or there is no such interface.
+            OSError: If the bus cannot be opened.
+        """
+        self._decoder = CanDecoder(dbc, mapping, keep_s=KEEP_S)
+        self._bus = open_bus(channel)
+        self.num_broken = 0
+        self._is_closed = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="vehicle bus", daemon=True)
+        self._thread.start()
+
+    @property
+    def log(self) -> CanLog:
+        """What the car told in the last seconds."""
+        return self._decoder.log
+
+    def close(self) -> None:
+        """Stops listening."""
+        self._is_closed.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+    def _listen(self) -> None:
+        """Takes frames until closed. A bus that fails falls silent: then speeds get stale, which the guard sees."""
+        import can
+
+        while not self._is_closed.is_set():
+            try:
+                message = self._bus.recv(WAIT_S)
+            except can.CanError:
+                self._is_closed.wait(WAIT_S)
+                continue
+            if message is None or message.is_error_frame or message.is_remote_frame:
+                continue
+            key = message.arbitration_id, bool(message.is_extended_id)
+            if key in self._decoder.keys:
+                try:
+                    self._decoder.take(time.monotonic_ns(), key, bytes(message.data), "bus")
+                except ValueError:
+                    self.num_broken += 1
