@@ -21,7 +21,7 @@ class LiveConfig(FrozenModel):
         slow_frames: Two frames in a row that each come later than so many frames' time are of a slow camera.
         num_steady: So many frames in time, in a row, end that.
         max_step_s: A stage that keeps a frame longer hangs.
-        abandon_s: After this time the pipeline that hangs is left alone, and a new one is made.
+        abandon_s: After this further time the pipeline that hangs is left alone, and a new one is made.
         max_failures: After so many frames in a row at which a stage raised, a new pipeline is made.
         retry_s: Between attempts to open a source that was lost, or to make a pipeline.
     """

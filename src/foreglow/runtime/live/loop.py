@@ -84,6 +84,8 @@ class LiveLoop:
         self._source, self._config = source, config.live
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)
+        # Where frames wait for computing, a busy machine is no fault.
+        self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
         self._book = FaultBook(source.now_ns, (CAMERA, STAGE))
         self._mailbox = Mailbox(is_lossless=source.is_lossless)
@@ -92,6 +94,7 @@ class LiveLoop:
         self._is_stopped = threading.Event()
         self._has_ended = threading.Event()
         self._error: Exception | None = None
+        self._limit: int | None = None
         self._is_ended = False
         self._lock = threading.RLock()
         self._num_taken = self._num_hung = self._num_late = 0
@@ -106,6 +109,7 @@ class LiveLoop:
             TimeoutError: If pipelines hang again and again.
             Exception: What making the pipeline raised, or a source that is no camera.
         """
+        self._limit = limit
         pipeline = self._make_pipeline()
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
@@ -119,7 +123,7 @@ class LiveLoop:
         is_complete = False
         try:
             with InterruptFlag() as interrupt:
-                while not (interrupt.is_set or self._is_over(limit)):
+                while not (interrupt.is_set or self._is_over):
                     self._supervise()
                     self._is_stopped.wait(self._period_s / 4)
                 is_complete = not interrupt.is_set
@@ -134,11 +138,16 @@ class LiveLoop:
         errors = [f"{type(one.sink).__name__}: {one.error}" for one in self._sinks if one.error is not None]
         return live_summary(run, self._book, self._mailbox.num_dropped, self._num_late, num_lost, errors)
 
-    def _is_over(self, limit: int | None) -> bool:
+    @property
+    def _is_enough(self) -> bool:
+        """Whether so many frames are done as were wanted."""
+        return self._limit is not None and self._tally.num_frames >= self._limit
+
+    @property
+    def _is_over(self) -> bool:
         """Whether all frames are done, or enough of them."""
-        if limit is not None and self._tally.num_frames >= limit:
-            return True
-        return self._has_ended.is_set() and self._num_taken >= self._mailbox.num_put - self._mailbox.num_dropped
+        num_left = self._mailbox.num_put - self._mailbox.num_dropped - self._num_taken
+        return self._is_enough or (self._has_ended.is_set() and num_left <= 0)
 
     def _stop(self, reader: threading.Thread) -> None:
         """Ends the threads, completes the sinks, and leaves the lamps in low beam."""
@@ -180,10 +189,10 @@ class LiveLoop:
     def _supervise(self) -> None:
         """Looks at both threads; commands low beam where one of them does not do its part."""
         is_silent = not self._has_ended.is_set() and self._watch.listen()
-        is_hanging = self._worker.busy_s > self._config.max_step_s
+        is_hanging = self._worker.busy_s > self._max_step_s
         if is_hanging:
             self._book.note(STAGE, [LiveFault.STAGE_HANGS], self._worker.stage)
-        if self._worker.busy_s > self._config.abandon_s or not self._worker.is_alive:
+        if self._worker.busy_s > self._max_step_s + self._config.abandon_s or not self._worker.is_alive:
             self._abandon()
         now_s = time.monotonic()
         is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
@@ -221,7 +230,7 @@ class LiveLoop:
         """Sends the command of a frame at once, then passes its result on; in the computing thread."""
         frame, result = stepped.arrival.frame, stepped.result
         with self._lock:
-            if worker is not self._worker or self._is_ended:
+            if worker is not self._worker or self._is_ended or self._is_enough:
                 return
             self._num_taken += 1
             beam, faults = None if result is None else result.beam, self._book.unheeded

@@ -1,0 +1,107 @@
+"""`foreglow live` as its user calls it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import shipped_drive
+from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
+from tests.cli.test_process import subprocess_command
+
+
+def test_replay_into_a_folder_and_onto_a_bus(tmp_path: Path) -> None:
+    pytest.importorskip("can")
+    out = tmp_path / "out"
+    result = foreglow_command("live", shipped_drive(), "--speed", 0, "--limit", 30, "--can", "virtual:x", "--out", out)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("30 frames, 0 dropped for a newer one, 0 late; ")
+    assert lines[-1] == f"look in {out}"
+    assert names(out) == RESULTS
+    assert num_lines(out) == 30
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["beam"]["num_low"] == 0
+    assert summary["live"] == {
+        "num_dropped": 0,
+        "num_late": 0,
+        "num_unrecorded": 0,
+        "sink_errors": [],
+        "fault_counts": {},
+        "faults": [],
+    }
+    assert {"capture", "queue", "beam", "send", "total"} <= summary["run_time_ms"].keys()
+
+
+def test_results_are_those_of_beam(tmp_path: Path) -> None:
+    live, beam = tmp_path / "live", tmp_path / "beam"
+    assert foreglow_command("live", shipped_drive(), "--speed", 0, "--out", live).exit_code == 0
+    assert foreglow_command("beam", shipped_drive(), "--out", beam).exit_code == 0
+
+    def records(folder: Path) -> list[dict[str, object]]:
+        lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
+        return [{name: value for name, value in line.items() if name != "stage_ms"} for line in lines]
+
+    assert records(live) == records(beam)
+
+
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted(tmp_path: Path, interrupt: signal.Signals) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        subprocess_command("live", shipped_drive(), "--speed", "0.2", "--out", out),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    partial = out / "frames.jsonl.partial"
+    deadline_s = time.monotonic() + 60
+    while not (partial.exists() and partial.stat().st_size):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    process.send_signal(interrupt)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert "interrupted" in stdout
+    assert "Traceback" not in stderr
+    assert names(out) == RESULTS
+    assert json.loads((out / "summary.json").read_text())["is_complete"] is False
+
+
+def test_killed_process_leaves_no_half_written_result(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(subprocess_command("live", shipped_drive(), "--speed", "0.2", "--out", out))
+    partial = out / "frames.jsonl.partial"
+    deadline_s = time.monotonic() + 60
+    while not (partial.exists() and partial.stat().st_size):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    assert not RESULTS & names(out)
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    assert "no such file or folder" in complaint("live", tmp_path / "absent")
+    assert "scenario: expected one of" in complaint("live", "simulate:nowhere")
+    assert "expected an interface of python-can" in complaint("live", shipped_drive(), "--can", "nonsense:1")
+    assert "speed: expected a positive number" in complaint("live", shipped_drive(), "--speed", -1)
+    assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
+    assert "--can-in: expected neither" in complaint(
+        "live", shipped_drive(), "--can-in", "virtual:x", "--map", "a", "--poses", "b"
+    )
+
+
+def test_damaged_recording_ends_with_an_error(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    (images / "000.png").write_bytes(PNG)
+    (images / "001.png").write_bytes(PNG[:50])
+    out = tmp_path / "out"
+    assert "001.png" in complaint("live", images, "--speed", 0, "--out", out)
+    assert not out.exists() or not RESULTS & names(out)

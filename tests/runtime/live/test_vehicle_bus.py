@@ -1,0 +1,80 @@
+"""Speed and road from a live bus, as from a log."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.datasets.vehicle_logs import VehicleFiles, write_can_log
+from foreglow.runtime.live.vehicle_bus import VehicleBus
+from foreglow.street import road_from_message
+from foreglow.types import EgoMotion, Frame
+from tests.datasets.vehicle_logs.messages import message as street_message
+
+can = pytest.importorskip("can")
+pytest.importorskip("cantools")
+
+
+@pytest.fixture
+def buses() -> Iterator[tuple[VehicleBus, Any]]:
+    bus = VehicleBus("virtual:car")
+    with can.Bus(interface="virtual", channel="car", fd=True) as sender:
+        yield bus, sender
+    bus.close()
+
+
+def until(is_done: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 20
+    while not is_done():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
+def frame_now() -> Frame:
+    return Frame(np.zeros((96, 128), np.uint8), time.monotonic_ns())
+
+
+def test_what_the_car_tells(tmp_path: Path, buses: tuple[VehicleBus, Any]) -> None:
+    bus, sender = buses
+    data = VehicleFiles(log=bus.log)
+    assert data.motion(frame_now()) is None  # nothing was told yet
+    assert data.road(frame_now()) is None
+    write_can_log(tmp_path / "car.log", [(0, street_message())], [(1, EgoMotion(25.0, 0.02))])
+    for message in can.LogReader(tmp_path / "car.log"):
+        sender.send(message)
+    until(lambda: data.motion(frame_now()) is not None)
+    motion = data.motion(frame_now())
+    assert motion is not None
+    assert (motion.speed_mps, motion.yaw_rate_radps) == pytest.approx((25.0, 0.02))
+    road, expected = data.road(frame_now()), road_from_message(street_message())
+    assert road is not None
+    assert expected is not None
+    np.testing.assert_allclose(road.points_m, expected.points_m)
+    time.sleep(0.6)
+    assert data.motion(frame_now()) is None  # a car that falls silent is not believed for long
+
+
+def test_broken_frames_are_passed_over(tmp_path: Path, buses: tuple[VehicleBus, Any]) -> None:
+    bus, sender = buses
+    write_can_log(tmp_path / "car.log", [], [(1, EgoMotion(25.0, 0.02))])
+    (message,) = can.LogReader(tmp_path / "car.log")
+    sender.send(can.Message(arbitration_id=message.arbitration_id, is_extended_id=message.is_extended_id, data=b"\x01"))
+    sender.send(can.Message(arbitration_id=0x7FF, data=b"\x01", is_extended_id=False))
+    until(lambda: bus.num_broken == 1)
+    sender.send(message)
+    until(lambda: not bus.log.is_empty)
+
+
+def test_old_values_are_forgotten() -> None:
+    from foreglow.datasets.vehicle_logs import CanLog
+
+    log = CanLog(keep_s=1.0)
+    for number in range(100):
+        log.add_number("speed", number * 100_000_000, float(number))
+    assert len(log._numbers["speed"].times_ns) == 11
+    assert (log.first_ns, log.last_ns) == (0, 9_900_000_000)
