@@ -22,7 +22,7 @@ EXTRAS = {
     **dict.fromkeys(("mitsuba", "drjit"), "sim"),
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     **dict.fromkeys(("cantools", "can"), "can"),
-    **dict.fromkeys(("foxglove", "mcap", "rosbags"), "recordings"),
+    **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
     **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
     **dict.fromkeys(("joblib", "dask", "distributed"), "scale"),
     "rerun": "view",
