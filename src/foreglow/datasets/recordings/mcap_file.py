@@ -165,7 +165,8 @@ def _message_counts(cursor: Cursor) -> dict[int, int]:
     counts = Cursor(cursor.block("channel_message_counts"))
     found = dict[int, int]()
     while not counts.is_at_end:
-        found[counts.number("H", "channel")] = counts.number("Q", "count")
+        channel = counts.number("H", "channel")
+        found[channel] = counts.number("Q", "count")
     return found
 
 

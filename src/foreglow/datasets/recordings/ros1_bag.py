@@ -15,7 +15,7 @@ from foreglow.datasets.recordings.cursor import Cursor, text_of
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 0x02, 0x03, 0x05, 0x07
+_MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
 _READ = frozenset({_MESSAGE, _CHUNK, _CONNECTION})
 
 
@@ -35,12 +35,10 @@ class Ros1Bag:
             self._size = file.seek(0, 2)
             file.seek(len(MAGIC))
             try:
-                header = next((header for _, header, _ in self._heads(file)), {})
+                is_whole = self._is_whole(file)
             except ValueError as error:
                 raise ValueError(f"{path}: byte {len(MAGIC)}: {error}") from None
-        index = int.from_bytes(header.get("index_pos", b""), "little")
-        is_whole = 0 < index < self._size
-        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated bag, its index is missing"
+        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated bag, its index is missing or cut"
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """As in `Container`."""
@@ -70,6 +68,17 @@ class Ros1Bag:
     def count(self, name: str) -> int | None:  # noqa: ARG002
         """As in `Container`: not told."""
         return None
+
+    def _is_whole(self, file: BinaryIO) -> bool:
+        """Whether the index is there that the bag's header promises: a record for each connection and each chunk."""
+        header = next((header for _, header, _ in self._heads(file)), {})
+        place, *counts = (
+            int.from_bytes(header.get(name, b""), "little") for name in ("index_pos", "conn_count", "chunk_count")
+        )
+        if not 0 < place <= self._size:
+            return False
+        file.seek(place)
+        return sum(1 for _ in self._heads(file)) == sum(counts)
 
     def _heads(self, file: BinaryIO) -> Iterator[tuple[int, dict[str, bytes], int]]:
         """Place, header and length of the data of one record after another that is there as a whole; the file is at its

@@ -17,6 +17,11 @@ from foreglow.files import read_text
 
 METADATA = "metadata.yaml"
 
+SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises: the second where the damage is part of the message."""
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+
 
 class SqliteBag:
     """A `Container`: one file of a bag in SQLite, whose messages come in the order in which they were written.
@@ -24,20 +29,21 @@ class SqliteBag:
     Source: github.com/ros2/rosbag2, rosbag2_storage_sqlite3.
     """
 
-    truncation = ""
-    """SQLite itself sees to it that a killed recorder leaves a whole file."""
-
     def __init__(self, path: Path) -> None:
         """Reads its topics.
 
         Raises:
-            ValueError: If it is no bag.
+            ValueError: If it is no bag, or is cut within a page: SQLite would fill that with zeros.
         """
         self._path = path
+        size, expected, page = _sizes(path)
+        if size < expected and size % page:
+            raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
+        self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
         try:
             with closing(self._connect()) as connection:
                 rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
-        except sqlite3.Error as error:
+        except SQLITE_ERRORS as error:
             raise ValueError(f"{path}: expected a ROS 2 bag in SQLite: {error}") from None
         if not all([type(value) for value in row] == [int, str, str, str] for row in rows):
             raise ValueError(f"{path}: topics: expected numbers, names, types and formats")
@@ -55,7 +61,7 @@ class SqliteBag:
                         refuse(f"{self._path}: messages: expected a time and bytes, got others")
                         continue
                     yield Message(self._topics[number], log_time_ns, memoryview(data))
-        except sqlite3.Error as error:
+        except SQLITE_ERRORS as error:
             refuse(f"{self._path}: damaged file: {error}")
 
     def count(self, name: str) -> int | None:
@@ -64,7 +70,7 @@ class SqliteBag:
         try:
             with closing(self._connect()) as connection:
                 return int(connection.execute(query, (name,)).fetchone()[0])
-        except sqlite3.Error:
+        except SQLITE_ERRORS:
             return None
 
     def _connect(self) -> sqlite3.Connection:
@@ -99,6 +105,18 @@ class Ros2Bag:
         """As in `Container`."""
         counts = [file.count(name) for file in self._files]
         return None if None in counts else sum(count or 0 for count in counts)
+
+
+def _sizes(path: Path) -> tuple[int, int, int]:
+    """Of the file, as its header promises, and of a page, in bytes. Source: sqlite.org/fileformat2, section 1.3."""
+    with path.open("rb") as file:
+        header = file.read(32)
+        size = file.seek(0, 2)
+    if not header.startswith(SQLITE_MAGIC) or len(header) < 32:
+        raise ValueError(f"{path}: expected a ROS 2 bag in SQLite, it does not start like one")
+    page = int.from_bytes(header[16:18], "big")
+    page = 65536 if page == 1 else page
+    return size, page * int.from_bytes(header[28:32], "big"), page
 
 
 def _storage(path: Path) -> Container:

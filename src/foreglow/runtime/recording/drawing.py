@@ -205,4 +205,3 @@ def _line(points: Floats, colour: Color) -> LinePrimitive:
         points=[Point3(x=x, y=y, z=z) for x, y, z in points.tolist()],
         color=colour,
     )
-
