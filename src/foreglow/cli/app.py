@@ -201,7 +201,11 @@ def run_frames(
     from foreglow.runtime import OutputFolder, run
 
     folder = OutputFolder(out)
-    sinks = [progress_sink(frames, limit), *make_sinks(folder)]
+    try:
+        sinks = [progress_sink(frames, limit), *make_sinks(folder)]
+    except BaseException:
+        folder.discard()
+        raise
     return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
 
 

@@ -76,8 +76,8 @@ def run(
     frames = equipped(opened(source, out, on_error, topic), files, time_offset, pose_error)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        sinks = [picture_sink(frames, results, "overlay")] if video else []
-        return [*sinks, *recording_sinks(record, source, configuration)]
+        sinks = recording_sinks(record, source, configuration)
+        return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)
 
