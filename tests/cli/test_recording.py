@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
-from tests.datasets.recordings.bags import TOPIC, images, make_bag, raw
+from tests.datasets.recordings.bags import TOPIC, images, make_bag, make_mcap, raw
 
 pytest.importorskip("foxglove")
 
@@ -55,14 +55,16 @@ def test_a_bag_by_topic(tmp_path: Path, config: Path) -> None:
 
 
 def test_a_damaged_recording(tmp_path: Path, config: Path) -> None:
-    bag = make_bag(tmp_path, "bag", [raw(image) for image in images(6)])
-    bag.write_bytes(bag.read_bytes()[: int(0.6 * bag.stat().st_size)])
-    recording = tmp_path / "drive.mcap"
-    line = complaint("record", bag, "--out", recording, "--config", config)
-    assert f"{bag}: truncated bag, its index is missing or cut; --on-error skip reads what is there" in line
-    result = foreglow_command("record", bag, "--out", recording, "--config", config, "--on-error", "skip")
-    assert result.exit_code in (0, 2)
-    assert "no such" not in result.output
+    source, recording = make_mcap(tmp_path / "cut.mcap", images(6)), tmp_path / "drive.mcap"
+    source.write_bytes(source.read_bytes()[: int(0.6 * source.stat().st_size)])
+    line = complaint("record", source, "--out", recording, "--config", config)
+    assert f"{source}: truncated recording, its end is missing; --on-error skip reads what is there" in line
+    result = foreglow_command("record", source, "--out", recording, "--config", config, "--on-error", "skip")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("3 frames, ")
+    assert "skipped, the first: " in result.stdout
+    assert foreglow_command("run", source.rename(f"{source}.partial"), "--out", tmp_path / "out").exit_code == 0
+    assert num_lines(tmp_path / "out") == 3
 
 
 def test_a_recording_is_not_its_own_source(tmp_path: Path) -> None:
