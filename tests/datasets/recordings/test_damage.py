@@ -175,3 +175,17 @@ def test_a_length_that_leads_out_of_the_file(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(ValueError, match="expected records up to the end, one of them cannot be followed"):
         list(Recording(path, topic=TOPIC))
+
+
+def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
+    """Its header has no place of an index yet."""
+    data = bytearray(_bag(tmp_path).read_bytes())
+    place = data.index(b"index_pos=") + len(b"index_pos=")
+    end = int.from_bytes(data[place : place + 8], "little")
+    data[place : place + 8] = bytes(8)
+    path = tmp_path / "drive.bag.active"
+    path.write_bytes(data[:end])
+    source = Recording(path)
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
+    with pytest.raises(ValueError, match=r"drive\.bag: truncated bag, its index is missing or cut"):
+        Recording(path.rename(tmp_path / "drive.bag"))

@@ -15,6 +15,7 @@ import pytest
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import Recording, open_source, shipped_drive
+from foreglow.datasets.recordings.mcap_file import McapFile
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.records import frame_record
 from foreglow.types import Frame, FrameResult, Proposals
@@ -312,3 +313,20 @@ def test_images_are_not_kept(tmp_path: Path) -> None:
     tracemalloc.stop()
     recorder.close()
     assert sizes[1] - sizes[0] < 50_000
+
+
+def test_health_is_handed_over_at_once(tmp_path: Path) -> None:
+    """What was wrong just before a crash is what everybody wants to know."""
+    recorder = record(tmp_path / "drive.mcap", [full_frame(0)])
+    partial = tmp_path / "drive.mcap.partial"
+    before = partial.stat().st_size
+    recorder.write_health(health_at(STEP_NS, "camera_gone"))
+    assert partial.stat().st_size > before
+    copy = tmp_path / "copy.mcap.partial"
+    copy.write_bytes(partial.read_bytes())
+    recorder.discard()
+    (frame,) = Recording(copy)
+    np.testing.assert_array_equal(frame.image, full_frame(0).image)
+    container = McapFile(copy)
+    topics = [message.topic.name for message in container.messages({"/health", "/log"}, pytest.fail)]
+    assert topics == ["/health", "/log"]
