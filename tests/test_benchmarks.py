@@ -99,6 +99,17 @@ def test_beam_commands_are_timed(tmp_path: Path) -> None:
     assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 
+def test_recordings_are_timed(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
+    from benchmarks import recording
+
+    recording.main(["--quick", "--out", str(tmp_path / "recording.json")])
+    rows = json.loads((tmp_path / "recording.json").read_text())["recording"]
+    assert {row["what"] for row in rows} == {"record", "encode PNG", "read", "decode PNG"}
+    assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+    assert all(row["megabytes_a_minute"] > 0 for row in rows if row["what"] in ("record", "encode PNG"))
+
+
 def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
     guard_sweep.main(["--quick", "--out", str(tmp_path / "sweep.json")])
     results = json.loads((tmp_path / "sweep.json").read_text())

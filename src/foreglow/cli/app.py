@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from foreglow.photometry import Headlamps
     from foreglow.reports.video import Drawing
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
+    from foreglow.runtime.health import LiveSink
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
     **dict.fromkeys(("mitsuba", "drjit"), "sim"),
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     **dict.fromkeys(("cantools", "can"), "can"),
-    **dict.fromkeys(("foxglove", "mcap", "rosbags"), "recordings"),
+    **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
     **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
     **dict.fromkeys(("joblib", "dask", "distributed"), "scale"),
     "rerun": "view",
@@ -81,7 +82,7 @@ argument = functools.partial(typer.Argument, readable=False)
 file = functools.partial(typer.Option, readable=False, metavar="FILE")
 folder = functools.partial(typer.Option, readable=False, metavar="DIR")
 
-_SOURCE_HELP = "An image, a folder of images, a video, a PVDN split (PVDN/day/val) or a PVDN sequence."
+_SOURCE_HELP = "An image, a folder of images, a video, a recording, a PVDN split (PVDN/day/val) or a PVDN sequence."
 Source = Annotated[Path, argument(metavar="SOURCE", help=_SOURCE_HELP)]
 PresetOption = Annotated[str, typer.Option(metavar="foreglow|paper|baseline", help="Parameters to start from.")]
 ModelOption = Annotated[Path | None, file(help="ONNX model that classifies the proposals; overrides the file's.")]
@@ -97,6 +98,10 @@ TimeOffsetOption = Annotated[
 ]
 PoseErrorOption = Annotated[float, typer.Option(metavar="M", help="How far the poses may be off along the road.")]
 LimitOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after N frames.")]
+TopicOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Image topic of a recording (default: its first).")
+]
+RecordOption = Annotated[Path | None, file(help="Also record all as MCAP, to replay and for Foxglove.")]
 OnErrorOption = Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")]
 
 
@@ -148,7 +153,7 @@ def size_of(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
+def opened(source: Path, out: Path, on_error: str = "stop", topic: str | None = None) -> FrameSource:
     """The frames of `source`, which must not be what the results in `out` overwrite."""
     from foreglow.datasets import open_source
     from foreglow.runtime import RESULT_NAMES
@@ -157,7 +162,18 @@ def opened(source: Path, out: Path, on_error: str = "stop") -> FrameSource:
         raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
     if source.resolve() == out.resolve() and source.is_dir():  # a picture in it would be a source of the next run
         raise ValueError(f"{out}: expected another folder for the results than the source")
-    return open_source(source, on_error=cast("OnError", on_error))
+    return open_source(source, on_error=cast("OnError", on_error), topic=topic)
+
+
+def recording_sinks(record: Path | None, source: Path, configuration: PipelineConfig) -> list[LiveSink]:
+    """The sink that records what is made of `source`, which must not be what it writes; none without a path."""
+    if record is None:
+        return []
+    from foreglow.runtime.recording import McapRecorder
+
+    if source.resolve() in (record.resolve(), record.with_name(record.name + ".partial").resolve()):
+        raise ValueError(f"{source}: expected a source that the recording {record} does not overwrite")
+    return [McapRecorder(record, config=configuration, source_name=str(source))]
 
 
 def equipped(
@@ -183,13 +199,22 @@ def run_frames(
     limit: int | None = None,
 ) -> RunSummary:
     """Runs the pipeline over `frames`, with a progress bar where there is a terminal."""
-    from foreglow.reports.progress import ProgressSink
     from foreglow.runtime import OutputFolder, run
 
     folder = OutputFolder(out)
-    num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
-    sinks = [ProgressSink(num_frames), *make_sinks(folder)]
+    try:
+        sinks = [progress_sink(frames, limit), *make_sinks(folder)]
+    except BaseException:
+        folder.discard()
+        raise
     return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
+
+
+def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:
+    """A progress bar where there is a terminal."""
+    from foreglow.reports.progress import ProgressSink
+
+    return ProgressSink(frames.num_frames if limit is None else min(limit, frames.num_frames or limit))
 
 
 def picture_sink(frames: FrameSource, folder: OutputFolder, name: str, draw: Drawing | None = None) -> ResultSink:

@@ -22,6 +22,7 @@ from foreglow.cli.app import (
     PoseErrorOption,
     PosesOption,
     TimeOffsetOption,
+    TopicOption,
     app,
     argument,
     beam_sink,
@@ -77,6 +78,7 @@ def beam(
     poses: PosesOption = None,
     time_offset: TimeOffsetOption = 0.0,
     pose_error: PoseErrorOption = 5.0,
+    topic: TopicOption = None,
     on_error: OnErrorOption = "stop",
 ) -> None:
     """Say for every frame what the headlamps shall shine: levels of all LEDs, dark gaps, and why there is low beam."""
@@ -97,7 +99,7 @@ def beam(
     else:
         pipeline, images = _pipeline(configuration), source
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(images, out, on_error), files, time_offset, pose_error)
+    frames = equipped(opened(images, out, on_error, topic), files, time_offset, pose_error)
     _check_equipment(frames, images, configuration, has_log=can_log is not None)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:

@@ -21,11 +21,14 @@ from foreglow.cli.app import (
     PoseErrorOption,
     PosesOption,
     PresetOption,
+    RecordOption,
     TimeOffsetOption,
+    TopicOption,
     app,
     configuration_of,
     file,
     folder,
+    recording_sinks,
     size_of,
 )
 from foreglow.cli.beaming import with_beam
@@ -52,10 +55,12 @@ def live(
         typer.Option(metavar="CHANNEL", help="CAN bus for the lamps: can0, or python-can's INTERFACE:CHANNEL."),
     ] = None,
     out: Annotated[Path | None, folder(help="Also write results, summary and faults to this folder.")] = None,
+    record: RecordOption = None,
     limit: LimitOption = None,
     speed: Annotated[
         float, typer.Option(metavar="X", help="Replay so many times as fast; 0 as fast as it goes, dropping nothing.")
     ] = 1.0,
+    topic: TopicOption = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size to ask a camera for.")] = None,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Rate to ask a camera for, and to expect.")] = None,
     camera_delay: Annotated[
@@ -83,6 +88,8 @@ def live(
     pose_error: PoseErrorOption = 5.0,
 ) -> None:
     """Run on SOURCE as it happens: tracks and beam commands in real time, low beam whenever something is wrong."""
+    from foreglow.runtime.can_output import CanBus
+    from foreglow.runtime.live import DriveAround
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live
 
@@ -94,8 +101,12 @@ def live(
         data = _vehicle_data(files, can_in, time_offset, pose_error, closing)
         size_px = None if size is None else size_of(size)
         options = CameraOptions(size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data)
-        opened = open_live(source, options, speed=speed or float("inf"), seed=seed, quality=quality)
-        summary = _run(opened, configuration, can, out, [], limit)
+        opened = open_live(source, options, speed=speed or float("inf"), topic=topic, seed=seed, quality=quality)
+        outputs: list[BeamOutput] = [opened] if isinstance(opened, DriveAround) else []
+        if can is not None:
+            outputs.append(CanBus(can, ramp_s=configuration.beam.restore_s))
+        sinks = recording_sinks(record, Path(source), configuration)
+        summary = _run(opened, configuration, out, outputs, sinks, limit)
     _finish(summary, out)
 
 
@@ -125,8 +136,8 @@ def _vehicle_data(
 def _run(
     source: LiveSource,
     configuration: PipelineConfig,
-    can: str | None,
     out: Path | None,
+    outputs: Sequence[BeamOutput],
     sinks: Sequence[LiveSink],
     limit: int | None,
 ) -> LiveSummary:
@@ -135,15 +146,11 @@ def _run(
     from foreglow.pipeline import Pipeline
     from foreglow.reports.live_status import LiveStatus
     from foreglow.runtime import OutputFolder
-    from foreglow.runtime.can_output import CanBus
     from foreglow.runtime.health import ResultsOnly
-    from foreglow.runtime.live import DriveAround, LiveLoop
+    from foreglow.runtime.live import LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
     from foreglow.runtime.records import FrameRecords
 
-    outputs: list[BeamOutput] = [source] if isinstance(source, DriveAround) else []
-    if can is not None:
-        outputs.append(CanBus(can, ramp_s=configuration.beam.restore_s))
     results = None if out is None else OutputFolder(out)
     takers: list[LiveSink] = [LiveStatus(), *sinks]
     if results is not None:

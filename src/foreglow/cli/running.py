@@ -21,8 +21,10 @@ from foreglow.cli.app import (
     PoseErrorOption,
     PosesOption,
     PresetOption,
+    RecordOption,
     Source,
     TimeOffsetOption,
+    TopicOption,
     app,
     argument,
     beam_sink,
@@ -32,6 +34,7 @@ from foreglow.cli.app import (
     folder,
     opened,
     picture_sink,
+    recording_sinks,
     run_frames,
 )
 
@@ -60,6 +63,8 @@ def run(
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,
+    record: RecordOption = None,
+    topic: TopicOption = None,
     limit: LimitOption = None,
     on_error: OnErrorOption = "stop",
 ) -> None:
@@ -68,10 +73,11 @@ def run(
 
     configuration = configuration_of(preset, config, model)
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(source, out, on_error), files, time_offset, pose_error)
+    frames = equipped(opened(source, out, on_error, topic), files, time_offset, pose_error)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        return [picture_sink(frames, results, "overlay")] if video else []
+        sinks: list[ResultSink] = [*recording_sinks(record, source, configuration)]
+        return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)
 

@@ -1,4 +1,7 @@
-"""Where frames come from: images, videos, PVDN; one Protocol, `FrameSource`, and `open_source` to choose by path."""
+"""Where frames come from: images, videos, recordings, PVDN.
+
+One Protocol, `FrameSource`, and `open_source` to choose by path.
+"""
 
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.download import download_pvdn
@@ -19,6 +22,7 @@ from foreglow.datasets.pvdn_schema import (
     Weather,
 )
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
+from foreglow.datasets.recordings import Recording
 from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder, split_in
@@ -41,6 +45,7 @@ __all__ = [
     "LabelledImage",
     "OnError",
     "PVDNWriter",
+    "Recording",
     "RoadType",
     "Selection",
     "Sequence",

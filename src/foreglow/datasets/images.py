@@ -57,7 +57,22 @@ def read_image(path: Path) -> Image:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
     if not data:
         raise ValueError(f"{path}: expected an image, the file is empty")
-    return _checked_size(to_grey(_decoded(data, path), str(path), order="bgr"), path)
+    return _checked_size(to_grey(_decoded(data, str(path)), str(path), order="bgr"), path)
+
+
+def decode_image(data: bytes, origin: str) -> Image:
+    """The grey image in `data`, a whole PNG or JPEG, as `read_image` has it.
+
+    Other formats are refused: their size cannot be asked for before memory is taken.
+
+    Raises:
+        ValueError: If it is neither, truncated, damaged, or of a size that is not accepted.
+    """
+    if not data.startswith((PNG_SIGNATURE, JPEG_SIGNATURE)):
+        raise ValueError(f"{origin}: expected a PNG or a JPEG, got {data[:4].hex() or 'no data'}")
+    image = to_grey(_decoded(data, origin), origin, order="bgr")
+    check_size(image.shape[0], image.shape[1], origin)
+    return image
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
@@ -137,7 +152,7 @@ def check_size(height: int, width: int, origin: str) -> None:
         )
 
 
-def _decoded(data: bytes, path: Path) -> NDArray[Any]:
+def _decoded(data: bytes, origin: str) -> NDArray[Any]:
     """What OpenCV makes of the complete image in `data`: grey or B, G, R, any depth."""
     try:
         if data.startswith(PNG_SIGNATURE):
@@ -145,14 +160,14 @@ def _decoded(data: bytes, path: Path) -> NDArray[Any]:
         elif data.startswith(JPEG_SIGNATURE):
             check_size(*jpeg_size_px(data), "header")
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{origin}: {error}") from None
     try:
         with quiet_opencv():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
-        raise ValueError(f"{path}: expected an image, cannot be decoded: {error.err or error.code}") from None
+        raise ValueError(f"{origin}: expected an image, cannot be decoded: {error.err or error.code}") from None
     if array is None:
-        raise ValueError(f"{path}: expected an image ({known_formats()}), is none, or truncated or damaged")
+        raise ValueError(f"{origin}: expected an image ({known_formats()}), is none, or truncated or damaged")
     return np.asarray(array)
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from foreglow.simulation import DatasetSummary
 
 
-def run_lines(summary: RunSummary, folder: Path) -> list[str]:
-    """What came of a run, one fact a line; the last says where to look."""
+def run_lines(summary: RunSummary, out: Path) -> list[str]:
+    """What came of a run into the folder or the recording `out`, one fact a line; the last says where to look."""
     found = f"{_counted(summary.num_frames, 'frame')}, {_counted(summary.num_proposals, 'proposal')}"
     if summary.num_accepted is not None:
         found += f", {_counted(summary.num_accepted, 'light artifact')}"
@@ -36,11 +36,14 @@ def run_lines(summary: RunSummary, folder: Path) -> list[str]:
     if summary.beam is not None:
         lines += beam_lines(summary.beam, summary.num_frames)
     if summary.num_skipped:
-        lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, listed in summary.json")
+        listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
+        lines.append(f"{_counted(summary.num_skipped, 'unreadable frame')} skipped, {listed}")
     if not summary.is_complete:
         lines.append("interrupted: the results are complete up to there")
-    names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
-    return [*lines, f"look in {folder}: {', '.join(names)}"]
+    if not out.is_dir():
+        return [*lines, f"look at {out}, such as in Foxglove"]
+    names = [path.name for path in sorted(out.iterdir()) if path.is_file()]
+    return [*lines, f"look in {out}: {', '.join(names)}"]
 
 
 def beam_lines(beam: BeamSummary, num_frames: int) -> list[str]:

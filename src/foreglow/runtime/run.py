@@ -66,13 +66,13 @@ class InterruptFlag:
 def run(
     source: FrameSource,
     pipeline: Stepper,
-    folder: OutputFolder,
+    folder: OutputFolder | None,
     *,
     sinks: Sequence[ResultSink] = (),
     limit: int | None = None,
     source_name: str = "",
 ) -> RunSummary:
-    """Runs `pipeline` over `source` and writes `frames.jsonl`, `config.toml` and `summary.json` into `folder`.
+    """Runs `pipeline` over `source` and writes `frames.jsonl`, `config.toml` and `summary.json` into `folder`, if any.
 
     After a first Ctrl-C the results so far are completed and published, and the summary says
     `is_complete: false`. After any error, and after a second Ctrl-C, nothing of this run remains and an older
@@ -81,7 +81,7 @@ def run(
     Args:
         source: The frames.
         pipeline: What makes results of them; it is reset at the start of each sequence.
-        folder: Where the results go; sinks that write files write to its `partial` names.
+        folder: Where the results go; sinks that write files write to its `partial` names. None for sinks alone.
         sinks: Further takers of the results.
         limit: Stop after this many frames; None runs all of them.
         source_name: What the summary calls the source; empty takes its own name.
@@ -94,7 +94,8 @@ def run(
     tally = Tally()
     takers: list[ResultSink] = list(sinks)
     try:
-        takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
+        if folder is not None:
+            takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
         sequence: str | None = None
         with InterruptFlag() as interrupt:
             for frame in itertools.islice(source, limit):
@@ -112,12 +113,14 @@ def run(
             for taker in takers:
                 taker.close()
         summary = tally.summary(source_name or source.name, source.skipped, pipeline, is_complete=not interrupt.is_set)
-        folder.write_text("config.toml", config_to_toml(pipeline.config))
-        folder.write_text("summary.json", summary.to_json())
-        folder.publish()
+        if folder is not None:
+            folder.write_text("config.toml", config_to_toml(pipeline.config))
+            folder.write_text("summary.json", summary.to_json())
+            folder.publish()
     except BaseException:
         for taker in takers:
             taker.discard()
-        folder.discard()
+        if folder is not None:
+            folder.discard()
         raise
     return summary

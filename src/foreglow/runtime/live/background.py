@@ -52,22 +52,13 @@ class Background:
         self._put(lambda: self.sink.write_health(health))
 
     def close(self) -> None:
-        """Waits until all is written, and completes it; a sink that had failed lets go of what it wrote."""
+        """Waits until all is written, and completes it, as far as that goes."""
         self._waiting.put(None)
         self._thread.join()
-        if self.error is None:
-            try:
-                self.sink.close()
-            except Exception as error:
-                self.error = error
-        if self.error is not None:
-            self.sink.discard()
-
-    def discard(self) -> None:
-        """Lets go of all that was written."""
-        self._waiting.put(None)
-        self._thread.join()
-        self.sink.discard()
+        try:
+            self.sink.close()
+        except Exception as error:
+            self.error = self.error or error
 
     def _put(self, call: Callable[[], None]) -> bool:
         if self.error is not None:

@@ -13,7 +13,13 @@ from foreglow.simulation import read_scene, scenario
 
 
 def open_live(
-    text: str, camera: CameraOptions, *, speed: float = 1.0, seed: int = 0, quality: str = "training"
+    text: str,
+    camera: CameraOptions,
+    *,
+    speed: float = 1.0,
+    topic: str | None = None,
+    seed: int = 0,
+    quality: str = "training",
 ) -> LiveSource:
     """The live source called `text`.
 
@@ -25,6 +31,7 @@ def open_live(
         text: What the user names.
         camera: How a camera or a stream is read; its vehicle data are put beside replayed frames, too.
         speed: Replayed so many times as fast; infinite for as fast as it goes, without dropping a frame.
+        topic: Of a recording: the images' topic; None for the first.
         seed: Of a drawn scenario.
         quality: How finely a drive is rendered.
 
@@ -42,5 +49,5 @@ def open_live(
     if kind == "simulate":
         scene = read_scene(Path(rest)) if rest.endswith(".toml") else scenario(rest, seed)
         return DriveAround(scene, quality)
-    frames = open_source(text)
+    frames = open_source(text, topic=topic)
     return Paced(frames if camera.data is None else Equipped(frames, camera.data), speed)

@@ -1,0 +1,125 @@
+"""Numbers, texts and bytes in a buffer, one after another; never beyond its end, and nothing is copied."""
+
+from __future__ import annotations
+
+import struct
+from typing import Literal, TypeAlias
+
+Format: TypeAlias = Literal["B", "H", "I", "Q", "i"]
+"""As in `struct`: unsigned of 1, 2, 4 and 8 bytes; signed of 4."""
+
+
+class Cursor:
+    """Reads a buffer from its start.
+
+    The base of the formats: MCAP and ROS 1 put the fields one behind the other, little-endian, a text behind its
+    length. Every method takes the name of the field for its message.
+
+    Raises:
+        ValueError: If a field does not fit into the buffer, or a text is not UTF-8; the message starts with the field.
+    """
+
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self._place = 0
+        self._order = "<"
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether all was read."""
+        return self._place >= len(self._data)
+
+    def take(self, count: int, field: str) -> memoryview:
+        """The next `count` bytes."""
+        end = self._place + count
+        if end > len(self._data):
+            raise ValueError(f"{field}: expected {count} bytes, the data end after {len(self._data) - self._place}")
+        taken, self._place = self._data[self._place : end], end
+        return taken
+
+    def rest(self) -> memoryview:
+        """All bytes that are left."""
+        return self.take(len(self._data) - self._place, "rest")
+
+    def number(self, kind: Format, field: str) -> int:
+        """The next whole number."""
+        (value,) = struct.unpack(self._order + kind, self.take(struct.calcsize(kind), field))
+        return int(value)
+
+    def text(self, field: str) -> str:
+        """The next text."""
+        return text_of(self.block(field), field)
+
+    def block(self, field: str) -> memoryview:
+        """The next bytes, behind their number of 4 bytes."""
+        return self.take(self.number("I", field), field)
+
+
+class CdrCursor(Cursor):
+    """Reads a message of ROS 2: numbers at multiples of their size, a text ends with a zero byte.
+
+    Source: OMG Common Data Representation, version 1, with the encapsulation header of RTPS.
+    """
+
+    def __init__(self, data: memoryview) -> None:
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise ValueError(f"header: expected plain CDR (0000 or 0001), got {bytes(data[:2]).hex() or 'nothing'}")
+        super().__init__(data[4:])
+        self._order = "<" if data[1] else ">"
+
+    def number(self, kind: Format, field: str) -> int:
+        """The next whole number, after what fills the gap before it."""
+        self.take(-self._place % struct.calcsize(kind), field)
+        return super().number(kind, field)
+
+    def text(self, field: str) -> str:
+        """The next text."""
+        return super().text(field).removesuffix("\0")
+
+
+def protobuf_fields(data: memoryview) -> dict[int, int | memoryview]:
+    """The fields of a protobuf message by number, each its last value: numbers unsigned, the rest as bytes.
+
+    Raises:
+        ValueError: If the message cannot be followed.
+
+    Source: protobuf.dev, Encoding.
+    """
+    cursor, fields = Cursor(data), dict[int, int | memoryview]()
+    while not cursor.is_at_end:
+        key = _varint(cursor)
+        number, kind = key >> 3, key & 7
+        field = f"field {number}"
+        if kind == 0:
+            fields[number] = _varint(cursor)
+        elif kind == 1:
+            fields[number] = cursor.number("Q", field)
+        elif kind == 2:
+            fields[number] = cursor.take(_varint(cursor), field)
+        elif kind == 5:
+            fields[number] = cursor.number("I", field)
+        else:
+            raise ValueError(f"{field}: expected a wire type of 0, 1, 2 or 5, got {kind}")
+    return fields
+
+
+def text_of(data: memoryview, field: str) -> str:
+    """The UTF-8 text in `data`.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    try:
+        return str(data, "utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{field}: expected UTF-8 text, got {bytes(data[:20])!r}") from None
+
+
+def _varint(cursor: Cursor) -> int:
+    value = 0
+    for place in range(10):
+        byte = cursor.number("B", "varint")
+        value |= (byte & 0x7F) << (7 * place)
+        if byte < 0x80:
+            return value
+    raise ValueError("varint: expected at most 10 bytes")

@@ -1,0 +1,113 @@
+"""`record`, `run --record`, and runs on recordings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.datasets import shipped_drive
+from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
+from tests.datasets.recordings.bags import TOPIC, images, make_bag, make_mcap, raw
+
+pytest.importorskip("foxglove")
+
+
+def records(out: Path) -> list[dict[str, Any]]:
+    """What a run says of its frames, without the times that it took."""
+    found = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
+    for one in found:
+        del one["stage_ms"]
+    return found
+
+
+def test_a_recorded_drive_runs_again_with_the_same_results(tmp_path: Path) -> None:
+    recording, first, second = tmp_path / "drive.mcap", tmp_path / "first", tmp_path / "second"
+    result = foreglow_command("run", shipped_drive(), "--out", first, "--record", recording, "--limit", 8)
+    assert result.exit_code == 0, result.output
+    assert names(first) == RESULTS
+    result = foreglow_command("run", recording, "--out", second)
+    assert result.exit_code == 0, result.output
+    assert records(second) == records(first)
+    assert records(first)[0]["sequence"] == "S00001"
+    again = tmp_path / "again.mcap"
+    result = foreglow_command("record", recording, "--out", again)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("8 frames, ")
+    assert f"look at {again}, such as in Foxglove" in result.stdout
+    assert names(tmp_path) == {"drive.mcap", "again.mcap", "first", "second"}
+
+
+def test_a_bag_by_topic(tmp_path: Path, config: Path) -> None:
+    bag, out = make_bag(tmp_path, "bag", [raw(image) for image in images(3)]), tmp_path / "out"
+    result = foreglow_command("run", bag, "--out", out, "--config", config, "--topic", TOPIC, "--limit", 2)
+    assert result.exit_code == 0, result.output
+    assert num_lines(out) == 2
+    line = complaint("run", bag, "--out", out, "--topic", "/other")
+    assert "expected the topic /other with images" in line
+    assert f"found /chatter (std_msgs/String), {TOPIC} (sensor_msgs/Image)" in line
+    assert "expected a recording, as a topic was named" in complaint(
+        "run", shipped_drive(), "--out", out, "--topic", "/a"
+    )
+
+
+def test_a_damaged_recording(tmp_path: Path, config: Path) -> None:
+    source, recording = make_mcap(tmp_path / "cut.mcap", images(6)), tmp_path / "drive.mcap"
+    source.write_bytes(source.read_bytes()[: int(0.6 * source.stat().st_size)])
+    line = complaint("record", source, "--out", recording, "--config", config)
+    assert f"{source}: truncated recording, its end is missing; --on-error skip reads what is there" in line
+    result = foreglow_command("record", source, "--out", recording, "--config", config, "--on-error", "skip")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("3 frames, ")
+    assert "skipped, the first: " in result.stdout
+    assert foreglow_command("run", source.rename(f"{source}.partial"), "--out", tmp_path / "out").exit_code == 0
+    assert num_lines(tmp_path / "out") == 3
+
+
+def test_a_recording_is_not_its_own_source(tmp_path: Path) -> None:
+    recording = tmp_path / "drive.mcap"
+    assert foreglow_command("record", shipped_drive(), "--out", recording, "--limit", 2).exit_code == 0
+    for arguments in (
+        ("record", recording, "--out", recording),
+        ("run", recording, "--out", tmp_path, "--record", recording),
+    ):
+        assert f"expected a source that the recording {recording} does not overwrite" in complaint(*arguments)
+    assert names(tmp_path) == {"drive.mcap"}
+
+
+def test_paths_that_cannot_be(tmp_path: Path, folder: Path) -> None:
+    out = tmp_path / "out"
+    for line in (
+        complaint("record", folder, "--out", tmp_path / "drive.bag"),
+        complaint("run", folder, "--out", out, "--record", tmp_path / "drive.bag"),
+    ):
+        assert "drive.bag: expected a recording that ends in .mcap" in line
+    assert "No such file or directory" in complaint("record", folder, "--out", tmp_path / "absent" / "drive.mcap")
+    assert names(tmp_path) == {"images"}
+
+
+def test_a_run_that_fails_leaves_no_recording(tmp_path: Path, folder: Path, config: Path) -> None:
+    (folder / "000001.png").write_bytes(b"")
+    line = complaint("record", folder, "--out", tmp_path / "drive.mcap", "--config", config)
+    assert "000001.png: expected an image, the file is empty" in line
+    assert names(tmp_path) == {"images", "reference.toml"}
+    result = foreglow_command(
+        "record", folder, "--out", tmp_path / "drive.mcap", "--config", config, "--on-error", "skip"
+    )
+    assert result.exit_code == 0
+    assert "1 unreadable frame skipped, the first: " in result.stdout
+
+
+def test_without_the_packages(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = tmp_path / "drive.mcap"
+    assert foreglow_command("record", shipped_drive(), "--out", recording, "--limit", 1).exit_code == 0
+    for name in [name for name in sys.modules if name.startswith("foreglow.runtime.recording")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("foxglove", "zstandard"):
+        monkeypatch.setitem(sys.modules, name, None)
+    needs = "is not installed; this command needs: pip install 'foreglow[recordings]'"
+    assert f"foxglove {needs}" in complaint("record", folder, "--out", tmp_path / "other.mcap")
+    assert f"zstandard {needs}" in complaint("run", recording, "--out", tmp_path / "out")
