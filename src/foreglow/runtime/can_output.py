@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.files import naming, open_atomic
+from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
 
 if TYPE_CHECKING:
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """Vector's text and binary logs, and candump's."""
 
-PAUSE_NS = 1_000_000_000
-"""Between two sequences in a log."""
-
 SEND_TIMEOUT_S = 0.02
 """A bus that does not take a frame for so long is not to be waited for."""
 
@@ -29,8 +27,8 @@ SEND_TIMEOUT_S = 0.02
 class CanLogSink:
     """Writes the commands into a log, each frame at the time of its image; the log appears whole, or not at all.
 
-    An .asc log counts its times from the first frame. A sequence whose times do not go on from those of the one before
-    follows `PAUSE_NS` after it, in the messages, too: in a log, time only goes forward.
+    An .asc log counts its times from the first frame. Sequences follow each other as on a `TimeAxis`, in the messages,
+    too: in a log, time only goes forward.
     """
 
     def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = 0.0, has_levels: bool = True) -> None:
@@ -53,9 +51,7 @@ class CanLogSink:
         if kind not in LOG_SUFFIXES:
             raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {kind!r}")
         self._path = path
-        self._sequence = ""
-        self._latest_ns: int | None = None
-        self._shift_ns = 0
+        self._axis = TimeAxis()
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
         self._closing = contextlib.ExitStack()
         file: Any = self._closing.enter_context(open_atomic(path))
@@ -73,19 +69,11 @@ class CanLogSink:
             ValueError: If the command is not for lamps of 84 LEDs.
         """
         if result.beam is not None:
-            time_ns = self._time_ns(frame)
+            time_ns = self._axis.time_ns(frame)
             beam = dataclasses.replace(result.beam, timestamp_ns=time_ns)
             with naming(self._path):
                 for message in _messages(self._encoder.frames(beam), time_ns):
                     self._log(message)
-
-    def _time_ns(self, frame: Frame) -> int:
-        """The frame's time in the log."""
-        if self._latest_ns is not None and frame.sequence != self._sequence:
-            self._shift_ns = max(0, self._latest_ns + PAUSE_NS - frame.timestamp_ns)
-        self._sequence = frame.sequence
-        self._latest_ns = frame.timestamp_ns + self._shift_ns
-        return self._latest_ns
 
     def close(self) -> None:
         """Completes the log.
