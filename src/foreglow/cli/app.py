@@ -188,7 +188,11 @@ def run_frames(
 
     folder = OutputFolder(out)
     num_frames = frames.num_frames if limit is None else min(limit, frames.num_frames or limit)
-    sinks = [ProgressSink(num_frames), *make_sinks(folder)]
+    try:
+        sinks = [ProgressSink(num_frames), *make_sinks(folder)]
+    except BaseException:
+        folder.discard()
+        raise
     return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
 
 

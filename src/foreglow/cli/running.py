@@ -34,6 +34,7 @@ from foreglow.cli.app import (
     picture_sink,
     run_frames,
 )
+from foreglow.cli.viewing import SaveOption, ViewOption, lux_as_driven, viewer_sinks
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -60,6 +61,8 @@ def run(
     video: Annotated[
         bool, typer.Option("--video", help="Also write annotated pictures: MP4, or PNG of one image.")
     ] = False,
+    view: ViewOption = False,
+    save: SaveOption = None,
     limit: LimitOption = None,
     on_error: OnErrorOption = "stop",
 ) -> None:
@@ -68,10 +71,12 @@ def run(
 
     configuration = configuration_of(preset, config, model)
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(source, out, on_error), files, time_offset, pose_error)
+    plain = opened(source, out, on_error)
+    frames = equipped(plain, files, time_offset, pose_error)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        return [picture_sink(frames, results, "overlay")] if video else []
+        sinks: list[ResultSink] = [*viewer_sinks(view, save, configuration, lux_as_driven(plain))]
+        return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)
 

@@ -22,8 +22,8 @@ DISTANCES_M = (25.0, 50.0, 100.0, 150.0, 200.0)
 ARC_STEP_RAD = math.radians(1.0)
 """Between the corners of an arc, at most."""
 
-ARC_HALF_RAD = math.radians(20.0)
-"""How far the arcs of distance reach to either side: about the camera's view."""
+ARC_HALF_RAD = math.radians(12.0)
+"""How far the arcs of distance reach to either side: so far that they are whole where the viewer opens."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -42,7 +42,7 @@ def blueprint(*, has_lux: bool, window_s: float | None = None) -> rrb.Blueprint:
             origin=f"plots/{name}",
             name=title,
             time_ranges=ranges,
-            plot_legend=rrb.PlotLegend(visible=name in ("lux", "ms")),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=name in ("lux", "ms")),
         )
         for name, title in PLOTS.items()
         if has_lux or name != "lux"
@@ -64,7 +64,12 @@ def blueprint(*, has_lux: bool, window_s: float | None = None) -> rrb.Blueprint:
         line_grid=rrb.LineGrid3D(visible=False),
     )
     return rrb.Blueprint(
-        rrb.Horizontal(camera, birds_eye, rrb.Vertical(*plots), column_shares=[5.0, 3.0, 3.0]),
+        rrb.Horizontal(
+            camera,
+            birds_eye,
+            rrb.Vertical(*plots, row_shares=[1.6 if one.origin == "plots/ms" else 1.0 for one in plots]),
+            column_shares=[5.0, 3.0, 3.0],
+        ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),

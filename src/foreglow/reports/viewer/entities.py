@@ -21,7 +21,16 @@ from foreglow.reports.beam_view import (
     MODES,
     gap_outline_px,
 )
-from foreglow.reports.overlay import ACCEPTED_BGR, PROPOSAL_BGR, REJECTED_BGR, TRACK_BGR, range_text
+from foreglow.reports.overlay import (
+    ACCEPTED_BGR,
+    PROPOSAL_BGR,
+    REJECTED_BGR,
+    TRACK_BGR,
+    Colour,
+    Rectangle,
+    place_label,
+    range_text,
+)
 from foreglow.reports.tone import Tone
 from foreglow.reports.viewer.birds_eye import (
     ARC_HALF_RAD,
@@ -45,6 +54,9 @@ THIN_PX, BOLD_PX = 0.75, 1.5
 MARGIN_PX = 4.0
 """How far outside its edge a box is drawn, so that it does not cover the light; tracks twice as far."""
 
+LETTER_SHARES = 0.0105, 0.036
+"""Width of a letter and height of a line of the viewer's words, as shares of the image's width where it opens."""
+
 GAP_OPACITY = 70
 """Of the filled sectors, of 255."""
 
@@ -58,7 +70,7 @@ CAR_HALF_M, CAR_CENTRE_M = (2.3, 0.9, 0.7), (1.4, 0.0, 0.7)
 def fixed_entities() -> Entities:
     """What stays: the arcs of distance, our car, and what modes of the beam look like."""
     arcs = [_flat(arc_m(distance_m, -ARC_HALF_RAD, ARC_HALF_RAD), "road") for distance_m in DISTANCES_M]
-    ends = [_flat(arc[-1:, :2], "road")[0] for arc in arcs]
+    ends = [arc[0] for arc in arcs]
     labels = [f"{distance_m:.0f} m" for distance_m in DISTANCES_M]
     names = {mode: mode.name.lower() for mode in MODES}
     values = [names[mode] for mode in MODES]
@@ -86,43 +98,70 @@ def image_entity(frame: Frame, tone: Tone, jpeg_quality: int | None) -> Entity:
 
 
 def box_entities(proposals: Proposals, detections: Detections | None) -> Entities:
-    """Proposals, thin, amber where nothing classified them and grey where they were rejected; detections bold, green."""
+    """Proposals thin, amber where nothing classified them and grey where they were rejected; detections bold, green."""
     if detections is None:
         return [("camera/proposals", _boxes(proposals.boxes_xyxy_px, PROPOSAL_BGR, THIN_PX))]
     accepted = detections.is_accepted
-    labels = [f"{score:.2f}" for score in detections.scores[accepted].tolist()]
     return [
         ("camera/proposals", _boxes(detections.boxes_xyxy_px[~accepted], REJECTED_BGR, THIN_PX)),
-        ("camera/detections", _boxes(detections.boxes_xyxy_px[accepted], ACCEPTED_BGR, BOLD_PX, labels)),
+        ("camera/detections", _boxes(detections.boxes_xyxy_px[accepted], ACCEPTED_BGR, BOLD_PX)),
     ]
 
 
 def track_entity(tracks: Tracks) -> Entity:
-    """The tracks in the image: bold where confirmed, thin where they coast, grey and without words while tentative."""
+    """The tracks in the image: bold where confirmed, thin where they coast, thin and grey while they are tentative."""
     boxes = rr.Boxes2D(
         array=_grown(tracks.boxes_xyxy_px, 2.0 * MARGIN_PX),
         array_format=rr.Box2DFormat.XYXY,
         colors=_track_colours(tracks),
         radii=_track_radii(tracks),
-        labels=[track_words(tracks, place) for place in range(len(tracks))],
-        show_labels=True,
     )
     return "camera/tracks", boxes
 
 
+def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | None) -> Entity:
+    """What the boxes are, beside them, where it covers least: words of the plausible tracks, scores of detections."""
+    named: list[tuple[NDArray[Any], str, Colour]] = []
+    if tracks is not None:
+        for place in np.flatnonzero(tracks.is_plausible).tolist():
+            box = _grown(tracks.boxes_xyxy_px[place], 2.0 * MARGIN_PX)
+            named.append((box, track_words(tracks, place), TRACK_BGR))
+    if detections is not None:
+        boxes = _grown(detections.accepted_boxes_xyxy_px, MARGIN_PX)
+        scores = detections.scores[detections.is_accepted].tolist()
+        named += [(box, f"{score:.2f}", ACCEPTED_BGR) for box, score in zip(boxes, scores, strict=True)]
+    letter_px, line_px = (share * frame.width_px for share in LETTER_SHARES)
+    rectangles: list[Rectangle] = []
+    for box, _, _ in named:
+        x1, y1, x2, y2 = np.rint(box).astype(int).tolist()
+        rectangles.append((x1, y1, x2, y2))
+    taken, places = list(rectangles), []
+    for rectangle, (_, words, _) in zip(rectangles, named, strict=True):
+        label_px = round(letter_px * len(words)), round(line_px)
+        label = place_label(rectangle, label_px, taken, (frame.width_px, frame.height_px))
+        taken.append(label)
+        places.append((0.5 * (label[0] + label[2]), 0.5 * (label[1] + label[3])))
+    points = rr.Points2D(
+        np.reshape(places, (-1, 2)),
+        labels=[words for _, words, _ in named],
+        colors=[_rgb(colour) for _, _, colour in named],
+        radii=0.0,
+        show_labels=True,
+    )
+    return "camera/words", points
+
+
 def track_words(tracks: Tracks, place: int) -> str:
-    """Number, range and standard deviation, whether it is a lamp itself, and its state; empty while it is tentative.
+    """Number, range and standard deviation, whether it is a lamp itself, and its state unless it is confirmed.
 
     Such as `#3 85+-12 m, indirect, coasting`.
     """
-    if tracks.states[place] == TrackState.TENTATIVE:
-        return ""
     words = [f"#{tracks.ids[place]}{range_text(tracks.ranges_m[place], tracks.sigmas_m[place])}"]
     direct = float(tracks.direct_probabilities[place])
     if not np.isnan(direct):
         words.append("direct" if direct > 0.5 else "indirect")
-    if tracks.states[place] == TrackState.COASTING:
-        words.append("coasting")
+    if tracks.states[place] != TrackState.CONFIRMED:
+        words.append(TrackState(tracks.states[place]).name.lower())
     return ", ".join(words)
 
 
@@ -138,7 +177,7 @@ def map_entities(frame: Frame, tracks: Tracks | None, beam: BeamCommand | None, 
         radii = rr.Radius.ui_points(_track_radii(tracks))
         entities.append(("map/tracks", rr.LineStrips3D(strips, colors=_track_colours(tracks), radii=radii)))
         is_placed = tracks.is_plausible & np.isfinite(bars.places_m).all(axis=1)
-        words = [track_words(tracks, place) for place in np.flatnonzero(is_placed)]
+        words = [track_words(tracks, place) for place in np.flatnonzero(is_placed).tolist()]
         places = _named_places(_flat(bars.places_m[is_placed], "tracks"), words, TRACK_BGR, radius=4.0)
         entities.append(("map/tracks/places", places))
     if beam is not None:
@@ -201,7 +240,7 @@ def log_entity(text: str, *, is_fault: bool) -> Entity:
     return "log", rr.TextLog(text, level=level, color=_rgb(FAULT_BGR if is_fault else EDGE_BGR))
 
 
-def _rgb(colour_bgr: tuple[int, int, int]) -> tuple[int, int, int]:
+def _rgb(colour_bgr: Colour) -> Colour:
     blue, green, red = colour_bgr
     return red, green, blue
 
@@ -210,18 +249,12 @@ def _grown(boxes: NDArray[Any], margin_px: float) -> Floats:
     return np.asarray(boxes, np.float64) + margin_px * np.array([-1.0, -1.0, 1.0, 1.0])
 
 
-def _boxes(boxes: NDArray[Any], colour: tuple[int, int, int], radius: float, labels: list[str] | None = None) -> Any:
-    return rr.Boxes2D(
-        array=_grown(boxes, MARGIN_PX),
-        array_format=rr.Box2DFormat.XYXY,
-        colors=_rgb(colour),
-        radii=radius,
-        labels=labels,
-        show_labels=labels is not None,
-    )
+def _boxes(boxes: NDArray[Any], colour: Colour, radius: float) -> Any:
+    box_format = rr.Box2DFormat.XYXY
+    return rr.Boxes2D(array=_grown(boxes, MARGIN_PX), array_format=box_format, colors=_rgb(colour), radii=radius)
 
 
-def _track_colours(tracks: Tracks) -> list[tuple[int, int, int]]:
+def _track_colours(tracks: Tracks) -> list[Colour]:
     return [_rgb(TRACK_BGR if plausible else REJECTED_BGR) for plausible in tracks.is_plausible.tolist()]
 
 
@@ -229,7 +262,7 @@ def _track_radii(tracks: Tracks) -> list[float]:
     return [BOLD_PX if state == TrackState.CONFIRMED else THIN_PX for state in tracks.states.tolist()]
 
 
-def _named_places(points_m: Floats, words: list[str], colour: tuple[int, int, int], radius: float = 0.0) -> Any:
+def _named_places(points_m: Floats, words: list[str], colour: Colour, radius: float = 0.0) -> Any:
     radii = rr.Radius.ui_points(radius)
     return rr.Points3D(points_m, labels=words, colors=_rgb(colour), radii=radii, show_labels=True)
 

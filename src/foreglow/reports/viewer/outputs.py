@@ -74,8 +74,8 @@ class RrdFile:
         Raises:
             OSError: If it cannot be written; the message names the path.
         """
-        if path.is_dir():
-            raise IsADirectoryError(f"{path}: expected a file to write, got a folder")
+        if path.exists() and not path.is_file():  # a device, too, must not be replaced
+            raise OSError(f"{path}: expected a file to write, got something else")
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         self._num_logs = 0
@@ -171,7 +171,7 @@ class ViewerWindow:
             start_new_session=True,  # Ctrl-C ends the run, not the window
         )
         self._stream = _stream()
-        self._parcels = self._stream.binary_stream()
+        self._parcels = self._stream.binary_stream()  # type: ignore[misc]  # its own annotation is broken
         self._stream.send_blueprint(blueprint)
         self._thread = threading.Thread(target=self._feed, name="viewer", daemon=True)
         self._thread.start()

@@ -21,6 +21,7 @@ from foreglow.reports.viewer.entities import (
     log_entity,
     map_entities,
     track_entity,
+    word_entity,
 )
 from foreglow.reports.viewer.outputs import Output
 from foreglow.runtime.health import Health
@@ -30,7 +31,7 @@ from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 LuxOf: TypeAlias = Callable[[Frame], Mapping[str, float]]
 """Says how much of our light is at other drivers' eyes in a frame, lux, by what the drivers are called."""
 
-JPEG_QUALITY = 85
+JPEG_QUALITY = 75
 
 SHIPPED_COLUMNS = 28
 """LEDs in a row of the lamps that ship."""
@@ -40,7 +41,7 @@ PER_SEQUENCE = ("camera", "map", "lamps", "plots", "states")
 
 
 class RerunSink:
-    """Shows every frame and what the pipeline made of it; in the house of the window and the file that it is given.
+    """Shows every frame and what the pipeline made of it, in a window, a file or both.
 
     Sequences follow each other as on a `TimeAxis`; each starts with nothing shown.
     """
@@ -92,6 +93,7 @@ class RerunSink:
         if result.tracks is not None:
             entities.append(track_entity(result.tracks))
             entities += self._track_plots(result.tracks)
+        entities.append(word_entity(frame, result.detections, result.tracks))
         entities += map_entities(frame, result.tracks, result.beam, self._caster)
         if result.beam is not None:
             entities += lamp_entities(result.beam, self._num_columns)
