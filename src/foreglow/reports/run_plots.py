@@ -160,7 +160,7 @@ def _draw_beam(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> No
         axes.fill_between([begin, end], right_deg, left_deg, color="#222222", alpha=0.8, linewidth=0)
     axes.set_ylabel("gaps, degrees\nto the left", fontsize=8)
     axes.set_ylim(-30.0, 30.0)
-    axes.legend(frameon=False, fontsize=7, loc="upper left", ncols=3)
+    axes.legend(frameon=False, fontsize=7, loc="lower left", ncols=3)
 
 
 def _draw_leds(axes: Any, results: Sequence[FrameResult], times_s: Floats, num_columns: int) -> None:

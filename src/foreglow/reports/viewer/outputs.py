@@ -25,7 +25,7 @@ Entities: TypeAlias = Sequence[tuple[str, Any]]
 LOGS_PER_CHECK = 32
 """Between two looks at whether the file can still be written."""
 
-NUM_WAITING = 32
+NUM_WAITING = 16
 """Parcels of 0.2 s that may wait for the window."""
 
 FIRST_DATE_NS = 10**17
@@ -233,6 +233,8 @@ class ViewerWindow:
             self._waiting.put(None, timeout=patience_s)
         self._thread.join(patience_s)
         self._stream.disconnect()
+        if self._process.poll() is None:
+            self._process.returncode = 0  # it is the user's now: nobody waits for it
 
 
 def viewer_command() -> list[str]:

@@ -103,7 +103,8 @@ class RerunSink:
             entities += self._note_faults("low beam", result.beam.faults)
         entities += [(f"plots/ms/{stage}", rr.Scalars(ms)) for stage, ms in _stage_times(result.stage_ms).items()]
         if self._lux_of is not None:
-            entities += [(f"plots/lux/{name}", rr.Scalars(lux)) for name, lux in self._lux_of(frame).items()]
+            for name, lux in self._lux_of(frame).items():
+                entities.append((f"plots/lux/{rr.escape_entity_path_part(name)}", rr.Scalars(lux)))
         self._log(self._axis.time_ns(frame), frame.frame, entities)
 
     def write_health(self, health: Health) -> None:
@@ -156,10 +157,8 @@ class RerunSink:
         self._faults[origin] = faults
         words = fault_words(faults)
         text = f"{origin}: {words}" if faults else f"{origin}: no faults any more"
-        return [
-            log_entity(text, is_fault=bool(faults)),
-            (f"states/{origin}", rr.StateChange(state=words or None)),
-        ]
+        state = (f"states/{rr.escape_entity_path_part(origin)}", rr.StateChange(state=words or None))
+        return [log_entity(text, is_fault=bool(faults)), state]
 
     def _log(self, time_ns: int, number: int | None, entities: Sequence[Entity]) -> None:
         for output in self._outputs:
