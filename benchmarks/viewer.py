@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -41,13 +42,13 @@ def measure(frames: Sequence[Frame], rate_hz: float, rounds: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(rounds + 1):
             pipeline.reset()
-            results, step_ms = zip(*(_timed(lambda one=one: pipeline.step(one)) for one in frames), strict=True)
+            results, step_ms = zip(*(_timed(partial(pipeline.step, one)) for one in frames), strict=True)
             samples[STEP].append(list(step_ms))
             for name, quality in QUALITIES.items():
                 path = Path(folder) / "run.rrd"
                 sink = RerunSink([RrdFile(path, blueprint(has_lux=False))], jpeg_quality=quality)
                 pairs = list(zip(frames, results, strict=True))
-                samples[name].append([_timed(lambda pair=pair: sink.write(*pair))[1] for pair in pairs])
+                samples[name].append([_timed(partial(sink.write, *pair))[1] for pair in pairs])
                 sink.close()
                 megabytes[name] = path.stat().st_size / 1e6
     times = {name: RunTimes(np.array(its[1:])) for name, its in samples.items()}  # the first round warms up

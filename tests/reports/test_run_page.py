@@ -149,7 +149,7 @@ def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
         (tmp_path / name).write_bytes((shipped / name).read_bytes())
     (tmp_path / "frames.jsonl").write_text(frames.read_text().replace('"timestamp_ns":', '"timestamp_ns":1'))
     page = Page(write_report(tmp_path))
-    assert "has other frames now." in page.text
+    assert "expected the frames of the run, there are others now." in page.text
     assert page.pictures("jpeg") == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import PipelineConfig, read_config
+from foreglow.datasets import PVDN, open_source
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.evaluation.predictions import FrameLine, Number, frame_lines
-from foreglow.evaluation.track_file import ResultLine, recorded_result
-from foreglow.types import BeamCommand, BeamMode, FrameResult
+from foreglow.evaluation.track_file import ResultLine, recorded_result, source_of_run
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
 
 
 class FaultRecord(Record):
@@ -113,6 +114,29 @@ def read_run(folder: Path) -> RecordedRun:
         result = dataclasses.replace(result, beam=beam, stage_ms=times.get(line.frame, {}))
         sequences.setdefault(line.sequence, []).append(result)
     return RecordedRun(folder, summary, config, {name: tuple(results) for name, results in sequences.items()})
+
+
+def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int, Frame]:
+    """By number, the frames that these results of the run were made of.
+
+    Raises:
+        FileNotFoundError: If the run's frames are no longer where they were.
+        ValueError: If they cannot be read, or there are others now.
+    """
+    wanted = {one.frame: one.timestamp_ns for one in results}
+    source = open_source(source_of_run(run.folder), on_error="skip")
+    frames: dict[int, Frame] = {}
+    if isinstance(source, PVDN):
+        frames = {number: source.read(number) for number in sorted(wanted)}
+    else:
+        for frame in source:
+            if frame.frame in wanted:
+                frames[frame.frame] = frame
+            if len(frames) == len(wanted):
+                break
+    if {number: frame.timestamp_ns for number, frame in frames.items()} != wanted:
+        raise ValueError(f"{run.summary.source}: expected the frames of the run, there are others now")
+    return frames
 
 
 class _TimesLine(FrameLine):

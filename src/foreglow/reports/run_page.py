@@ -12,9 +12,7 @@ import cv2
 import numpy as np
 
 from foreglow.config import config_to_toml
-from foreglow.datasets import PVDN, open_source
-from foreglow.evaluation.run_folder import RecordedRun, read_run
-from foreglow.evaluation.track_file import source_of_run
+from foreglow.evaluation.run_folder import RecordedRun, read_frames, read_run
 from foreglow.files import write_atomic
 from foreglow.photometry import read_headlamps
 from foreglow.reports.detector_table import Table
@@ -193,32 +191,13 @@ def _figure_words(results: Sequence[FrameResult]) -> str:
 
 def _frames(run: RecordedRun, moments: Mapping[str, Sequence[KeyMoment]]) -> tuple[Mapping[int, Frame], str]:
     """The images of the moments by their numbers, or why there are none."""
-    wanted = {moment.result.frame: moment.result for its in moments.values() for moment in its}
+    wanted = [moment.result for its in moments.values() for moment in its]
     try:
-        source = source_of_run(run.folder)
+        return read_frames(run, wanted), ""
     except FileNotFoundError:
         return {}, f"the frames are no longer at {run.summary.source}."
-    try:
-        frames = {one.frame: one for one in _read(source, wanted)}
     except (ValueError, OSError) as error:
-        return {}, str(error)
-    changed = [one for number, one in frames.items() if one.timestamp_ns != wanted[number].timestamp_ns]
-    if changed or len(frames) < len(wanted):
-        return {}, f"{run.summary.source} has other frames now."
-    return frames, ""
-
-
-def _read(source: Path, wanted: Mapping[int, FrameResult]) -> Iterator[Frame]:
-    frames = open_source(source, on_error="skip")
-    if isinstance(frames, PVDN):
-        yield from (frames.read(number) for number in sorted(wanted))
-        return
-    last = max(wanted, default=-1)
-    for frame in frames:
-        if frame.frame in wanted:
-            yield frame
-        if frame.frame >= last:
-            return
+        return {}, f"{error}."
 
 
 def _pictures(moments: Iterable[KeyMoment], frames: Mapping[int, Frame]) -> Iterator[str]:
