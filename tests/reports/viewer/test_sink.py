@@ -15,7 +15,7 @@ import rerun as rr
 from foreglow.reports.viewer import RerunSink, RrdFile
 from foreglow.reports.viewer.blueprint import PLOTS, blueprint
 from foreglow.reports.viewer.entities import led_picture, track_words
-from foreglow.reports.viewer.sink import Slots
+from foreglow.reports.viewer.sink import NUM_SCORES, Slots, highest
 from foreglow.runtime.health import Health
 from foreglow.runtime.time_axis import PAUSE_NS
 from foreglow.types import BeamMode, Frame, TrackState
@@ -133,6 +133,15 @@ def test_dates_are_dates(path: Path) -> None:
     chunks = rr.chunk.RrdReader(path).stream()
     kinds = {str(one.to_record_batch().schema.field("time").type) for one in chunks if "time" in one.timeline_names}
     assert kinds == {"timestamp[ns]"}
+
+
+@pytest.mark.parametrize("count", [0, 1, 16, 40])
+def test_as_many_scores_in_every_frame(count: int) -> None:
+    """Where their number changes, the viewer draws zeros that nobody logged."""
+    scores = np.random.default_rng(count).random(count, np.float32)
+    kept = highest(scores)
+    assert kept.shape == (NUM_SCORES,)
+    assert kept[~np.isnan(kept)].tolist() == sorted(scores.tolist(), reverse=True)[:NUM_SCORES]
 
 
 def test_words_of_a_track() -> None:

@@ -19,7 +19,7 @@ LOOKS_AT_M = (46.0, 0.0, 0.0)
 PLOTS = {
     "ranges": "range of tracks, m",
     "confidences": "confidence of tracks",
-    "scores": "scores of proposals",
+    "scores": "scores of proposals, the 16 highest",
     "lux": "light at other drivers' eyes, lx",
     "ms": "stage times, ms",
 }

@@ -23,6 +23,7 @@ from foreglow.reports.beam_view import (
 )
 from foreglow.reports.overlay import (
     ACCEPTED_BGR,
+    CAPTION_BGR,
     PROPOSAL_BGR,
     REJECTED_BGR,
     TRACK_BGR,
@@ -85,6 +86,7 @@ def fixed_entities() -> Entities:
         ("map/car", rr.Boxes3D(centers=CAR_CENTRE_M, half_sizes=CAR_HALF_M, colors=_rgb(EDGE_BGR), fill_mode="solid")),
         ("states/beam", modes),
         ("plots/scores", style),
+        ("plots/ms/total", rr.SeriesLines(colors=_rgb(CAPTION_BGR), widths=2.0, names="total")),
     ]
 
 
@@ -221,7 +223,7 @@ def lamp_entities(beam: BeamCommand, num_columns: int) -> Entities:
 def led_picture(levels: Floats, num_columns: int) -> NDArray[np.uint8]:
     """A pixel an LED, shape (rows, columns, 3), red green blue, dark to lit.
 
-    >>> led_picture(np.array([1.0, 0.0, 0.0, 0.0]), 2)[..., 0].argmax()  # the lowest row's right one
+    >>> int(led_picture(np.array([1.0, 0.0, 0.0, 0.0]), 2)[..., 0].argmax())  # the lowest row's right one
     3
     """
     grid = levels.reshape(-1, num_columns)[::-1, ::-1, np.newaxis]

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from foreglow.rays import RayCaster
 from foreglow.reports.tone import Tone
@@ -35,6 +36,9 @@ JPEG_QUALITY = 75
 
 SHIPPED_COLUMNS = 28
 """LEDs in a row of the lamps that ship."""
+
+NUM_SCORES = 16
+"""Of the scores that are plotted of a frame."""
 
 PER_SEQUENCE = ("camera", "map", "lamps", "plots", "states")
 """Entities that a new sequence knows nothing of."""
@@ -89,7 +93,7 @@ class RerunSink:
         entities.append(image_entity(frame, self._tone, self._jpeg_quality))
         entities += box_entities(result.proposals, result.detections)
         if result.detections is not None:
-            entities.append(("plots/scores", rr.Scalars(result.detections.scores)))
+            entities.append(("plots/scores", rr.Scalars(highest(result.detections.scores))))
         if result.tracks is not None:
             entities.append(track_entity(result.tracks))
             entities += self._track_plots(result.tracks)
@@ -163,6 +167,17 @@ class RerunSink:
     def _log(self, time_ns: int, number: int | None, entities: Sequence[Entity]) -> None:
         for output in self._outputs:
             output.log(time_ns, number, entities)
+
+
+def highest(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The `NUM_SCORES` highest, and NaN where there are fewer: where their number changes the viewer draws zeros.
+
+    >>> highest(np.array([0.25, 0.75], np.float32))[:3]
+    array([0.75, 0.25,  nan], dtype=float32)
+    """
+    kept = np.full(NUM_SCORES, np.nan, np.float32)
+    kept[: min(len(scores), NUM_SCORES)] = np.sort(scores)[::-1][:NUM_SCORES]
+    return kept
 
 
 class Slots:
