@@ -46,6 +46,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.tracking
 	$(BIN)/python -m benchmarks.beam
 	$(BIN)/python -m benchmarks.recording
+	$(BIN)/python -m benchmarks.viewer
 	$(BIN)/python -m benchmarks.simulator
 
 # Simulated drives to learn from, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights

@@ -110,6 +110,17 @@ def test_recordings_are_timed(tmp_path: Path) -> None:
     assert all(row["megabytes_a_minute"] > 0 for row in rows if row["what"] in ("record", "encode PNG"))
 
 
+def test_the_viewer_is_timed(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from benchmarks import viewer
+
+    viewer.main(["--quick", "--out", str(tmp_path / "viewer.json")])
+    rows = json.loads((tmp_path / "viewer.json").read_text())["viewer"]
+    assert len(rows) == 3
+    assert all(math.isfinite(number) and number >= 0 for number in figures(rows))
+    assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+
+
 def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
     guard_sweep.main(["--quick", "--out", str(tmp_path / "sweep.json")])
     results = json.loads((tmp_path / "sweep.json").read_text())

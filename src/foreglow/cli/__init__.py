@@ -6,7 +6,7 @@ so that help is there at once. A module a subject; their order here is that of t
 
 from foreglow.cli.app import app
 
-from foreglow.cli import running, recording, beaming, living, calibrating, tracking  # noqa: F401  isort: skip
+from foreglow.cli import running, recording, beaming, living, reporting, calibrating, tracking  # noqa: F401  isort: skip
 from foreglow.cli import evaluating, simulating, learning, experimenting  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]

@@ -34,6 +34,7 @@ from foreglow.cli.app import (
     opened,
     run_frames,
 )
+from foreglow.cli.viewing import SaveOption, ViewOption, lux_as_driven, viewer_sinks
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -64,6 +65,8 @@ def beam(
     video: Annotated[
         bool, typer.Option("--video", help="Also write pictures of the beam: MP4, or PNG of one image.")
     ] = False,
+    view: ViewOption = False,
+    save: SaveOption = None,
     limit: LimitOption = None,
     preset: Annotated[
         str | None, typer.Option(metavar="foreglow|paper|baseline", help="Parameters to start from, with SOURCE.")
@@ -99,11 +102,14 @@ def beam(
     else:
         pipeline, images = _pipeline(configuration), source
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(images, out, on_error, topic), files, time_offset, pose_error)
+    plain = opened(images, out, on_error, topic)
+    frames = equipped(plain, files, time_offset, pose_error)
     _check_equipment(frames, images, configuration, has_log=can_log is not None)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        sinks = [beam_sink(frames, results, headlamps)] if video else []
+        sinks: list[ResultSink] = [*viewer_sinks(view, save, configuration, lux_as_driven(plain))]
+        if video:
+            sinks.append(beam_sink(frames, results, headlamps))
         if can is not None:
             sinks.append(_can_sink(results, can, configuration.beam.restore_s, is_compact=compact))
         return sinks

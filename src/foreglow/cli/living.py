@@ -32,6 +32,7 @@ from foreglow.cli.app import (
     size_of,
 )
 from foreglow.cli.beaming import with_beam
+from foreglow.cli.viewing import SaveOption, ViewOption, viewer_sinks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +57,8 @@ def live(
     ] = None,
     out: Annotated[Path | None, folder(help="Also write results, summary and faults to this folder.")] = None,
     record: RecordOption = None,
+    view: ViewOption = False,
+    save: SaveOption = None,
     limit: LimitOption = None,
     speed: Annotated[
         float, typer.Option(metavar="X", help="Replay so many times as fast; 0 as fast as it goes, dropping nothing.")
@@ -106,6 +109,8 @@ def live(
         if can is not None:
             outputs.append(CanBus(can, ramp_s=configuration.beam.restore_s))
         sinks = recording_sinks(record, Path(source), configuration)
+        lux_of = opened.lux if isinstance(opened, DriveAround) else None
+        sinks += viewer_sinks(view, save, configuration, lux_of)
         summary = _run(opened, configuration, out, outputs, sinks, limit)
     _finish(summary, out)
 

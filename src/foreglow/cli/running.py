@@ -37,6 +37,7 @@ from foreglow.cli.app import (
     recording_sinks,
     run_frames,
 )
+from foreglow.cli.viewing import SaveOption, ViewOption, lux_as_driven, viewer_sinks
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -65,6 +66,8 @@ def run(
     ] = False,
     record: RecordOption = None,
     topic: TopicOption = None,
+    view: ViewOption = False,
+    save: SaveOption = None,
     limit: LimitOption = None,
     on_error: OnErrorOption = "stop",
 ) -> None:
@@ -73,10 +76,12 @@ def run(
 
     configuration = configuration_of(preset, config, model)
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(source, out, on_error, topic), files, time_offset, pose_error)
+    plain = opened(source, out, on_error, topic)
+    frames = equipped(plain, files, time_offset, pose_error)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
         sinks: list[ResultSink] = [*recording_sinks(record, source, configuration)]
+        sinks += viewer_sinks(view, save, configuration, lux_as_driven(plain))
         return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)

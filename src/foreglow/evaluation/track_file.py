@@ -65,7 +65,9 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
     return tracks
 
 
-class _ResultLine(_FrameLine):
+class ResultLine(_FrameLine):
+    """A line with the results up to the tracks."""
+
     timestamp_ns: int
     proposals_xyxy_px: tuple[tuple[int, int, int, int], ...]
     scores: tuple[Number, ...] | None = None
@@ -86,11 +88,11 @@ def read_results(path: Path | str, score_threshold: float) -> Mapping[int, Frame
         ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
     """
     path = Path(path)
-    tracks = read_tracks(path)
+    read_tracks(path)  # which says so where there are none
     results: dict[int, FrameResult] = {}
-    for origin, line in frame_lines(path.read_bytes(), _ResultLine, path):
+    for origin, line in frame_lines(path.read_bytes(), ResultLine, path):
         try:
-            results[line.frame] = _result(line, tracks[line.frame], score_threshold)
+            results[line.frame] = recorded_result(line, score_threshold)
         except ValueError as error:
             raise ValueError(f"{origin}: {error}") from error
     return results
@@ -149,7 +151,12 @@ def source_of_run(run: Path) -> Path:
     return source
 
 
-def _result(line: _ResultLine, tracks: Tracks, score_threshold: float) -> FrameResult:
+def recorded_result(line: ResultLine, score_threshold: float) -> FrameResult:
+    """The result in a line, up to the tracks, which may be missing.
+
+    Raises:
+        ValueError: If its parts do not belong together.
+    """
     proposals = Proposals(np.array(line.proposals_xyxy_px, np.int32).reshape(-1, 4))
     detections: Detections | None = None
     ranges: Ranges | None = None
@@ -159,6 +166,7 @@ def _result(line: _ResultLine, tracks: Tracks, score_threshold: float) -> FrameR
         if line.ranges_m is not None and line.range_sigmas_m is not None:
             ranges_m, sigmas_m = np.array(line.ranges_m, np.float64), np.array(line.range_sigmas_m, np.float64)
             ranges = Ranges(detections, ranges_m, np.where(np.isnan(sigmas_m), np.inf, sigmas_m))
+    tracks = None if line.tracks is None else _tracks(line.tracks)
     return FrameResult(line.frame, line.timestamp_ns, proposals, detections, {}, ranges, tracks)
 
 

@@ -148,7 +148,7 @@ class BeamView:
             self._draw_tracks(picture, tracks, scale, taken)
         if frame.camera is not None:
             for borders_rad, range_m in zip(command.gaps_rad, command.gap_ranges_m, strict=True):
-                self._draw_gap(picture, scale * _gap_outline_px(frame.camera, borders_rad, range_m), range_m, taken)
+                self._draw_gap(picture, scale * gap_outline_px(frame.camera, borders_rad, range_m), range_m, taken)
         return picture
 
     def _draw_gap(self, picture: Picture, outline_px: Floats, range_m: float, taken: list[Rectangle]) -> None:
@@ -251,7 +251,7 @@ class BeamView:
         self._draw_distances(shown)
         if road is not None:
             for side in (1.0, -1.0):
-                pen.line(shown, _on_map(_edge(road, side), shown), EDGE_BGR, 1.5)
+                pen.line(shown, _on_map(road_edge(road, side), shown), EDGE_BGR, 1.5)
         for borders_rad, range_m in zip(command.gaps_rad, command.gap_ranges_m, strict=True):
             for border_rad in borders_rad:
                 beyond = 2 * AHEAD_M * np.array([np.cos(border_rad), np.sin(border_rad)])
@@ -306,7 +306,7 @@ def _mixed(dark: Colour, bright: Colour, share: float) -> Colour:
     return blue, green, red
 
 
-def _gap_outline_px(camera: Camera, borders_rad: Floats, range_m: float) -> Floats:
+def gap_outline_px(camera: Camera, borders_rad: Floats, range_m: float) -> Floats:
     """The sides and the top of a gap in the camera's image, shape (N, 2), full-frame pixels; NaN outside its view."""
     distance_m = UNKNOWN_RANGE_M if np.isnan(range_m) else range_m
     heights_m = camera.vehicle_from_camera.position_m[2] + distance_m * np.tan(
@@ -330,7 +330,7 @@ def _places_across(lamp: Headlamp, borders_rad: Floats) -> Floats:
     return np.asarray(1.0 - from_right)
 
 
-def _edge(road: RoadAhead, side: float) -> Floats:
+def road_edge(road: RoadAhead, side: float) -> Floats:
     """The road's left (1) or right (-1) edge from above, shape (N, 2), in the vehicle's frame."""
     points = road.points_m[:, :2]
     along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))

@@ -38,10 +38,10 @@ def html_table(table: Table) -> Iterator[str]:
     yield "</tbody></table></div>"
 
 
-def html_figure(png: bytes, words: str) -> str:
-    """A plot within the page, on white, with `words` beneath."""
-    source, caption = base64.b64encode(png).decode(), html.escape(words)
+def html_figure(picture: bytes, words: str, kind: str = "png") -> str:
+    """A plot or a picture of a `kind`, png or jpeg, within the page, on white, with `words` beneath."""
+    source, caption = base64.b64encode(picture).decode(), html.escape(words)
     return (
         f'<figure style="margin: 1.5rem 0"><img style="max-width: 100%; width: auto; background: #fff" '
-        f'alt="{caption}" src="data:image/png;base64,{source}"><figcaption>{caption}</figcaption></figure>'
+        f'alt="{caption}" src="data:image/{kind};base64,{source}"><figcaption>{caption}</figcaption></figure>'
     )

@@ -28,7 +28,7 @@ class CanLogSink:
     """Writes the commands into a log, each frame at the time of its image; the log appears whole, or not at all.
 
     An .asc log counts its times from the first frame. Sequences follow each other as on a `TimeAxis`, in the messages,
-    too.
+    too: in a log, time only goes forward.
     """
 
     def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = 0.0, has_levels: bool = True) -> None:

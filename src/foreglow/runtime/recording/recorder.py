@@ -143,7 +143,7 @@ class McapRecorder:
             OSError: If the disk is full; the message names the path.
             ValueError: If its time is before 0 or beyond what a stamp holds.
         """
-        time_ns = health.timestamp_ns + self._axis.shift_ns
+        time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
         self._stamp(time_ns)
         record = {
             "timestamp_ns": health.timestamp_ns,

@@ -1,0 +1,276 @@
+"""Where the viewer's data go: into a file, or to a window of Rerun's viewer."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import rerun as rr
+from rerun.blueprint import Blueprint
+
+APPLICATION = "foreglow"
+
+Entities: TypeAlias = Sequence[tuple[str, Any]]
+"""Paths of entities, and what is logged there: Rerun's archetypes."""
+
+LOGS_PER_CHECK = 32
+"""Between two looks at whether the file can still be written."""
+
+NUM_WAITING = 16
+"""Parcels of 0.2 s that may wait for the window."""
+
+FIRST_DATE_NS = 10**17
+"""Frames' times from here on, in the year 1973, are dates; lower ones count from somewhere."""
+
+LOCAL = "127.0.0.1"
+
+OFFLINE: Mapping[str, str] = MappingProxyType(
+    {
+        "CI": "1",
+        **dict.fromkeys(("NO_PROXY", "no_proxy"), ""),
+        **dict.fromkeys(("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), f"http://{LOCAL}:9"),
+        **dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), f"http://{LOCAL}:9"),
+    }
+)
+"""What the viewer's process is started with: its usage statistics are off where `CI` is set, and its question to the
+network whether there is a newer version ends at a closed port of this machine."""
+
+
+class Output(Protocol):
+    """Takes what is logged at each time."""
+
+    def log_static(self, entities: Entities) -> None:
+        """Takes what is valid at all times."""
+        ...
+
+    def log(self, time_ns: int, frame: int | None, entities: Entities) -> None:
+        """Takes what is logged at one time, with the number of the frame if it is about one."""
+        ...
+
+    def close(self) -> None:
+        """Completes it."""
+        ...
+
+    def discard(self) -> None:
+        """Lets go of it."""
+        ...
+
+
+class RrdFile:
+    """A recording as a file, which appears whole at the end, or not at all."""
+
+    def __init__(self, path: Path, blueprint: Blueprint) -> None:
+        """Opens the file under a temporary name.
+
+        Raises:
+            OSError: If it cannot be written; the message names the path.
+        """
+        if path.exists() and not path.is_file():  # a device, too, must not be replaced
+            raise OSError(f"{path}: expected a file to write, got something else")
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        self._num_logs = 0
+        self._stream = _stream()
+        try:
+            self._stream.save(self._temporary, default_blueprint=blueprint)
+        except RuntimeError as error:
+            self.discard()
+            raise OSError(f"{path}: cannot be written: {error}") from error
+
+    def log_static(self, entities: Entities) -> None:
+        """Takes what is valid at all times."""
+        _log(self._stream, entities, static=True)
+
+    def log(self, time_ns: int, frame: int | None, entities: Entities) -> None:
+        """Takes what is logged at one time.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        _set_times(self._stream, time_ns, frame)
+        _log(self._stream, entities)
+        self._num_logs += 1
+        if self._num_logs % LOGS_PER_CHECK == 0:
+            self._check()
+
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        self._check()
+        self._stream.disconnect()
+        self._temporary.replace(self._path)
+
+    def discard(self) -> None:
+        """Removes what was written, unless it was completed before."""
+        self._stream.disconnect()
+        with contextlib.suppress(OSError):
+            self._temporary.unlink(missing_ok=True)
+
+    def _check(self) -> None:
+        try:
+            self._stream.flush()
+        except RuntimeError as error:
+            raise OSError(f"{self._path}: cannot be written, perhaps the disk is full: {error}") from error
+
+
+class ViewerWindow:
+    """A window of Rerun's viewer, a program of its own that is fed through a pipe and stays open after the run.
+
+    A window that was closed, or that takes nothing, never stops the run: that is noted once, and what it cannot take
+    is left out. It listens on this machine alone, and asks nobody else for anything; see `OFFLINE`.
+    """
+
+    def __init__(
+        self,
+        blueprint: Blueprint,
+        note: Callable[[str], None],
+        *,
+        command: Sequence[str] | None = None,
+        patience_s: float = 1.0,
+    ) -> None:
+        """Opens the window.
+
+        Args:
+            blueprint: How it is arranged.
+            note: Told once, in words, when nothing more is shown.
+            command: What to start, which reads a recording from its standard input; None is Rerun's viewer.
+            patience_s: How long a run may wait for a window that is behind.
+
+        Raises:
+            ValueError: If there is no display.
+            OSError: If the program cannot be started.
+        """
+        if command is None:
+            check_display()
+            command = viewer_command()
+        self._note = note
+        self._patience_s = patience_s
+        self._is_gone = False
+        self._is_behind = False
+        self._has_noted_delay = False
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(NUM_WAITING)
+        self._process = subprocess.Popen(
+            command,
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **OFFLINE},
+            start_new_session=True,  # Ctrl-C ends the run, not the window
+        )
+        self._stream = _stream()
+        self._parcels = self._stream.binary_stream()  # type: ignore[misc]  # its own annotation is broken
+        self._stream.send_blueprint(blueprint)
+        self._thread = threading.Thread(target=self._feed, name="viewer", daemon=True)
+        self._thread.start()
+
+    def log_static(self, entities: Entities) -> None:
+        """Takes what is valid at all times."""
+        _log(self._stream, entities, static=True)
+
+    def log(self, time_ns: int, frame: int | None, entities: Entities) -> None:
+        """Shows what is logged at one time; waits for the window where it is behind, but only once for long."""
+        if self._is_gone:
+            return
+        _set_times(self._stream, time_ns, frame)
+        _log(self._stream, entities)
+        parcel = self._parcels.read(flush=False)
+        if parcel:
+            self._hand_over(parcel)
+
+    def close(self) -> None:
+        """Hands over what is left; the window stays."""
+        if not self._is_gone:
+            parcel = self._parcels.read(flush=True)
+            if parcel:
+                self._hand_over(parcel)
+        self._end(self._patience_s)
+
+    def discard(self) -> None:
+        """Hands over nothing more; the window stays."""
+        self._end(0.0)
+
+    def _hand_over(self, parcel: bytes) -> None:
+        try:
+            self._waiting.put(parcel, timeout=0.0 if self._is_behind else self._patience_s)
+            self._is_behind = False
+        except queue.Full:
+            self._is_behind = True
+            if not self._has_noted_delay:
+                self._has_noted_delay = True
+                self._note("the viewer does not keep up: what it cannot take is not shown")
+
+    def _feed(self) -> None:
+        """Writes parcels to the window until it is gone; only here anything waits for it."""
+        pipe = self._process.stdin
+        assert pipe is not None
+        try:
+            while (parcel := self._waiting.get()) is not None:
+                rest = memoryview(parcel)
+                while rest:
+                    rest = rest[pipe.write(rest) :]
+        except OSError:
+            self._is_gone = True
+            self._note("the viewer is closed: the run goes on without it")
+        finally:
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+    def _end(self, patience_s: float) -> None:
+        with contextlib.suppress(queue.Full):
+            self._waiting.put(None, timeout=patience_s)
+        self._thread.join(patience_s)
+        self._stream.disconnect()
+        if self._process.poll() is None:
+            self._process.returncode = 0  # it is the user's now: nobody waits for it
+
+
+def viewer_command() -> list[str]:
+    """How Rerun's viewer is started to read a recording from its standard input and to listen on this machine alone."""
+    return [sys.executable, "-m", "rerun_cli", "-", "--bind", LOCAL, "--port", "auto", "--hide-welcome-screen"]
+
+
+def check_display() -> None:
+    """Sees to it that a window can be opened.
+
+    Raises:
+        ValueError: If there is no display.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ValueError(
+            "--view: expected a display, there is none here; keep the run with --save FILE.rrd and open it where there "
+            "is one: rerun FILE.rrd"
+        )
+
+
+def _stream() -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
+
+
+def _set_times(stream: rr.RecordingStream, time_ns: int, frame: int | None) -> None:
+    if time_ns >= FIRST_DATE_NS:
+        stream.set_time("time", timestamp=np.datetime64(time_ns, "ns"))
+    else:
+        stream.set_time("time", duration=np.timedelta64(time_ns, "ns"))
+    if frame is not None:
+        stream.set_time("frame", sequence=frame)
+
+
+def _log(stream: rr.RecordingStream, entities: Entities, *, static: bool = False) -> None:
+    for path, archetype in entities:
+        stream.log(path, archetype, static=static)
