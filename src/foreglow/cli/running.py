@@ -11,8 +11,10 @@ from foreglow.cli.app import (
     DEFAULT_PRESET,
     CalibrationOption,
     CanLogOption,
+    ClusterOption,
     ConfigOption,
     DbcOption,
+    JobsOption,
     LimitOption,
     MapOption,
     MappingOption,
@@ -27,11 +29,12 @@ from foreglow.cli.app import (
     argument,
     beam_sink,
     configuration_of,
-    equipped,
     finish,
     folder,
+    open_equipped,
     opened,
     picture_sink,
+    run_by_workers,
     run_frames,
 )
 
@@ -62,13 +65,24 @@ def run(
     ] = False,
     limit: LimitOption = None,
     on_error: OnErrorOption = "stop",
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
 ) -> None:
     """Find the light artifacts in SOURCE, follow them, and write them to a folder."""
     from foreglow.pipeline import Pipeline
+    from foreglow.runtime import Opening
+    from foreglow.scale import workers_at
 
+    workers = workers_at(jobs, cluster)
     configuration = configuration_of(preset, config, model)
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    frames = equipped(opened(source, out, on_error), files, time_offset, pose_error)
+    opening = Opening(open_equipped, (source, out, on_error, files, time_offset, pose_error))
+    if jobs > 1 or cluster is not None:
+        if video or limit is not None:
+            raise ValueError("run: expected --video and --limit without --jobs and --cluster: they go frame by frame")
+        finish(run_by_workers(opening, str(source), out, configuration, workers), out)
+        return
+    frames = opening()
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
         return [picture_sink(frames, results, "overlay")] if video else []

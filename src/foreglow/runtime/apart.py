@@ -87,8 +87,8 @@ def run_apart(
     """Runs a pipeline over each sequence of a source; `folder` then holds what `run` writes, in the same order.
 
     `frames.jsonl` and `config.toml` are the same, byte for byte; so is the summary but for run-times and processor.
-    After a first Ctrl-C what is done of every sequence is published; after any error, and after a second Ctrl-C, nothing
-    of this run remains.
+    After a first Ctrl-C what is done of every sequence is published; after any error, and after a second Ctrl-C,
+    nothing of this run remains.
 
     Args:
         opening: How each worker opens the source; one that is all of a piece is run by one worker.

@@ -35,9 +35,9 @@ LOST_S = 60.0
 class Cluster:
     """A dask cluster: `Workers` at a scheduler's address, such as `tcp://127.0.0.1:8786`.
 
-    Its workers run one task at a time (`dask worker --nthreads 1`), have this version of Foreglow, and run in the folder
-    that this process runs in, so that a path means the same everywhere. Scheduler, workers and we trust each other: dask
-    sends Python's pickles between them. Encryption and authentication are those of dask's own configuration.
+    Its workers run one task at a time (`dask worker --nthreads 1`), have this version of Foreglow, and work in the
+    folder that this process runs in, so that a path means the same everywhere. Scheduler, workers and we trust each
+    other: dask sends Python's pickles between them. Encryption and authentication are those of dask's configuration.
     """
 
     address: str
