@@ -12,9 +12,9 @@ import pytest
 from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
 from foreglow.evaluation import annotation_quality
-from foreglow.scale import Local
 from foreglow.learning.annotate import RECORD_NAME, annotate_split, splits_to_annotate
 from foreglow.proposals import make_proposer
+from foreglow.scale import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import edit
 from tests.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set

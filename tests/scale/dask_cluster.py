@@ -55,7 +55,9 @@ def dask_cluster(folder: Path, num_workers: int = 2) -> Iterator[DaskCluster]:
     """A scheduler on a free port of the local host, and workers of one thread each."""
     cluster, file = DaskCluster(folder), folder / "scheduler.json"
     try:
-        cluster.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+        cluster.start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)
+        )
         cluster.address = _address(file)
         for _ in range(num_workers):
             cluster.start_worker()

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.scale import MAX_DEATHS, Cluster, cluster as cluster_module
+from foreglow.scale import MAX_DEATHS, Cluster
+from foreglow.scale import cluster as cluster_module
 from tests.scale import tasks
 from tests.scale.dask_cluster import DaskCluster, dask_cluster
 from tests.scale.test_local import folders, nobody, wait_for
@@ -105,7 +106,7 @@ def test_workers_must_be_there_and_have_one_thread(tmp_path: Path, monkeypatch: 
     with dask_cluster(tmp_path, num_workers=0) as empty:
         with monkeypatch.context() as patch:
             patch.setattr(cluster_module, "CONNECT_S", 1.0)
-            with pytest.raises(ConnectionError, match="expected workers at this scheduler, found none; start some with"):
+            with pytest.raises(ConnectionError, match="expected workers at this scheduler, found none; start some"):
                 list(Cluster(empty.address).each(tasks.square, {"a": 1}, nobody))
         empty.start_worker(num_threads=2)
         with pytest.raises(ValueError, match=r"expected one thread \(dask worker --nthreads 1\), it has 2"):

@@ -177,7 +177,9 @@ def test_a_data_set_is_the_same_with_any_number_of_processes(tmp_path: Path) -> 
     scenes = [scene(seed=seed, duration_s=2 / 18) for seed in (1, 2)]
     config = DatasetConfig.of(seed=1, split="train", cycle="day", quality="fast")
     drive_fast = functools.partial(drive_frames, quality="fast")
-    roots = [simulate_dataset(tmp_path / str(jobs), scenes, drive_fast, config, workers=Local(jobs)).root for jobs in (1, 2)]
+    roots = [
+        simulate_dataset(tmp_path / str(jobs), scenes, drive_fast, config, workers=Local(jobs)).root for jobs in (1, 2)
+    ]
     files = [sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file()) for root in roots]
     assert files[0] == files[1]
     assert len(files[0]) > 10
