@@ -33,7 +33,7 @@ def run_interrupted(drives: Path, out: Path, presses: int) -> RunSummary:
     """Presses Ctrl-C when the first frames are done."""
 
     def press(*_: object) -> None:
-        for _ in range(presses if not pressed else 0):
+        for _press in range(presses if not pressed else 0):
             signal.raise_signal(signal.SIGINT)
         pressed.append(True)
 
