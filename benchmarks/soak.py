@@ -57,7 +57,6 @@ class Digests:
         digest = self._ends.get(frame.sequence)
         if digest is not None:
             record = frame_record(dataclasses.replace(frame, sequence=""), result)
-            record.pop("stage_ms", None)
             digest.update(json.dumps(record).encode())
         self._count += 1
         if self._count % self._every == 0:

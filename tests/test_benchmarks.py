@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import beam, distance, guard_sweep, simulator, tracking
+from benchmarks import beam, distance, guard_sweep, scale, simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -119,6 +119,16 @@ def test_the_viewer_is_timed(tmp_path: Path) -> None:
     assert len(rows) == 3
     assert all(math.isfinite(number) and number >= 0 for number in figures(rows))
     assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
+
+
+def test_many_processes_are_timed(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    scale.main(["--quick", "--out", str(tmp_path / "scale.json")])
+    results = json.loads((tmp_path / "scale.json").read_text())
+    names = ["this process", "--jobs 2", "--cluster, 2 workers"]
+    assert [row["workers"] for row in results["run"]] == [row["workers"] for row in results["tasks"]] == names
+    assert all(row["speed_up"] > 0 for row in results["run"])
+    assert results["num_frames"] == 8
 
 
 def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:

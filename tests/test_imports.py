@@ -14,13 +14,14 @@ import foreglow
 SOURCE = Path(foreglow.__file__).parent
 VALUES = {"types", "geometry", "rays", "photometry", "config", "calibration", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
-BASE = {"files", "provenance"}
+BASE = {"files", "provenance", "scale"}
 TOOLS = {"evaluation", "learning", "experiments", "runtime"}
 
 ALLOWED: dict[str, set[str]] = {
     "files": set(),
     "models": set(),
     "provenance": set(),
+    "scale": set(),
     "geometry": set(),
     "types": {"geometry"},
     "rays": {"types", "geometry"},
@@ -32,7 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     **{stage: VALUES | {"_native", "models"} for stage in STAGES},
     "pipeline": VALUES | STAGES,
     "datasets": VALUES | {"files", "maps"},
-    "simulation": VALUES | {"files", "datasets"},
+    "simulation": VALUES | {"files", "scale", "datasets"},
     **{tool: VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
     "learning": VALUES | STAGES | BASE | {"_native"} | {"pipeline", "datasets", "simulation", "evaluation"},
     "experiments": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation", "learning"},

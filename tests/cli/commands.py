@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 from foreglow.cli import app
 from tests.stand_ins import night_image
 
-RESULTS = {"frames.jsonl", "summary.json", "config.toml"}
+RESULTS = {"frames.jsonl", "times.jsonl", "summary.json", "config.toml"}
 
 
 PNG = cv2.imencode(".png", night_image())[1].tobytes()

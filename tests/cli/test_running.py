@@ -22,7 +22,7 @@ def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
     assert num_lines(out) == 3
     assert "3 frames, 3 proposals; " in result.stdout
     assert "the proposals are not classified: no model was given" in result.stdout
-    assert f"look in {out}: config.toml, frames.jsonl, summary.json" in result.stdout
+    assert f"look in {out}: config.toml, frames.jsonl, summary.json, times.jsonl" in result.stdout
     summary = json.loads((out / "summary.json").read_text())
     assert summary["source"] == str(folder)
     assert summary["is_complete"] is True

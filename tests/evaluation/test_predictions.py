@@ -17,7 +17,6 @@ _LINE: dict[str, Any] = {
     "proposals_xyxy_px": [[1, 2, 3, 4], [5, 6, 7, 8]],
     "scores": [0.25, 1],
     "detections_xyxy_px": [[5, 6, 7, 8]],
-    "stage_ms": {"proposals": 0.1},
 }
 
 

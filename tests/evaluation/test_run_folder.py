@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.config import config_to_toml
 from foreglow.evaluation.run_folder import read_run
-from foreglow.runtime.records import frame_record
+from foreglow.runtime.records import frame_record, time_record
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
 
@@ -36,6 +36,7 @@ def write_run(folder: Path, made: list[tuple[Frame, FrameResult]], **changes: ob
     """As a run leaves it."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "frames.jsonl").write_text("".join(json.dumps(frame_record(*one)) + "\n" for one in made))
+    (folder / "times.jsonl").write_text("".join(json.dumps(time_record(*one)) + "\n" for one in made))
     (folder / "summary.json").write_text(json.dumps(SUMMARY | changes))
     (folder / "config.toml").write_text(config_to_toml(REFERENCE))
     return folder

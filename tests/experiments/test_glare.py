@@ -169,7 +169,7 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path) -> None:
     scenes = write_scenes_of(tmp_path, scene(RUN_IN_S + 4 / 18))
     plan, out = GlarePlan(num_empty=1, quality="fast"), tmp_path / "out"
     told: list[tuple[int, int, int]] = []
-    experiment = run_experiment(scenes, config(), plan, out, jobs=1, progress=lambda *one: told.append(one))
+    experiment = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
     assert [one.name for one in experiment.results.policies] == [
         "low", "high", "production", "paper", "foreglow", "oracle",
     ]  # fmt: skip
@@ -180,12 +180,12 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path) -> None:
     assert not read_glare_drive(out / "drives" / "S00001-empty.npz").eyes
     assert (drive.eyes[0].illuminance_lx(1.0) > drive.eyes[0].illuminance_lx(0.0)).all()
     told.clear()
-    again = run_experiment(scenes, config(), plan, out, jobs=1, progress=lambda *one: told.append(one))
+    again = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
     assert len(told) == 2  # both are there
     assert again.results.to_json() == experiment.results.to_json()
     other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
     with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
-        run_experiment(scenes, other, plan, out, jobs=1, progress=lambda *_: None)
+        run_experiment(scenes, other, plan, out, progress=lambda *_: None)
 
 
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:

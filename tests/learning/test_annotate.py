@@ -14,6 +14,7 @@ from foreglow.datasets import PVDN
 from foreglow.evaluation import annotation_quality
 from foreglow.learning.annotate import RECORD_NAME, annotate_split, splits_to_annotate
 from foreglow.proposals import make_proposer
+from foreglow.scale import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import edit
 from tests.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -80,10 +81,10 @@ def test_boxes_without_light_are_labelled_zero(split: Path) -> None:
     assert labels.labels == (0.0, 0.0)
 
 
-def test_threads_change_nothing(split: Path) -> None:
+def test_processes_change_nothing(split: Path) -> None:
     first = annotate_split(split, PAPER), box_files(split)
     (split / "labels" / RECORD_NAME).unlink()
-    assert (annotate_split(split, PAPER, jobs=3), box_files(split)) == first
+    assert (annotate_split(split, PAPER, workers=Local(2)), box_files(split)) == first
 
 
 def test_second_call_keeps_the_files(split: Path) -> None:
@@ -145,9 +146,7 @@ def test_broken_record_is_an_error(split: Path) -> None:
         annotate_split(split, PAPER)
 
 
-def test_missing_image_and_bad_jobs(split: Path) -> None:
-    with pytest.raises(ValueError, match="jobs: expected at least 1, got 0"):
-        annotate_split(split, PAPER, jobs=0)
+def test_missing_image(split: Path) -> None:
     (split / "images" / "S00002" / "000200.png").unlink()
     with pytest.raises(FileNotFoundError, match="no such image"):
         annotate_split(split, PAPER)

@@ -91,3 +91,32 @@ def test_commit_of_this_checkout() -> None:
 def test_no_commit_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     assert provenance.checkout_state() == (None, None)
+
+
+def test_tallies_of_parts_are_that_of_the_whole() -> None:
+    rng = np.random.default_rng(3)
+    whole, first, second = summary.Tally(), summary.Tally(), summary.Tally()
+    for place, frame in enumerate([*night_frames(3, "S00001"), *night_frames(3, "S00002")]):
+        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], rng.random(2).tolist())
+        gaps_rad = np.radians([[-3.0, -1.0], [0.0, 4.0 + place]])
+        levels = np.ones((2, 4))
+        beam = (
+            BeamCommand.low(0, 4, f"fault_{place % 2}")
+            if place % 3
+            else BeamCommand(0, BeamMode.GLARE_FREE, levels, gaps_rad, np.array([50.0, np.nan]))
+        )
+        assert result.detections is not None
+        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
+        result = dataclasses.replace(
+            result, ranges=ranges, tracks=tracks_of([[0, 0, 4, 4]], ids=[place % 2]), beam=beam
+        )
+        result = dataclasses.replace(result, stage_ms={"proposals": float(rng.random())})
+        for tally in (whole, second if place >= 3 else first):
+            tally.add(frame, result)
+    joined = summary.Tally()
+    for part in (first, second):
+        joined.extend(part)
+    expected, found = (one.summary("here", [], Pipeline(), is_complete=True) for one in (whole, joined))
+    assert found == expected
+    assert found.to_json() == expected.to_json()  # also the order of faults
+    assert expected.num_tracks == 4

@@ -11,6 +11,7 @@ import pytest
 
 from foreglow.datasets import PVDN
 from foreglow.datasets.pvdn_schema import ImageCategory
+from foreglow.scale import Local
 from foreglow.simulation import DatasetConfig, Scene, drive_frames, read_truth, simulate, simulate_dataset
 from foreglow.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.simulation.scenes.surroundings import Rail, SurroundingsSpec, Verge
@@ -176,7 +177,9 @@ def test_a_data_set_is_the_same_with_any_number_of_processes(tmp_path: Path) -> 
     scenes = [scene(seed=seed, duration_s=2 / 18) for seed in (1, 2)]
     config = DatasetConfig.of(seed=1, split="train", cycle="day", quality="fast")
     drive_fast = functools.partial(drive_frames, quality="fast")
-    roots = [simulate_dataset(tmp_path / str(jobs), scenes, drive_fast, config, jobs=jobs).root for jobs in (1, 2)]
+    roots = [
+        simulate_dataset(tmp_path / str(jobs), scenes, drive_fast, config, workers=Local(jobs)).root for jobs in (1, 2)
+    ]
     files = [sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file()) for root in roots]
     assert files[0] == files[1]
     assert len(files[0]) > 10

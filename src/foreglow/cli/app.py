@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,8 +16,9 @@ if TYPE_CHECKING:
     from foreglow.datasets import FrameSource, OnError
     from foreglow.photometry import Headlamps
     from foreglow.reports.video import Drawing
-    from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
+    from foreglow.runtime import Opening, OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.health import LiveSink
+    from foreglow.scale import Workers
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -25,7 +27,7 @@ EXTRAS = {
     **dict.fromkeys(("cantools", "can"), "can"),
     **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
     **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
-    **dict.fromkeys(("joblib", "dask", "distributed"), "scale"),
+    **dict.fromkeys(("dask", "distributed"), "scale"),
     "rerun": "view",
     "matplotlib": "plots",
     "ultralytics": "ultralytics",
@@ -103,6 +105,10 @@ TopicOption = Annotated[
 ]
 RecordOption = Annotated[Path | None, file(help="Also record all as MCAP, to replay and for Foxglove.")]
 OnErrorOption = Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")]
+JobsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Processes, a sequence each; 1 stays in this one.")]
+ClusterOption = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="dask scheduler whose workers do it, such as tcp://host:8786.")
+]
 
 
 def _show_version(is_wanted: bool) -> None:
@@ -187,6 +193,30 @@ def equipped(
 
     data = open_vehicle_data(*files, time_offset_s=time_offset_s, pose_error_m=pose_error_m)
     return Equipped(frames, data)
+
+
+def open_equipped(
+    source: Path,
+    out: Path,
+    on_error: str,
+    topic: str | None,
+    files: tuple[Path | None, ...],
+    time_offset_s: float,
+    pose_error_m: float,
+) -> FrameSource:
+    """The frames of `source` as `opened` and `equipped` give them; every worker calls it."""
+    return equipped(opened(source, out, on_error, topic), files, time_offset_s, pose_error_m)
+
+
+def run_by_workers(
+    opening: Opening, name: str, out: Path, configuration: PipelineConfig, workers: Workers
+) -> RunSummary:
+    """Runs a pipeline over each sequence apart, with a progress bar where there is a terminal."""
+    from foreglow.reports.progress import PartsProgress
+    from foreglow.runtime import OutputFolder, run_apart
+
+    with contextlib.closing(PartsProgress(opening().num_frames)) as progress:
+        return run_apart(opening, configuration, OutputFolder(out), workers, told=progress, source_name=name)
 
 
 def run_frames(

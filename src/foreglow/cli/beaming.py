@@ -102,12 +102,11 @@ def beam(
     else:
         pipeline, images = _pipeline(configuration), source
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    plain = opened(images, out, on_error, topic)
-    frames = equipped(plain, files, time_offset, pose_error)
+    frames = equipped(opened(images, out, on_error, topic), files, time_offset, pose_error)
     _check_equipment(frames, images, configuration, has_log=can_log is not None)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        sinks: list[ResultSink] = [*viewer_sinks(view, save, configuration, lux_as_driven(plain))]
+        sinks: list[ResultSink] = [*viewer_sinks(view, save, configuration, lux_as_driven(frames))]
         if video:
             sinks.append(beam_sink(frames, results, headlamps))
         if can is not None:

@@ -10,11 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foreglow.cli.app import DEFAULT_PRESET, app, argument, configuration_of, file, folder, run_frames
+from foreglow.cli.app import (
+    DEFAULT_PRESET,
+    ClusterOption,
+    JobsOption,
+    app,
+    argument,
+    configuration_of,
+    file,
+    folder,
+    run_by_workers,
+)
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.evaluation import Examination
+    from foreglow.scale import Workers
 
 
 @app.command()
@@ -36,6 +47,8 @@ def evaluate(
         bool, typer.Option("--robustness", help="Also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the disturbances.")] = 0,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
 ) -> None:
     """Compare a model's boxes, or predicted ones, with a split's key points."""
     if robustness and predictions is not None:
@@ -46,7 +59,9 @@ def evaluate(
     from foreglow.files import write_json_results
     from foreglow.reports.evaluation_page import examination_lines, write_report
     from foreglow.reports.tables import box_quality_table
+    from foreglow.scale import workers_at
 
+    workers = workers_at(jobs, cluster)
     configuration = _evaluated_configuration(predictions, model, preset, config, threshold)
     if out is not None:
         from foreglow.reports.figures import require_matplotlib
@@ -55,7 +70,7 @@ def evaluate(
     if predictions is not None:
         examination = _examined_file(split, predictions, 0.5 if threshold is None else threshold)
     else:
-        examination = _examined_model(split, configuration, out, seed if robustness else None)
+        examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     if json_file is not None:
         quality = examination.quality.to_json()
         write_json_results(json_file, quality, indent=2)
@@ -101,19 +116,21 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     return dataclasses.replace(examination, directness=of_tracks)
 
 
-def _examined_model(split: Path, configuration: PipelineConfig, out: Path | None, seed: int | None) -> Examination:
+def _examined_model(
+    split: Path, configuration: PipelineConfig, out: Path | None, seed: int | None, workers: Workers
+) -> Examination:
     """All figures of a pipeline that runs on the split now; with `seed`, on disturbed images too."""
     from foreglow.datasets import PVDN
     from foreglow.evaluation import examine, read_predictions, read_split_labels
     from foreglow.evaluation.robustness import robustness
-    from foreglow.pipeline import Pipeline
     from foreglow.reports.progress import ProgressSink
+    from foreglow.runtime import Opening
 
     dataset = PVDN(split)
     labels = read_split_labels(dataset)
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
-        summary = run_frames(dataset, str(split), folder, Pipeline(configuration))
+        summary = run_by_workers(Opening(PVDN, (split,)), str(split), folder, configuration, workers)
         if not summary.is_complete:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")

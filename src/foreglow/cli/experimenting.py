@@ -10,6 +10,8 @@ import typer
 
 from foreglow.cli.app import (
     DEFAULT_PRESET,
+    ClusterOption,
+    JobsOption,
     ModelOption,
     PresetOption,
     argument,
@@ -169,7 +171,8 @@ def experiment_glare(
     camera_delay: Annotated[float, typer.Option(metavar="S", help="From exposure to the command on the bus.")] = 0.05,
     lamp_delay: Annotated[float, typer.Option(metavar="S", help="From there to the light.")] = 0.1,
     video: Annotated[str | None, typer.Option(metavar="NAME", help="Also film this scene, such as S00004.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
     quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it renders.")] = "training",
     seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 1,
     preset: PresetOption = DEFAULT_PRESET,
@@ -182,8 +185,10 @@ def experiment_glare(
     from foreglow.reports.figures import require_matplotlib
     from foreglow.reports.glare_page import summary_lines, write_experiment
     from foreglow.reports.progress import SceneProgress
+    from foreglow.scale import workers_at
 
     require_matplotlib()
+    workers = workers_at(jobs, cluster)
     delays = Delays(camera_s=camera_delay, lamp_s=lamp_delay)
     plan = GlarePlan(num_scenes=num, num_empty=empty, delays=delays, quality=quality, seed=seed)
     wanted = named_scenes(scenes, plan)
@@ -191,7 +196,7 @@ def experiment_glare(
         raise ValueError(f"--video: expected one of the scenes, {wanted[0].name} to {wanted[-1].name}, got {video!r}")
     configuration = configuration_of(preset, config, model)
     with contextlib.closing(SceneProgress(len(wanted), sum(one.scene.num_frames for one in wanted))) as progress:
-        experiment = run_experiment(scenes, configuration, plan, out, jobs=jobs, progress=progress)
+        experiment = run_experiment(scenes, configuration, plan, out, workers=workers, progress=progress)
     if video is not None:
         _film(next(one for one in wanted if one.name == video), configuration, plan, out)
     report = write_experiment(experiment)

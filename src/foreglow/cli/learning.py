@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from foreglow.cli.app import app, argument, configuration_of, file, folder, yolo
+from foreglow.cli.app import ClusterOption, JobsOption, app, argument, configuration_of, file, folder, yolo
 
 BOXES_HELP = "Boxes of this preset (default: those that `annotate` wrote, else of paper)."
 
@@ -22,7 +22,8 @@ def annotate(
     split: Annotated[
         list[str] | None, typer.Option(metavar="train|val|test", help="Only this split; repeatable.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 1,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
     json_file: Annotated[Path | None, file("--json", help="Also write the numbers as JSON.")] = None,
 ) -> None:
     """Turn key points into labelled boxes, labels/bounding_boxes/*.json, and rate them."""
@@ -32,11 +33,13 @@ def annotate(
     from foreglow.learning.annotate import annotate_split, splits_to_annotate
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.tables import annotation_table
+    from foreglow.scale import workers_at
 
+    workers = workers_at(jobs, cluster)
     configuration = configuration_of(preset, config, None)
     roots = splits_to_annotate(data, tuple(split or ()))
     with contextlib.closing(StepProgress()) as progress:
-        made = [annotate_split(one, configuration, preset, jobs=jobs, progress=progress) for one in roots]
+        made = [annotate_split(one, configuration, preset, workers=workers, progress=progress) for one in roots]
     if json_file is not None:
         numbers = {one.root.name: one.to_json() for one in made}
         write_json_results(json_file, numbers, indent=2)
@@ -53,7 +56,8 @@ def tune(
         str | None, typer.Option(metavar="paper|wide", help="What is varied (default: the objective's own).")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="With one job: the same seed, the same trials.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Processes, on one study.")] = 1,
+    cluster: ClusterOption = None,
     storage: Annotated[
         str | None,
         typer.Option(metavar="FILE|URL", help="Optuna's journal or database, for many machines (default: in DIR)."),
@@ -67,13 +71,14 @@ def tune(
     from foreglow.reports.progress import StepProgress
     from foreglow.reports.tables import tuning_lines
     from foreglow.reports.tuning_page import write_report
+    from foreglow.scale import workers_at
 
     require_matplotlib()
     settings = TuningSettings(
-        num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, jobs=jobs, storage=storage
+        num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
     )
     with contextlib.closing(StepProgress()) as progress:
-        tuning = search(data, out, settings, progress)
+        tuning = search(data, out, settings, progress, workers=workers_at(jobs, cluster))
     typer.echo("\n".join(tuning_lines(tuning)))
     typer.echo(f"look in {write_report(tuning, out)}; use it with --config {out / 'best.toml'}")
 

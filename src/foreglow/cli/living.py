@@ -154,12 +154,13 @@ def _run(
     from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
-    from foreglow.runtime.records import FrameRecords
+    from foreglow.runtime.records import FrameRecords, time_record
 
     results = None if out is None else OutputFolder(out)
     takers: list[LiveSink] = [LiveStatus(), *sinks]
     if results is not None:
         takers.append(ResultsOnly(FrameRecords(results.partial("frames.jsonl"))))
+        takers.append(ResultsOnly(FrameRecords(results.partial("times.jsonl"), time_record)))
     notifier = ServiceNotifier()
     loop = LiveLoop(
         source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=takers, beat=notifier.beat

@@ -11,8 +11,10 @@ from foreglow.cli.app import (
     DEFAULT_PRESET,
     CalibrationOption,
     CanLogOption,
+    ClusterOption,
     ConfigOption,
     DbcOption,
+    JobsOption,
     LimitOption,
     MapOption,
     MappingOption,
@@ -29,12 +31,13 @@ from foreglow.cli.app import (
     argument,
     beam_sink,
     configuration_of,
-    equipped,
     finish,
     folder,
+    open_equipped,
     opened,
     picture_sink,
     recording_sinks,
+    run_by_workers,
     run_frames,
 )
 from foreglow.cli.viewing import SaveOption, ViewOption, lux_as_driven, viewer_sinks
@@ -70,18 +73,31 @@ def run(
     save: SaveOption = None,
     limit: LimitOption = None,
     on_error: OnErrorOption = "stop",
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
 ) -> None:
     """Find the light artifacts in SOURCE, follow them, and write them to a folder."""
     from foreglow.pipeline import Pipeline
+    from foreglow.runtime import Opening
+    from foreglow.scale import workers_at
 
+    workers = workers_at(jobs, cluster)
     configuration = configuration_of(preset, config, model)
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    plain = opened(source, out, on_error, topic)
-    frames = equipped(plain, files, time_offset, pose_error)
+    opening = Opening(open_equipped, (source, out, on_error, topic, files, time_offset, pose_error))
+    if jobs > 1 or cluster is not None:
+        if video or view or limit is not None or any(one is not None for one in (record, save)):
+            raise ValueError(
+                "run: expected --video, --record, --view, --save and --limit without --jobs and --cluster: they go "
+                "frame by frame"
+            )
+        finish(run_by_workers(opening, str(source), out, configuration, workers), out)
+        return
+    frames = opening()
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
         sinks: list[ResultSink] = [*recording_sinks(record, source, configuration)]
-        sinks += viewer_sinks(view, save, configuration, lux_as_driven(plain))
+        sinks += viewer_sinks(view, save, configuration, lux_as_driven(frames))
         return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     finish(run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks, limit=limit), out)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.cli.app import app, file, folder, size_of
+from foreglow.cli.app import ClusterOption, app, file, folder, size_of
 
 if TYPE_CHECKING:
     from foreglow import simulation
+    from foreglow.scale import Workers
     from foreglow.simulation import Scene
 
 
@@ -35,11 +36,14 @@ def simulate(
     empty: Annotated[bool, typer.Option("--empty", help="Leave out all vehicles whose lamps are lit.")] = False,
     fps: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Frames a second.")] = 18.0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; one uses all cores and is quickest up to four.")] = 1,
+    cluster: ClusterOption = None,
     quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it renders.")] = "training",
 ) -> None:
     """Simulate night drives: a data set in PVDN's format with the truth beside it, or a preview of one drive."""
     from foreglow import simulation
+    from foreglow.scale import workers_at
 
+    workers = workers_at(jobs, cluster)
     if print_scene is not None:
         drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
         typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
@@ -53,7 +57,7 @@ def simulate(
     else:
         drawn = _own_scenes(scene) or simulation.draw_scenes(scenes, seed, cast("simulation.Split", split))
         drawn = _changed(drawn, ego_beam, empty)
-        _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), jobs, quality)
+        _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), workers, quality)
 
 
 def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
@@ -95,7 +99,7 @@ def _preview(scene: Scene, out: Path, quality: str) -> None:
 
 
 def _simulate(
-    scenes: tuple[Scene, ...], out: Path | None, origin: tuple[int, str, str], jobs: int, quality: str
+    scenes: tuple[Scene, ...], out: Path | None, origin: tuple[int, str, str], workers: Workers, quality: str
 ) -> None:
     """Writes the data set, and says what is in it."""
     from foreglow.reports.progress import SceneProgress
@@ -108,5 +112,5 @@ def _simulate(
     config = DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
     drive = functools.partial(drive_frames, quality=quality)
     with contextlib.closing(SceneProgress(len(scenes), sum(one.num_frames for one in scenes))) as progress:
-        summary = simulate_dataset(out, scenes, drive, config, jobs=jobs, progress=progress)
+        summary = simulate_dataset(out, scenes, drive, config, workers=workers, progress=progress)
     typer.echo("\n".join(dataset_lines(summary)))

@@ -58,9 +58,11 @@ def viewer_sinks(
 
 def lux_as_driven(frames: FrameSource) -> LuxOf | None:
     """The light at other drivers' eyes as the simulated drive was recorded; None for other sources."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import PVDN, Equipped
     from foreglow.simulation.recording.lux import RecordedLux
 
+    if isinstance(frames, Equipped):
+        frames = frames.source
     if not isinstance(frames, PVDN) or not (frames.root / "simulation" / "info.json").is_file():
         return None
     return RecordedLux(frames.root)

@@ -8,6 +8,7 @@ from foreglow.datasets.download import download_pvdn
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.images import read_image, to_grey
 from foreglow.datasets.opening import open_source
+from foreglow.datasets.parts import part_names, part_of
 from foreglow.datasets.pvdn import PVDN, Selection
 from foreglow.datasets.pvdn_schema import (
     BoxLabels,
@@ -56,6 +57,8 @@ __all__ = [
     "Weather",
     "download_pvdn",
     "open_source",
+    "part_names",
+    "part_of",
     "read_image",
     "shipped_drive",
     "split_folder",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -135,6 +136,18 @@ class PVDN:
         """The sequences with at least one selected image, in the file's order."""
         selected = {self.sequence(image_id).id for image_id in self.frame_ids}
         return tuple(sequence for sequence in self.labels.sequences_file.sequences if sequence.id in selected)
+
+    @property
+    def directories(self) -> tuple[str, ...]:
+        """Folders of the sequences with at least one selected image, in the order of the frames."""
+        return tuple(dict.fromkeys(self.sequence(image_id).directory for image_id in self.frame_ids))
+
+    def only(self, directory: str) -> PVDN:
+        """The selected images of one sequence, by its folder; the labels are shared."""
+        one = copy.copy(self)
+        one.frame_ids = tuple(each for each in self.frame_ids if self.sequence(each).directory == directory)
+        one.skipped = []
+        return one
 
     @property
     def num_frames(self) -> int:

@@ -31,35 +31,39 @@ class Equipped:
     """The frames of another source, each with what a `VehicleData` knows of it.
 
     What a frame already carries stays where the data know nothing.
+
+    Attributes:
+        source: The other source.
+        data: What is known of its frames.
     """
 
     def __init__(self, source: FrameSource, data: VehicleData) -> None:
-        self._source = source
-        self._data = data
+        self.source = source
+        self.data = data
 
     @property
     def name(self) -> str:
         """The other source's."""
-        return self._source.name
+        return self.source.name
 
     @property
     def rate_hz(self) -> float | None:
         """The other source's."""
-        return self._source.rate_hz
+        return self.source.rate_hz
 
     @property
     def num_frames(self) -> int | None:
         """The other source's."""
-        return self._source.num_frames
+        return self.source.num_frames
 
     @property
     def skipped(self) -> Sequence[str]:
         """The other source's."""
-        return self._source.skipped
+        return self.source.skipped
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._source:
-            yield equip(frame, self._data)
+        for frame in self.source:
+            yield equip(frame, self.data)
 
 
 def equip(frame: Frame, data: VehicleData) -> Frame:

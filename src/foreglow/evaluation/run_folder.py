@@ -140,16 +140,19 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
 
 
 class _TimesLine(FrameLine):
-    stage_ms: dict[str, Number] = Field(default_factory=dict)
+    stage_ms: dict[str, Number]
 
 
 def read_stage_times(folder: Path) -> Mapping[int, Mapping[str, float]]:
     """By frame, how long each stage of the run in `folder` took, milliseconds.
 
     Raises:
-        ValueError: If its file is broken; the message names the line and the field.
+        FileNotFoundError: If its file is missing.
+        ValueError: If it is broken; the message names the line and the field.
     """
-    path = folder / "frames.jsonl"
+    path = folder / "times.jsonl"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected the folder of a run")
     return {line.frame: line.stage_ms for _, line in frame_lines(path.read_bytes(), _TimesLine, path)}
 
 

@@ -22,8 +22,9 @@ from foreglow.experiments.glare_drives import Drives, settings_of
 from foreglow.experiments.glare_loop import Delays, with_beam_policy
 from foreglow.files import read_text, write_atomic, write_json_results
 from foreglow.provenance import provenance
+from foreglow.scale import Local, Parent, Workers
 from foreglow.simulation import Scene, without_traffic
-from foreglow.simulation.recording.processes import Progress, in_processes
+from foreglow.simulation.recording.dataset import Progress
 from foreglow.simulation.recording.truth_files import read_scenes, sequence_name
 
 DRIVES = "drives"
@@ -78,7 +79,13 @@ class GlareExperiment:
 
 
 def run_experiment(
-    scenes: Path, config: PipelineConfig, plan: GlarePlan, folder: Path, *, jobs: int, progress: Progress
+    scenes: Path,
+    config: PipelineConfig,
+    plan: GlarePlan,
+    folder: Path,
+    *,
+    workers: Workers | None = None,
+    progress: Progress,
 ) -> GlareExperiment:
     """Drives the scenes that are not finished yet, and scores all.
 
@@ -87,7 +94,7 @@ def run_experiment(
         config: Our pipeline; its beam policy, or ours where it has none.
         plan: What is driven, and how.
         folder: Where everything goes; made if need be. An interrupted experiment in it goes on.
-        jobs: Processes.
+        workers: Who drives; None drives in this process.
         progress: Told of every frame.
 
     Raises:
@@ -99,13 +106,15 @@ def run_experiment(
     wanted = named_scenes(scenes, plan)
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
     _claim(folder, config, plan)
-    todo = []
+    todo: dict[str, tuple[int, NamedScene]] = {}
     for number, named in enumerate(wanted, start=1):
         if _sightings_file(folder, named.name).exists():  # written after the drive
             progress(number, named.scene.num_frames, named.scene.num_frames)
         else:
-            todo.append((number, named))
-    in_processes(functools.partial(_drive, folder, config, plan), todo, jobs, progress)
+            todo[named.name] = number, named
+    work = functools.partial(_drive, folder, config, plan)
+    for _ in (workers or Local()).each(work, todo, progress, paths=(folder,)):
+        pass
     return _scored(folder, wanted, plan)
 
 
@@ -140,9 +149,7 @@ def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _drive(
-    folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], progress: Progress
-) -> None:
+def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], parent: Parent) -> None:
     """Drives one scene and writes what is kept of it."""
     number, named = item
     drives = Drives(config, plan.delays, plan.quality)
@@ -150,7 +157,9 @@ def _drive(
     def told() -> Any:
         for place, pair in enumerate(drives.pairs(named.scene), start=1):
             yield pair
-            progress(number, place, named.scene.num_frames)
+            parent.tell(number, place, named.scene.num_frames)
+            if parent.is_stopped:
+                raise KeyboardInterrupt
 
     driven = drives.driven(named.scene, named.name, told())
     write_glare_drive(_drive_file(folder, named.name), driven.drive)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
+import itertools
 import math
-import threading
+import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -25,6 +25,7 @@ from foreglow.evaluation import BoxQuality, annotation_quality
 from foreglow.files import write_atomic
 from foreglow.learning.annotation import IGNORED, label_boxes
 from foreglow.proposals import Proposer, make_proposer
+from foreglow.scale import Local, Parent, Workers
 
 RECORD_NAME = "bounding_boxes.toml"
 """Beside the folder of boxes: with which parameters they were made, and how many there are."""
@@ -124,7 +125,12 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
 
 
 def annotate_split(
-    root: Path | str, config: PipelineConfig, preset: str = "", *, jobs: int = 1, progress: Progress | None = None
+    root: Path | str,
+    config: PipelineConfig,
+    preset: str = "",
+    *,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
 ) -> Annotation:
     """Writes the boxes of every image of the split `root`, in place of any that were there, and rates them.
 
@@ -136,16 +142,14 @@ def annotate_split(
         root: The split's folder.
         config: Whose proposal stage is used.
         preset: Name of the parameters, for the record.
-        jobs: Threads; images are decoded and searched outside of Python.
+        workers: Who annotates, a sequence each; None annotates in this process.
         progress: Told of every sequence.
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.
-        ValueError: If one of them is broken, or `jobs` is below 1.
+        ValueError: If one of them is broken.
         OSError: If a file cannot be written.
     """
-    if jobs < 1:
-        raise ValueError(f"jobs: expected at least 1, got {jobs}")
     dataset = PVDN(root)
     folder = dataset.root / "labels" / "bounding_boxes"
     folder.mkdir(parents=True, exist_ok=True)
@@ -155,25 +159,16 @@ def annotate_split(
     path = folder.with_name(RECORD_NAME)
     done = _kept(dataset, path, record)
     tell = progress or (lambda what, num_done, num_all: None)  # noqa: ARG005
-    num_kept = sum(one.num_images for one in done.values())
-    record = record.model_copy(update={"sequences": tuple(done.values())})
-    write_atomic(path, _toml(record))
-    tell(dataset.name, num_kept, len(dataset))
-    local = _PerThread(config.proposals)
-    with ThreadPoolExecutor(jobs) as pool:
-        for sequence in dataset.sequences:
-            if sequence.directory in done:
-                continue
-            counts = list(pool.map(lambda one: _annotate_image(dataset, one, local.proposer), sequence.image_ids))
-            made = _SequenceRecord(
-                directory=sequence.directory,
-                num_images=len(counts),
-                **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
-            )
-            record = record.model_copy(update={"sequences": (*record.sequences, made)})
-            write_atomic(path, _toml(record))
-            num_kept += len(counts)
-            tell(dataset.name, num_kept, len(dataset))
+    directories = [sequence.directory for sequence in dataset.sequences]
+    todo = {one: one for one in directories if one not in done}
+    work = functools.partial(_annotate_sequence, dataset.root, config.proposals, uuid.uuid4().hex)
+    made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
+    for directory, one in itertools.chain([("", None)], made):
+        if one is not None:
+            done[directory] = one
+        record = record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
+        write_atomic(path, _toml(record))
+        tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
     write_atomic(path, _toml(record.model_copy(update={"is_complete": True})))
     totals = {
         name: sum(getattr(one, name) for one in record.sequences)
@@ -182,19 +177,27 @@ def annotate_split(
     return Annotation(dataset.root, **totals, quality=annotation_quality(dataset.root))
 
 
-@dataclass
-class _PerThread:
-    """A proposer for each thread, since it keeps scratch memory."""
+def _annotate_sequence(
+    root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
+) -> _SequenceRecord:
+    """Writes the boxes of one sequence."""
+    dataset, proposer = _dataset(root, call), make_proposer(config)
+    counts = []
+    for image_id in dataset.only(directory).frame_ids:
+        if parent.is_stopped:
+            raise KeyboardInterrupt
+        counts.append(_annotate_image(dataset, image_id, proposer))
+    return _SequenceRecord(
+        directory=directory,
+        num_images=len(counts),
+        **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
+    )
 
-    config: ProposalConfig
-    _local: threading.local = dataclasses.field(default_factory=threading.local)
 
-    @property
-    def proposer(self) -> Proposer:
-        if not hasattr(self._local, "proposer"):
-            self._local.proposer = make_proposer(self.config)
-        proposer: Proposer = self._local.proposer
-        return proposer
+@functools.lru_cache(maxsize=1)
+def _dataset(root: Path, call: str) -> PVDN:  # noqa: ARG001
+    """The split, read once a process and call: at the next one the labels may be others."""
+    return PVDN(root)
 
 
 def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[int, int, int]:

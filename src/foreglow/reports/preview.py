@@ -12,7 +12,7 @@ from foreglow.files import write_atomic
 from foreglow.reports.overlay import Colour, Picture
 from foreglow.reports.tone import Tone
 from foreglow.reports.video import Movie
-from foreglow.simulation.recording.processes import Progress
+from foreglow.simulation.recording.dataset import Progress
 from foreglow.simulation.truth import Artifact, DriveFrame, VehicleTruth
 
 KIND_BGR: dict[str, Colour] = {

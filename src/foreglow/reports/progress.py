@@ -27,7 +27,7 @@ class _Bar:
         """Takes the bar away; it comes back when there is more to show."""
         self._progress.stop()
 
-    def _show(self, description: str, num_done: int, total: int) -> None:
+    def _show(self, description: str, num_done: int, total: int | None) -> None:
         self._progress.start()
         self._progress.update(self._task, description=description, completed=num_done, total=total)
 
@@ -47,6 +47,21 @@ class ProgressSink(_Bar):
     def discard(self) -> None:
         """Takes the bar away."""
         self.close()
+
+
+class PartsProgress(_Bar):
+    """Shows how many frames of a run are done whose sequences are run apart."""
+
+    def __init__(self, num_frames: int | None) -> None:
+        """A bar over `num_frames`, or a mere count where their number is unknown."""
+        super().__init__()
+        self._num_frames = num_frames
+        self._done: dict[str, int] = {}
+
+    def __call__(self, sequence: str, num_done: int) -> None:
+        """Takes note that `num_done` frames of a sequence are done."""
+        self._done[sequence] = num_done
+        self._show("frames", sum(self._done.values()), self._num_frames)
 
 
 class SceneProgress(_Bar):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
+import uuid
 from pathlib import Path
 
 from foreglow.files import naming
 
 RESULT_NAMES = (
     "frames.jsonl",
+    "times.jsonl",
     "overlay.mp4",
     "overlay.png",
     "beam.mp4",
@@ -22,6 +25,9 @@ RESULT_NAMES = (
 )
 """Every name that a run may write; `summary.json` is published last, so where it exists the set is whole. Only what is
 made of the results themselves, `moments.png` by `foreglow demo`, comes after it."""
+
+PARTS = "parts-*.partial"
+"""Pattern of the folders that hold pieces of results while a run is under way."""
 
 
 class OutputFolder:
@@ -41,6 +47,7 @@ class OutputFolder:
         """
         self.path = path
         self._partials: dict[str, Path] = {}
+        self._parts: Path | None = None
         self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
@@ -69,8 +76,17 @@ class OutputFolder:
         with naming(self.path / name):
             self.partial(name).write_text(text, encoding="utf-8")
 
+    def parts(self) -> Path:
+        """A new folder in it for pieces of results; it goes with `publish` and `discard`."""
+        self._parts = self.path / PARTS.replace("*", uuid.uuid4().hex)
+        with naming(self._parts):
+            self._parts.mkdir()
+        return self._parts
+
     def publish(self) -> None:
         """Gives all results their final names, `summary.json` last; a name never written to is skipped."""
+        for parts in self.path.glob(PARTS):  # this run's, and those of runs that were killed
+            shutil.rmtree(parts, ignore_errors=True)
         (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)
         for name in RESULT_NAMES:
             partial = self._partials.get(name)
@@ -87,6 +103,8 @@ class OutputFolder:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
         self._partials.clear()
+        if self._parts is not None:
+            shutil.rmtree(self._parts, ignore_errors=True)
         for folder in self._made:
             with contextlib.suppress(OSError):
                 folder.rmdir()

@@ -1,18 +1,22 @@
-"""`frames.jsonl`: one line of JSON for every frame."""
+"""`frames.jsonl` and `times.jsonl`: one line of JSON for every frame."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.files import naming
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Tracks, TrackState
+
+RecordOf: TypeAlias = Callable[[Frame, FrameResult], dict[str, Any]]
+"""What is written about a frame."""
 
 
 def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
@@ -22,8 +26,8 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
     each the exact value of the float32 that was compared with the threshold, and `ranges_m` and `range_sigmas_m`
     likewise: from the camera along the viewing ray, None for a box where nothing is known. `direct` is the probability
     of a lamp itself, box by box, None where the model does not say. `tracks` has one object a track, `beam` is the
-    `beam_record`. Whatever a stage did not make is None as a whole. All but `stage_ms` depend on the frame and the
-    configuration alone.
+    `beam_record`. Whatever a stage did not make is None as a whole. All depends on the frames and the configuration
+    alone: what a clock touches is in the `time_record`.
     """
     detections, ranges, tracks = result.detections, result.ranges, result.tracks
     return {
@@ -38,6 +42,15 @@ def frame_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
         "range_sigmas_m": None if ranges is None else _numbers(ranges.sigmas_m),
         "tracks": None if tracks is None else _track_records(tracks),
         "beam": None if result.beam is None else beam_record(result.beam),
+    }
+
+
+def time_record(frame: Frame, result: FrameResult) -> dict[str, Any]:
+    """What `times.jsonl` says about one frame: the run-time of each stage, milliseconds to 0.1 us."""
+    return {
+        "frame": result.frame,
+        "sequence": frame.sequence,
+        "timestamp_ns": result.timestamp_ns,
         "stage_ms": {name: round(value, 4) for name, value in result.stage_ms.items()},
     }
 
@@ -98,10 +111,11 @@ def _numbers(values: NDArray[np.float64]) -> list[float | None]:
 
 
 class FrameRecords:
-    """A result sink that writes `frame_record` lines to `path`."""
+    """A result sink that writes a line about every frame to `path`: its `frame_record`, or its `time_record`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, record_of: RecordOf = frame_record) -> None:
         self._path = path
+        self._record_of = record_of
         with naming(path):
             self._file = path.open("w", encoding="utf-8", newline="\n")
 
@@ -111,7 +125,7 @@ class FrameRecords:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        line = json.dumps(frame_record(frame, result), separators=(",", ":"), allow_nan=False)
+        line = json.dumps(self._record_of(frame, result), separators=(",", ":"), allow_nan=False)
         with naming(self._path):
             self._file.write(line + "\n")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import FrameType
 from typing import Protocol
 
-from foreglow.config import config_to_toml
+from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import FrameSource
 from foreglow.runtime.folder import OutputFolder
-from foreglow.runtime.records import FrameRecords
+from foreglow.runtime.records import FrameRecords, time_record
 from foreglow.runtime.stepper import Stepper
 from foreglow.runtime.summary import RunSummary, Tally
 from foreglow.types import Frame, FrameResult
@@ -72,7 +72,7 @@ def run(
     limit: int | None = None,
     source_name: str = "",
 ) -> RunSummary:
-    """Runs `pipeline` over `source` and writes `frames.jsonl`, `config.toml` and `summary.json` into `folder`, if any.
+    """Runs `pipeline` over `source`; writes results, their times, configuration and summary into `folder`, if any.
 
     After a first Ctrl-C the results so far are completed and published, and the summary says
     `is_complete: false`. After any error, and after a second Ctrl-C, nothing of this run remains and an older
@@ -95,28 +95,17 @@ def run(
     takers: list[ResultSink] = list(sinks)
     try:
         if folder is not None:
+            takers.insert(0, FrameRecords(folder.partial("times.jsonl"), time_record))
             takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
-        sequence: str | None = None
+        name = source_name or source.name
         with InterruptFlag() as interrupt:
-            for frame in itertools.islice(source, limit):
-                if frame.sequence != sequence:  # sequences share no time axis
-                    pipeline.reset()
-                    sequence = frame.sequence
-                result = pipeline.step(frame)
-                for taker in takers:
-                    taker.write(frame, result)
-                tally.add(frame, result)
-                if interrupt.is_set:
-                    break
-            if not tally.num_frames and source.skipped:
-                raise ValueError(f"{source_name or source.name}: expected a readable frame; {source.skipped[0]}")
+            step_through(itertools.islice(source, limit), pipeline, takers, tally, lambda: interrupt.is_set)
+            check_readable(name, tally, source.skipped)
             for taker in takers:
                 taker.close()
-        summary = tally.summary(source_name or source.name, source.skipped, pipeline, is_complete=not interrupt.is_set)
+        summary = tally.summary(name, source.skipped, pipeline, is_complete=not interrupt.is_set)
         if folder is not None:
-            folder.write_text("config.toml", config_to_toml(pipeline.config))
-            folder.write_text("summary.json", summary.to_json())
-            folder.publish()
+            publish(folder, pipeline.config, summary)
     except BaseException:
         for taker in takers:
             taker.discard()
@@ -124,3 +113,37 @@ def run(
             folder.discard()
         raise
     return summary
+
+
+def step_through(
+    frames: Iterable[Frame],
+    pipeline: Stepper,
+    takers: Sequence[ResultSink],
+    tally: Tally,
+    is_stopped: Callable[[], bool],
+) -> None:
+    """Runs the pipeline over the frames until it is stopped, which is asked after each, and hands on the results."""
+    sequence: str | None = None
+    for frame in frames:
+        if frame.sequence != sequence:  # sequences share no time axis
+            pipeline.reset()
+            sequence = frame.sequence
+        result = pipeline.step(frame)
+        for taker in takers:
+            taker.write(frame, result)
+        tally.add(frame, result)
+        if is_stopped():
+            break
+
+
+def check_readable(name: str, tally: Tally, skipped: Sequence[str]) -> None:
+    """ValueError if all frames of the source called `name` were passed over."""
+    if not tally.num_frames and skipped:
+        raise ValueError(f"{name}: expected a readable frame; {skipped[0]}")
+
+
+def publish(folder: OutputFolder, config: PipelineConfig, summary: RunSummary) -> None:
+    """Makes the results in `folder` whole, and gives them their names."""
+    folder.write_text("config.toml", config_to_toml(config))
+    folder.write_text("summary.json", summary.to_json())
+    folder.publish()

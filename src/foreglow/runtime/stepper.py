@@ -8,8 +8,8 @@ from foreglow.config import PipelineConfig
 from foreglow.types import Frame, FrameResult
 
 
-class Stepper(Protocol):
-    """A `Pipeline`, or what stands in for one."""
+class Described(Protocol):
+    """What a summary says of a pipeline."""
 
     config: PipelineConfig
 
@@ -17,6 +17,10 @@ class Stepper(Protocol):
     def dispatch(self) -> str | None:
         """As `Pipeline.dispatch`."""
         ...
+
+
+class Stepper(Described, Protocol):
+    """A `Pipeline`, or what stands in for one."""
 
     def step(self, frame: Frame) -> FrameResult:
         """The result of `frame`."""

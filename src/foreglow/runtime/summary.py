@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from foreglow.provenance import checkout_state, processor_name
-from foreglow.runtime.stepper import Stepper
+from foreglow.runtime.stepper import Described
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
 
 RunTime: TypeAlias = dict[str, float | None]
@@ -61,8 +61,8 @@ class RunSummary:
         version: Of Foreglow.
         commit: The checkout that Foreglow ran from; None where it was installed.
         has_local_changes: Whether that checkout differed from its commit; None where it was installed.
-        processor: The machine's own name of its processor.
-        dispatch: Instruction set that the native core used; None with another back end.
+        processor: The machine's own name of its processor; of many machines, each kind once.
+        dispatch: Instruction set that the native core used, likewise; None with another back end.
     """
 
     source: str
@@ -91,7 +91,7 @@ class RunSummary:
 
 
 class Tally:
-    """Counts and run-times, gathered frame by frame."""
+    """Counts and run-times, gathered frame by frame; those of the parts of a run can be put together."""
 
     def __init__(self) -> None:
         self.num_frames = 0
@@ -122,8 +122,39 @@ class Tally:
             self._stage_ms[name].append(value)
         self._stage_ms["total"].append(sum(result.stage_ms.values()))
 
-    def summary(self, source: str, skipped: Sequence[str], pipeline: Stepper, *, is_complete: bool) -> RunSummary:
-        """The summary of all frames so far, with what is known about this machine and this Foreglow."""
+    def extend(self, later: Tally) -> None:
+        """Counts all that `later` counted, as if it had been added after the frames so far."""
+        self.num_frames += later.num_frames
+        self._num_proposals += later._num_proposals
+        self._num_accepted += later._num_accepted
+        self._num_ranged += later._num_ranged
+        if later._tracks is not None:
+            self._tracks = (self._tracks or set()) | later._tracks
+        if later._beam is not None:
+            self._beam = self._beam or BeamTally()
+            self._beam.extend(later._beam)
+        self._sizes_px |= later._sizes_px
+        for name, values in later._stage_ms.items():
+            self._stage_ms[name] += values
+
+    def summary(
+        self,
+        source: str,
+        skipped: Sequence[str],
+        pipeline: Described,
+        *,
+        is_complete: bool,
+        processor: str | None = None,
+    ) -> RunSummary:
+        """The summary of all frames so far, with what is known about this Foreglow and the machine.
+
+        Args:
+            source: Where the frames came from.
+            skipped: A line a file.
+            pipeline: What ran.
+            is_complete: Whether all frames were run.
+            processor: What it ran on; None for this machine.
+        """
         is_classified = pipeline.config.classifier.model is not None
         is_ranging = is_classified and pipeline.config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
@@ -145,7 +176,7 @@ class Tally:
             version=metadata.version("foreglow"),
             commit=commit,
             has_local_changes=has_local_changes,
-            processor=processor_name(),
+            processor=processor or processor_name(),
             dispatch=pipeline.dispatch,
         )
 
@@ -163,6 +194,12 @@ class BeamTally:
         self._modes[command.mode] += 1
         self._faults.update(command.faults)
         self._widths_rad += np.diff(command.gaps_rad)[:, 0].tolist()
+
+    def extend(self, later: BeamTally) -> None:
+        """Counts all that `later` counted."""
+        self._modes.update(later._modes)
+        self._faults.update(later._faults)
+        self._widths_rad += later._widths_rad
 
     def summary(self) -> BeamSummary:
         """Of all commands so far."""

@@ -16,6 +16,7 @@ from foreglow.learning.tuning.measurement import Bench, read_material
 from foreglow.learning.tuning.search import _splits
 from foreglow.learning.tuning.spaces import PAPER
 from foreglow.learning.tuning.study import StudyPlan, num_finished, open_study
+from foreglow.scale import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
@@ -134,7 +135,7 @@ def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Pa
 
 
 def test_processes_share_a_study(data: Path, tmp_path: Path) -> None:
-    tuning = searched(data, tmp_path, 14, jobs=2)
+    tuning = tune(data, tmp_path, TuningSettings(num_trials=14, seed=SEED), workers=Local(2))
     assert len(tuning.trials) == 14
     assert len({tuple(one.parameters.items()) for one in tuning.trials}) > 10
     study = open_study(plan_of(data, tmp_path))
@@ -165,7 +166,7 @@ def test_without_val_the_best_on_train_is_chosen(tmp_path: Path) -> None:
 
 
 def test_bad_settings(data: Path, tmp_path: Path) -> None:
-    for name in ("num_trials", "num_images", "jobs", "num_finalists"):
+    for name in ("num_trials", "num_images", "num_finalists"):
         with pytest.raises(ValueError, match=f"{name}: expected at least 1, got 0"):
             TuningSettings(**{name: 0})  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="objective: expected one of"):

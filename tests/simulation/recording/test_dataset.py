@@ -6,8 +6,6 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ import pytest
 from foreglow.datasets import PVDN, ImageCategory, open_source
 from foreglow.datasets.pvdn_schema import Cycle
 from foreglow.files import write_atomic
+from foreglow.scale import Local
 from foreglow.simulation.recording import dataset
 from foreglow.simulation.recording.dataset import DatasetConfig, simulate_dataset
 from foreglow.simulation.recording.truth_files import read_truth
@@ -167,7 +166,7 @@ def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
 
 def test_processes_change_nothing(whole: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int, int]] = []
-    summary = simulate_dataset(tmp_path, SCENES, drive, jobs=2, progress=lambda *one: told.append(one))
+    summary = simulate_dataset(tmp_path, SCENES, drive, workers=Local(2), progress=lambda *one: told.append(one))
     assert digest(tmp_path) == digest(whole)
     assert sorted(told) == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
     assert (summary.labels.num_sequences, summary.labels.num_images, summary.num_kept) == (2, 5, 0)
@@ -175,21 +174,10 @@ def test_processes_change_nothing(whole: Path, tmp_path: Path) -> None:
 
 def test_an_error_in_a_process_keeps_the_other_scene(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="interrupted here"):
-        simulate_dataset(tmp_path, SCENES, functools.partial(drive, fail_at=(1, 1)), jobs=2)
+        simulate_dataset(tmp_path, SCENES, functools.partial(drive, fail_at=(1, 1)), workers=Local(2))
     assert read_truth(tmp_path / "night/train").sequence_ids == (2,)
     assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
     assert digest(tmp_path) == digest(whole)
-
-
-def test_a_process_that_dies_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def died(*_: object) -> Future[None]:
-        future: Future[None] = Future()
-        future.set_exception(BrokenProcessPool("terminated abruptly"))
-        return future
-
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", died)
-    with pytest.raises(ChildProcessError, match=r"train: a process ended unexpectedly.* run again with fewer jobs"):
-        simulate_dataset(tmp_path, SCENES, drive, jobs=2)
 
 
 def test_summary_and_progress(tmp_path: Path) -> None:
@@ -301,8 +289,3 @@ def test_a_full_disk_is_one_error_and_finished_scenes_stay(
     assert not list(tmp_path.rglob(".S00002*"))
     assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
     assert digest(tmp_path) == digest(whole)
-
-
-def test_jobs_below_one(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="jobs: expected at least 1, got 0"):
-        simulate_dataset(tmp_path, SCENES, drive, jobs=0)

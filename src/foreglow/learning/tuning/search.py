@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import multiprocessing
-import signal
+import functools
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +19,10 @@ from foreglow.learning.tuning.measurement import Bench, Material, Measurement, m
 from foreglow.learning.tuning.objectives import objective
 from foreglow.learning.tuning.spaces import PAPER, Parameters, space
 from foreglow.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
+from foreglow.scale import Local, Parent, Workers
 
 if TYPE_CHECKING:
-    from multiprocessing.synchronize import Event
-
     import optuna
-
-POLL_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +35,6 @@ class TuningSettings:
         objective: Name of what is minimised.
         space: Name of the space; None for the objective's own.
         seed: Of all draws.
-        jobs: Processes.
         num_finalists: How many of the best on train are compared on val.
         storage: A database's URL, or a journal file, which several machines may share; None for a journal in the
             output folder.
@@ -51,12 +45,11 @@ class TuningSettings:
     objective: str = "q"
     space: str | None = None
     seed: int = 0
-    jobs: int = 1
     num_finalists: int = 10
     storage: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("num_trials", "num_images", "jobs", "num_finalists"):
+        for name in ("num_trials", "num_images", "num_finalists"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
         space(self.space_name)
@@ -137,7 +130,14 @@ class Tuning:
         return self.finalists[0]
 
 
-def tune(data: Path | str, out: Path, settings: TuningSettings, progress: Progress | None = None) -> Tuning:
+def tune(
+    data: Path | str,
+    out: Path,
+    settings: TuningSettings,
+    progress: Progress | None = None,
+    *,
+    workers: Workers | None = None,
+) -> Tuning:
     """Searches parameters of the proposal stage; a call with the same data and storage goes on with its study.
 
     Trials are measured on a subset of train. The best few and the paper's parameters are then compared on all of
@@ -149,6 +149,7 @@ def tune(data: Path | str, out: Path, settings: TuningSettings, progress: Progre
         out: Folder for the decoded frames and, unless `settings` say otherwise, the study.
         settings: What to search.
         progress: Told of every frame decoded and every trial.
+        workers: Who runs the trials, all on one study; None runs them in this process.
 
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
@@ -158,9 +159,9 @@ def tune(data: Path | str, out: Path, settings: TuningSettings, progress: Progre
     """
     import optuna  # noqa: F401  before anything is decoded
 
-    splits = dict(_splits(Path(data)))
+    splits, workers = dict(_splits(Path(data))), workers or Local()
     material = read_material(
-        splits["train"], settings.num_images, out / "frames", jobs=settings.jobs, progress=progress
+        splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
     plan = StudyPlan(
         storage=settings.storage or str(out / "study.journal"),
@@ -173,7 +174,7 @@ def tune(data: Path | str, out: Path, settings: TuningSettings, progress: Progre
     started_s = time.monotonic()
     study = open_study(plan)
     prepare(study, plan)
-    _run_trials(study, plan, material, settings.jobs, progress)
+    _run_trials(study, plan, material, workers, progress)
     searched_s = time.monotonic()
     trials = _records(study)
     finalists = _on_train(_best(trials, settings), Bench(material), settings)
@@ -193,45 +194,26 @@ def _splits(data: Path) -> Iterator[tuple[SplitName, PVDN]]:
             yield name, PVDN(split_folder(data, name))
 
 
-def _run_trials(study: optuna.Study, plan: StudyPlan, material: Material, jobs: int, progress: Progress | None) -> None:
-    """Runs the trials that are missing, in this process or in `jobs` others."""
+def _run_trials(
+    study: optuna.Study, plan: StudyPlan, material: Material, workers: Workers, progress: Progress | None
+) -> None:
+    """Runs the trials that are missing; every worker goes on with the study until it is finished."""
 
     def tell() -> None:
         if progress is not None:
             progress("trials", num_finished(study), plan.num_trials)
 
     tell()
-    missing = plan.num_trials - num_finished(study)
-    if missing <= 0:
-        return
-    if jobs == 1:
-        work(plan, material, lambda: False, tell)
-        return
-    context = multiprocessing.get_context("spawn")  # a fork would share the storage's open file
-    stop = context.Event()
-    with ProcessPoolExecutor(min(jobs, missing), context, _begin, (stop,)) as pool:
-        futures = [pool.submit(_work_in_process, plan, material) for _ in range(min(jobs, missing))]
-        try:
-            while not all(future.done() for future in futures):
-                wait(futures, POLL_S)
-                tell()
-        finally:
-            stop.set()
-        for future in futures:
-            future.result()
+    num_workers = min(workers.num_workers, plan.num_trials - num_finished(study))
+    items = {f"worker {number}": number for number in range(1, num_workers + 1)}
+    paths = (material.frames.path, *([] if "://" in plan.storage else [Path(plan.storage)]))
+    for _ in workers.each(functools.partial(_work, plan, material), items, tell, paths=paths):
+        pass
 
 
-_STOP: list[Event] = []
-"""Of a process that works for another one: set when it shall end."""
-
-
-def _begin(stop: Event) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process hears Ctrl-C, and sets the event
-    _STOP[:] = [stop]
-
-
-def _work_in_process(plan: StudyPlan, material: Material) -> None:
-    work(plan, material, _STOP[0].is_set, lambda: None)
+def _work(plan: StudyPlan, material: Material, number: int, parent: Parent) -> None:  # noqa: ARG001
+    prepare(open_study(plan), plan)  # a process that was lost left a trial behind
+    work(plan, material, lambda: parent.is_stopped, parent.tell)
 
 
 def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:

@@ -27,9 +27,9 @@ from foreglow.datasets.json_files import read_json
 from foreglow.datasets.pvdn_schema import Cycle, Name
 from foreglow.datasets.pvdn_writer import png
 from foreglow.files import write_atomic
+from foreglow.scale import Local, Parent, Workers
 from foreglow.simulation.labels.production import ProductionConfig
 from foreglow.simulation.recording.lidar import LidarConfig, lidar_depth
-from foreglow.simulation.recording.processes import Progress, in_processes
 from foreglow.simulation.recording.pvdn_labels import LabelCounts, write_labels
 from foreglow.simulation.recording.street_data import STREET_STREAM, StreetDataError, StreetMap
 from foreglow.simulation.recording.truth_files import (
@@ -62,6 +62,9 @@ MAX_JITTER_NS = 1_000_000
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
 """Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
+
+Progress: TypeAlias = Callable[[int, int, int], None]
+"""Called with a scene's number, how many of its frames are done, and how many it has."""
 
 
 class DatasetConfig(FrozenModel):
@@ -129,7 +132,7 @@ def simulate_dataset(
     drive: DriveScene,
     config: DatasetConfig | None = None,
     *,
-    jobs: int = 1,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> DatasetSummary:
     """Drives `scenes` and writes them as the split `out/CYCLE/SPLIT`; scenes that are there already are kept.
@@ -141,8 +144,7 @@ def simulate_dataset(
         scenes: At least one; all with the same frame rate and label rule.
         drive: Drives a scene and yields what it knows of each frame; called once a scene, in any order.
         config: Cycle, split and the rest.
-        jobs: Number of processes, each with its own renderer; 1 stays in this one. More start anew, so that a script
-            needs `if __name__ == "__main__":` around its call.
+        workers: Who drives, each with a renderer of its own; None drives in this process.
         progress: Told of every frame, from this process.
 
     Raises:
@@ -152,8 +154,6 @@ def simulate_dataset(
             stay.
     """
     config = config or DatasetConfig()
-    if jobs < 1:
-        raise ValueError(f"jobs: expected at least 1, got {jobs}")
     files = _scene_files(scenes, config)
     root = Path(out) / config.cycle / config.split
     kept = _kept(root, files)
@@ -166,11 +166,10 @@ def simulate_dataset(
     for file in files:
         if file.sequence in kept:
             report(file.sequence, file.scene.num_frames, file.scene.num_frames)
-    wanted = [file for file in files if file.sequence not in kept]
-    try:
-        in_processes(functools.partial(_make_scene, root, drive), wanted, jobs, report)
-    except ChildProcessError as error:
-        raise ChildProcessError(f"{root}: {error}") from error
+    wanted = {sequence_name(file.sequence): file for file in files if file.sequence not in kept}
+    work = functools.partial(_make_scene, root, drive)
+    for _ in (workers or Local()).each(work, wanted, report, paths=(root,)):
+        pass
     for leftover in root.rglob(".*.tmp"):  # of a run that was killed
         leftover.unlink(missing_ok=True)
     return DatasetSummary(root, len(kept), write_labels(root, info))
@@ -252,7 +251,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _make_scene(root: Path, drive: DriveScene, file: SceneFile, report: Progress) -> None:
+def _make_scene(root: Path, drive: DriveScene, file: SceneFile, parent: Parent) -> None:
     """Drives one scene; its images and its truth appear together, or nothing does."""
     name = sequence_name(file.sequence)
     partial = root / "simulation" / f".{name}.partial"
@@ -260,7 +259,7 @@ def _make_scene(root: Path, drive: DriveScene, file: SceneFile, report: Progress
     shutil.rmtree(partial, ignore_errors=True)  # of a run that was killed
     try:
         (partial / "images").mkdir(parents=True)
-        _drive_into(partial, file, drive, report)
+        _drive_into(partial, file, drive, parent)
         for leftover in (truth, images):  # of a run that was killed between the two lines that follow
             if leftover.exists():
                 shutil.rmtree(leftover)
@@ -271,7 +270,7 @@ def _make_scene(root: Path, drive: DriveScene, file: SceneFile, report: Progress
         raise
 
 
-def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, report: Progress) -> None:
+def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent) -> None:
     scene, name = file.scene, sequence_name(file.sequence)
     street = StreetMap(Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM]))
     lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
@@ -286,7 +285,9 @@ def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, report: Progre
         depth = lidar_depth(known.depth_m, known.camera, lidar_rng, file.made_with.lidar)
         writer.add(FrameTruth.of(image_id, known, street.message(known.ego_s_m)), known.camera, depth)
         num_done += 1
-        report(file.sequence, num_done, scene.num_frames)
+        parent.tell(file.sequence, num_done, scene.num_frames)
+        if parent.is_stopped:
+            raise KeyboardInterrupt
     if num_done != scene.num_frames:
         raise ValueError(f"{name}: drive: expected {scene.num_frames} frames, got {num_done}")
     writer.close()

@@ -1,0 +1,75 @@
+"""A dask cluster of real processes on this machine, started as a user would."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass
+class DaskCluster:
+    """A scheduler and its workers, each with a nanny that starts it again should it die."""
+
+    folder: Path
+    address: str = ""
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def start_worker(self, num_threads: int = 1) -> None:
+        """One more worker."""
+        options = ("--nthreads", str(num_threads), "--no-dashboard", "--local-directory", str(self.folder))
+        self.start("worker", self.address, *options)
+
+    def start(self, *arguments: str) -> None:
+        """A `dask` command in a folder of its own, so that no path is right by chance."""
+        with (self.folder / "log.txt").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *arguments],
+                cwd=self.folder,
+                env=os.environ | {"PYTHONPATH": str(ROOT)},
+                stdout=log,
+                stderr=log,
+            )
+        self.processes.append(process)
+
+    def stop(self) -> None:
+        """Ends all that was started, the last first."""
+        for process in reversed(self.processes):
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def dask_cluster(folder: Path, num_workers: int = 2) -> Iterator[DaskCluster]:
+    """A scheduler on a free port of the local host, and workers of one thread each."""
+    cluster, file = DaskCluster(folder), folder / "scheduler.json"
+    try:
+        cluster.start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)
+        )
+        cluster.address = _address(file)
+        for _ in range(num_workers):
+            cluster.start_worker()
+        yield cluster
+    finally:
+        cluster.stop()
+
+
+def _address(file: Path) -> str:
+    until_s = time.monotonic() + 30.0
+    while time.monotonic() < until_s:
+        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+            return str(json.loads(file.read_text())["address"])
+        time.sleep(0.05)
+    raise TimeoutError(f"{file}: expected a scheduler to write it")
