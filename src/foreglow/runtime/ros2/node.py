@@ -10,7 +10,6 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
@@ -18,6 +17,7 @@ from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header, header_message
 from foreglow.runtime.ros2.join import Join, Joined
 from foreglow.runtime.ros2.messages import header_of
+from foreglow.runtime.ros2.receiver import Receiver
 from foreglow.runtime.ros2.results import timing_message
 
 Inputs = TypeVar("Inputs")
@@ -102,8 +102,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._diagnostics = self.ros.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, topics.NUM_KEPT)
         for topic in (*sampled, *exact[1:], exact[0]):  # what is ready at one time comes in this order
             self._subscribe(topic, 1 if topic == exact[0] else topics.NUM_KEPT)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.ros)
+        self._receiver = Receiver(self.ros)
 
     def publisher(self, topic: str) -> Any:
         """A publisher on one of our topics."""
@@ -144,15 +143,13 @@ class FrameNode(ABC, Generic[Inputs]):
         try:
             while rclpy.ok() and not should_stop():
                 self.spin_once()
-        except ExternalShutdownException:
-            pass
         finally:
             self.close()
 
     def spin_once(self) -> None:
         """Takes what has come, and works on a frame if one is whole."""
         is_waiting = self._join.is_waiting
-        self._executor.spin_once(WAITING_S if is_waiting else IDLE_S)
+        self._receiver.receive(WAITING_S if is_waiting else IDLE_S)
         joined = self._join.take(time.monotonic_ns())
         if joined is not None:
             self._work_on(joined)
@@ -161,7 +158,6 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def close(self) -> None:
         """Leaves the network."""
-        self._executor.shutdown()
         self.ros.destroy_node()
 
     def _subscribe(self, topic: str, depth: int) -> None:
@@ -194,6 +190,7 @@ class FrameNode(ABC, Generic[Inputs]):
             return
         self.faults.difference_update((BAD_MESSAGE, STAGE_FAILED))
         self.num_frames += 1
+        laps.times_ms["wait"] = (begun_ns - joined.received_ns) / 1e6
         laps.times_ms["received"] = since_exposure_ms - (begun_ns - joined.received_ns) / 1e6
         laps.times_ms["done"] = since_exposure_ms + (time.monotonic_ns() - begun_ns) / 1e6
         for name, value in laps.times_ms.items():

@@ -49,7 +49,7 @@ BEAM = {
 
 TIMING = {
     name: Field("f8", is_optional=True)
-    for name in ("received", "done", "decode", "proposals", "classifier", "distance", "tracking", "beam", "send")
+    for name in ("received", "wait", "done", "decode", "proposals", "classifier", "distance", "tracking", "beam", "send")
 }
 """Milliseconds: when the last part of the frame had come and when all was published, since exposure; and each part."""
 

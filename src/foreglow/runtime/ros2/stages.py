@@ -256,7 +256,7 @@ class PipelineNode(FrameNode[Frame]):
             self._tracks.publish(tracks_message(header, result.tracks))
 
 
-NODES: Mapping[str, Callable[[Setting], FrameNode[Any]] = {
+NODES: Mapping[str, Callable[[Setting], FrameNode[Any]]] = {
     "detector": DetectorNode,
     "distance": DistanceNode,
     "tracking": TrackingNode,
