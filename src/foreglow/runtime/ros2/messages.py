@@ -15,6 +15,7 @@ Every value comes back as it was, to the last bit. Readers raise `ValueError` wi
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -76,7 +77,7 @@ def image_message(header: Header, image: GreyImage) -> Image:
         height=rows,
         width=columns,
         encoding="mono8" if image.dtype == np.uint8 else "mono16",
-        is_bigendian=int(image.dtype.newbyteorder("=").str.startswith(">")),
+        is_bigendian=int(sys.byteorder == "big"),
         step=columns * image.itemsize,
         data=byte_array(image),
     )
@@ -190,7 +191,7 @@ def read_motion(
         )
     pitch_rad = math.nan if attitude is None else -attitude.vector.y
     if math.isinf(pitch_rad):
-        raise ValueError(f"{attitude_topic}: vector.y: expected a finite number or NaN, got {attitude_topic}")
+        raise ValueError(f"{attitude_topic}: vector.y: expected a finite number or NaN, got {pitch_rad}")
     return EgoMotion(speed_mps, yaw_rate_radps, pitch_rad)
 
 

@@ -47,11 +47,12 @@ BEAM = {
 }
 """Borders of gaps follow each other, right, left, right ...; faults are text, UTF-8, one a line."""
 
-TIMING = {
-    name: Field("f8", is_optional=True)
-    for name in ("received", "wait", "done", "decode", "proposals", "classifier", "distance", "tracking", "beam", "send")
-}
-"""Milliseconds: when the last part of the frame had come and when all was published, since exposure; and each part."""
+_STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
+
+TIMING = {name: Field("f8", is_optional=True) for name in ("received", "wait", "decode", *_STAGES, "send", "done")}
+"""Milliseconds: since exposure until the last part of the frame had come (`received`) and until all was sent (`done`);
+and how long each part took, from the `wait` for the node's attention on.
+"""
 
 _INT_32 = np.iinfo(np.int32)
 
