@@ -1,7 +1,7 @@
 """The ROS 2 network at a camera's rate: `python -m benchmarks.ros2 [--out FILE.json] [--quick]`.
 
-Needs `foreglow[ros2]`. Latency from exposure (the stamp) until the beam command is sent, on the drive that ships, each node a process and one
-thread: five nodes and all stages in one, beside the pipeline in process; with and without our profile of Fast DDS; and
+Needs `foreglow[ros2]`. Latency from exposure (the stamp) until the beam command is sent, on the drive that ships, each
+node a process and one thread: five nodes and all stages in one, beside the pipeline in process; with and without our profile of Fast DDS; and
 quicker than the stages can follow. Then each node is killed: how long until low beam, and until light is back.
 """
 
@@ -29,6 +29,11 @@ from foreglow.pipeline import Pipeline
 from foreglow.types import BeamMode, Frame
 
 IN_PROCESS = "in process"
+
+NO_PROFILE = """<dds xmlns="http://www.eprosima.com"><profiles>
+<participant profile_name="plain" is_default_profile="true"><rtps><name>plain</name></rtps></participant>
+</profiles></dds>
+"""
 
 
 class Contender(NamedTuple):
@@ -63,7 +68,7 @@ def prepared(has_profile: bool = True) -> PipelineConfig:
 
     if not has_profile:
         empty = Path(tempfile.gettempdir()) / "foreglow_no_profile.xml"
-        empty.write_text('<dds xmlns="http://www.eprosima.com"><profiles/></dds>\n', encoding="utf-8")
+        empty.write_text(NO_PROFILE, encoding="utf-8")
         os.environ[PROFILES[0]] = str(empty)
     prepare()
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 100))

@@ -20,12 +20,14 @@ from foreglow.types import BeamMode, Frame, FrameResult
 
 pytest.importorskip("rclpy")
 
-from foreglow.runtime.ros2.environment import prepare
-from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Answer, Network, own_domain
+from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Answer, Network
 from foreglow.runtime.ros2.node import INPUT_MISSING
 from foreglow.runtime.ros2.stages import checked
 
-pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning"),  # rclpy's own
+    pytest.mark.usefixtures("domain"),
+]
 
 # A busy machine is late; what is wanted here is what is computed, not when.
 STEP_NS = 55_555_556
@@ -35,16 +37,6 @@ PATIENT = ("--deadline", "30")
 def patient_config() -> PipelineConfig:
     config = checked(preset("foreglow"))
     return config.model_copy(update={"guard": config.guard.model_copy(update={"max_age_s": 10.0, "max_gap_s": 10.0})})
-
-
-@pytest.fixture(autouse=True)
-def network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    wanted = dict(os.environ)
-    prepare(environment=wanted)
-    for name in wanted.keys() - os.environ.keys():
-        monkeypatch.setenv(name, wanted[name])
-    with own_domain(1 + (os.getpid() + time.time_ns() // 1000) % 100):
-        yield
 
 
 @pytest.fixture(scope="module")

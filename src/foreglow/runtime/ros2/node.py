@@ -144,6 +144,7 @@ class FrameNode(ABC, Generic[Inputs]):
             while rclpy.ok() and not should_stop():
                 self.spin_once()
         finally:
+            gc.unfreeze()
             self.close()
 
     def spin_once(self) -> None:
