@@ -6,8 +6,10 @@ import dataclasses
 import itertools
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +122,53 @@ def moving(network: Network, frames: list[Frame], since: int, until: BeamMode) -
             return
         yield dataclasses.replace(frame, timestamp_ns=number * STEP_NS, sequence="long")
     raise AssertionError(f"no {until.name} beam within a minute")
+
+
+def foreglow(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "foreglow.cli", "ros2", *arguments]
+
+
+def test_one_command_runs_a_drive_to_its_end() -> None:
+    done = subprocess.run(
+        foreglow("all", str(shipped_drive()), "--limit", "5"), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_cannot_be_played_is_said_at_once(tmp_path: Path) -> None:
+    done = subprocess.run(foreglow("all", str(tmp_path / "no")), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert "no such file" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_no_node_outlives_the_command() -> None:
+    with subprocess.Popen(foreglow("all", str(shipped_drive()), "--loop"), stderr=subprocess.DEVNULL) as command:
+        children: list[str] = []
+        wait_until(lambda: len(children_of(command.pid)) == len(FIVE) + 1)
+        children = children_of(command.pid)
+        command.kill()
+        command.wait()
+    wait_until(lambda: not any(is_alive(child) for child in children))
+
+
+def children_of(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+
+
+def is_alive(pid: str) -> bool:
+    try:
+        return b"foreglow.cli" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def wait_until(is_done: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 60
+    while not is_done():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
 
 
 def test_other_options_are_refused(tmp_path: Path) -> None:
