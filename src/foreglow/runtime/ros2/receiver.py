@@ -1,7 +1,7 @@
 """Takes the messages of a node's subscriptions: all that have come, in one go.
 
-rclpy's executors look after services, timers and guards as well and make all of that anew for every single callback,
-which takes longer than a stage. As `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
+rclpy's executors look after services, timers and guards as well, take one message a round, and make all of that anew
+for each round. As `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
 """
 
 from __future__ import annotations
