@@ -47,9 +47,7 @@ WRONG_FRAMES: dict[str, Callable[[Sequence[Frame]], list[Frame]]] = {
 
 def live_config(**live: Any) -> PipelineConfig:
     """The preset with a beam, and other parameters of the loop."""
-    base = config.preset("foreglow")
-    beam = base.beam.model_copy(update={"policy": "foreglow"})
-    return base.model_copy(update={"beam": beam, "live": LiveConfig(**live)})
+    return config.preset("foreglow").commanding().model_copy(update={"live": LiveConfig(**live)})
 
 
 class ScriptedCamera:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import beam, distance, guard_sweep, scale, simulator, tracking
+from benchmarks import beam, distance, guard_sweep, ros2, scale, simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -136,6 +136,14 @@ def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
     results = json.loads((tmp_path / "sweep.json").read_text())
     assert results["num_states"] > 10_000
     assert results["num_counter_examples"] == 0
+
+
+def test_the_ros_network_is_timed(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    ros2.main(["--quick", "--out", str(tmp_path / "ros2.json")])
+    rows = json.loads((tmp_path / "ros2.json").read_text())["network"]
+    assert [row["what"] for row in rows] == ["in process", "one node", "five processes"]
+    assert all(row["max_ms"] >= row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 
 def test_estimators_are_timed(tmp_path: Path) -> None:

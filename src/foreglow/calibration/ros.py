@@ -85,7 +85,11 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
             f"{path}: {name}: expected 3 rows, {columns} columns and {3 * columns} numbers, got {given.rows} rows, "
             f"{given.cols} columns and {len(given.data)} numbers"
         )
-    distortion = NO_DISTORTION if choice.is_rectified else _distortion(file, path)
+    distortion = (
+        NO_DISTORTION
+        if choice.is_rectified
+        else distortion_of(file.distortion_model, file.distortion_coefficients.data, str(path))
+    )
     return Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {name}", distortion)
 
 
@@ -99,20 +103,23 @@ def _read(path: Path) -> _File:
     return validated(_File, fields, str(path))
 
 
-def _distortion(file: _File, path: Path) -> Five:
-    """k1, k2, p1, p2, k3."""
-    if file.distortion_model not in MODELS:
+def distortion_of(model: str, terms: tuple[float, ...], origin: str) -> Five:
+    """k1, k2, p1, p2, k3 of the distortion that ROS calls `model`.
+
+    Raises:
+        ValueError: If it is another model, or needs terms beyond k3; the message begins with `origin`.
+    """
+    if model not in MODELS:
         raise ValueError(
-            f"{path}: distortion_model: expected one of {', '.join(MODELS)}, got {file.distortion_model!r}; rectify "
-            "the images and ask for rectified ones"
+            f"{origin}: distortion_model: expected one of {', '.join(MODELS)}, got {model!r}; rectify the images and "
+            "ask for rectified ones"
         )
-    terms = file.distortion_coefficients.data
     if any(terms[NUM_TERMS:]):
         raise ValueError(
-            f"{path}: distortion_coefficients: expected k1, k2, p1, p2, k3 and no further term but 0, got "
+            f"{origin}: distortion_coefficients: expected k1, k2, p1, p2, k3 and no further term but 0, got "
             f"{list(terms)}; calibrate with plumb_bob, or rectify the images and ask for rectified ones"
         )
     if len(terms) not in (0, 4) and len(terms) < NUM_TERMS:
-        raise ValueError(f"{path}: distortion_coefficients: expected 0, 4, 5 or more numbers, got {len(terms)}")
+        raise ValueError(f"{origin}: distortion_coefficients: expected 0, 4, 5 or more numbers, got {len(terms)}")
     k1, k2, p1, p2, k3 = (*terms[:NUM_TERMS], *[0.0] * (NUM_TERMS - len(terms[:NUM_TERMS])))
     return k1, k2, p1, p2, k3

@@ -6,8 +6,8 @@ so that help is there at once. A module a subject; their order here is that of t
 
 from foreglow.cli.app import app
 
-from foreglow.cli import running, recording, beaming, living, reporting, calibrating, tracking  # noqa: F401  isort: skip
-from foreglow.cli import evaluating, simulating, learning, experimenting  # noqa: F401  isort: skip
+from foreglow.cli import running, recording, beaming, living, networking, reporting  # noqa: F401  isort: skip
+from foreglow.cli import calibrating, tracking, evaluating, simulating, learning, experimenting  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]
 

@@ -40,12 +40,9 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
     from foreglow.photometry import Headlamps
-    from foreglow.pipeline import Pipeline
     from foreglow.runtime import OutputFolder, ResultSink, Stepper
+    from foreglow.runtime.can_output import CanBus
     from foreglow.runtime.replay import Replay
-
-DEFAULT_POLICY = "foreglow"
-"""Where neither the option nor a file names one."""
 
 
 @app.command()
@@ -86,6 +83,7 @@ def beam(
 ) -> None:
     """Say for every frame what the headlamps shall shine: levels of all LEDs, dark gaps, and why there is low beam."""
     from foreglow.photometry import read_headlamps
+    from foreglow.pipeline import Pipeline
 
     is_run = (source / "frames.jsonl").is_file()
     if is_run:
@@ -100,7 +98,7 @@ def beam(
         pipeline, images, num_frames = _replay(source, configuration)
         limit, on_error = min(num_frames, limit or num_frames), "skip"
     else:
-        pipeline, images = _pipeline(configuration), source
+        pipeline, images = Pipeline(configuration), source
     files = (calibration, can_log, dbc, mapping, road_map, poses)
     frames = equipped(opened(images, out, on_error, topic), files, time_offset, pose_error)
     _check_equipment(frames, images, configuration, has_log=can_log is not None)
@@ -134,19 +132,20 @@ def with_beam(configuration: PipelineConfig, policy: str | None, lamps: Path | N
 
     if policy is not None and policy not in POLICIES:
         raise ValueError(f"--policy: expected one of {', '.join(POLICIES)}, got {policy!r}")
-    known = configuration.beam
-    wanted = policy or (DEFAULT_POLICY if known.policy == "none" else known.policy)
-    update = {"policy": wanted, "headlamps": lamps or known.headlamps}
-    return configuration.model_copy(update={"beam": known.model_copy(update=update)})
+    wanted = {"policy": policy, "headlamps": lamps}
+    return configuration.commanding(**{name: value for name, value in wanted.items() if value is not None})
 
 
-def _pipeline(configuration: PipelineConfig) -> Pipeline:
-    """All stages; without tracks there are no commands."""
-    from foreglow.pipeline import Pipeline
+def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
+    """The bus to the lamps, which have to have as many LEDs as its messages."""
+    from foreglow.beam.messages import NUM_LEDS
+    from foreglow.photometry import read_headlamps
+    from foreglow.runtime.can_output import CanBus
 
-    if configuration.classifier.model is None or configuration.tracker.method == "none":
-        raise ValueError("beam: expected a model (--model FILE) and a tracker: without them there are no tracks")
-    return Pipeline(configuration)
+    headlamps = read_headlamps(configuration.beam.headlamps)
+    if headlamps.num_leds != NUM_LEDS:
+        raise ValueError(f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each")
+    return CanBus(channel, ramp_s=configuration.beam.restore_s)
 
 
 def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:

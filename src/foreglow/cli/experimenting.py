@@ -230,11 +230,10 @@ def experiment_occurrence(
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more and films it."""
     from foreglow.experiments.glare_drives import Drives
-    from foreglow.experiments.glare_loop import with_beam_policy
     from foreglow.photometry import read_headlamps
     from foreglow.reports.glare_film import write_film
 
-    drives = Drives(with_beam_policy(config, plan.delays), plan.delays, plan.quality)
+    drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)
     titles, rate_hz = ("paper", "foreglow"), named.scene.rate_hz
     headlamps = read_headlamps(config.beam.headlamps)
     write_film(drives.pairs(named.scene), titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")

@@ -31,7 +31,7 @@ from foreglow.cli.app import (
     recording_sinks,
     size_of,
 )
-from foreglow.cli.beaming import with_beam
+from foreglow.cli.beaming import lamp_bus, with_beam
 from foreglow.cli.viewing import SaveOption, ViewOption, viewer_sinks
 
 if TYPE_CHECKING:
@@ -91,14 +91,11 @@ def live(
     pose_error: PoseErrorOption = 5.0,
 ) -> None:
     """Run on SOURCE as it happens: tracks and beam commands in real time, low beam whenever something is wrong."""
-    from foreglow.runtime.can_output import CanBus
     from foreglow.runtime.live import DriveAround
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live
 
     configuration = with_beam(configuration_of(preset, config, model), policy, lamps)
-    if configuration.classifier.model is None or configuration.tracker.method == "none":
-        raise ValueError("live: expected a model (--model FILE) and a tracker: without them there are no tracks")
     files = (calibration, can_log, dbc, mapping, road_map, poses)
     with contextlib.ExitStack() as closing:
         data = _vehicle_data(files, can_in, time_offset, pose_error, closing)
@@ -107,7 +104,7 @@ def live(
         opened = open_live(source, options, speed=speed or float("inf"), topic=topic, seed=seed, quality=quality)
         outputs: list[BeamOutput] = [opened] if isinstance(opened, DriveAround) else []
         if can is not None:
-            outputs.append(CanBus(can, ramp_s=configuration.beam.restore_s))
+            outputs.append(lamp_bus(can, configuration))
         sinks = recording_sinks(record, Path(source), configuration)
         lux_of = opened.lux if isinstance(opened, DriveAround) else None
         sinks += viewer_sinks(view, save, configuration, lux_of)

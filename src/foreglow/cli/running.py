@@ -119,8 +119,7 @@ def demo(
     first = next(iter(frames), None)
     has_beam = first is not None and first.camera is not None and first.motion is not None
     if has_beam:
-        beam = configuration.beam.model_copy(update={"policy": "foreglow"})
-        configuration = configuration.model_copy(update={"beam": beam})
+        configuration = configuration.commanding(policy="foreglow")
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
         sinks = [picture_sink(frames, results, "overlay")]

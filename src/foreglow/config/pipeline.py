@@ -41,6 +41,20 @@ class PipelineConfig(FrozenModel):
         }
         return self.model_copy(update=off)
 
+    def commanding(self, **beam: Any) -> PipelineConfig:
+        """The same with beam commands: with the policy `foreglow` where it has none.
+
+        Args:
+            beam: Fields of the beam that shall be others.
+
+        Raises:
+            ValueError: If there are no tracks to make them of.
+        """
+        if self.classifier.model is None or self.tracker.method == "none":
+            raise ValueError("beam: expected a model (--model FILE) and a tracker: without them there are no tracks")
+        policy = "foreglow" if self.beam.policy == "none" else self.beam.policy
+        return self.model_copy(update={"beam": self.beam.model_copy(update={"policy": policy, **beam})})
+
 
 PRESETS: dict[str, PipelineConfig] = {
     # Paper, table of the parameter search (kappa 0.4, w 19, s 0.01, d 4).

@@ -19,7 +19,7 @@ from foreglow.evaluation.glare_limits import FMVSS_108, R123
 from foreglow.evaluation.glare_results import GlareResults, SensitivityPoint
 from foreglow.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.experiments.glare_drives import Drives, settings_of
-from foreglow.experiments.glare_loop import Delays, with_beam_policy
+from foreglow.experiments.glare_loop import Delays
 from foreglow.files import read_text, write_atomic, write_json_results
 from foreglow.provenance import provenance
 from foreglow.scale import Local, Parent, Workers
@@ -102,7 +102,7 @@ def run_experiment(
         ValueError: If they are broken, or the folder holds an experiment with another plan.
         OSError: If something cannot be written; scenes that are finished stay.
     """
-    config = with_beam_policy(config, plan.delays)
+    config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
     _claim(folder, config, plan)

@@ -44,6 +44,10 @@ class Delays(FrozenModel):
     camera_s: float = Field(default=0.05, ge=0, le=1)
     lamp_s: float = Field(default=0.1, ge=0, le=1)
 
+    def known_to(self, config: PipelineConfig) -> PipelineConfig:
+        """`config` with a beam policy, ours where it has none, that knows of the delays."""
+        return config.commanding(latency_s=self.camera_s + self.lamp_s)
+
 
 class Shone(NamedTuple):
     """One frame of a closed loop.
@@ -218,10 +222,3 @@ def _is_followed(known: DriveFrame, vehicle: VehicleTruth) -> bool:
     """Whether it drives ahead of us, near, with its rear lamps in sight."""
     is_lit = any(lamp.is_rear and lamp.visible_share >= 0.5 for lamp in vehicle.lamps)
     return is_lit and not is_coming(known.ego_pose, vehicle) and vehicle.range_m < REAR_REACH_M
-
-
-def with_beam_policy(config: PipelineConfig, delays: Delays) -> PipelineConfig:
-    """`config` with a beam policy, ours where it has none, that knows of the delays."""
-    policy = config.beam.policy if config.beam.policy != "none" else "foreglow"
-    beam = {"policy": policy, "latency_s": delays.camera_s + delays.lamp_s}
-    return config.model_copy(update={"beam": config.beam.model_copy(update=beam)})

@@ -1,0 +1,35 @@
+"""What ROS 2 reads from the environment, set before it is loaded: who may hear us, and how images travel."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import MutableMapping
+from pathlib import Path
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+MIDDLEWARE = "RMW_IMPLEMENTATION"
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Where Fast DDS looks for a profile; the older name is known to all releases."""
+
+FAST_DDS = "rmw_fastrtps_cpp"
+
+
+def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str] | None = None) -> None:
+    """Keeps the nodes on this machine and has images travel by shared memory, unless the user has set otherwise.
+
+    With our profile of Fast DDS the loopback interface and shared memory are all there is, and the range is left to
+    it: ROS 2's own `LOCALHOST` would open sockets on every interface beside it. With a user's profile, or another
+    middleware, the range is `LOCALHOST`.
+
+    Args:
+        is_networked: Whether nodes on other machines may take part.
+        environment: What is changed; None for that of this process, which must not have loaded rclpy yet.
+    """
+    known = os.environ if environment is None else environment
+    takes_profile = known.get(MIDDLEWARE, FAST_DDS) == FAST_DDS and not any(known.get(name) for name in PROFILES)
+    if takes_profile:
+        name = "fastdds_network.xml" if is_networked else "fastdds_local.xml"
+        known[PROFILES[0]] = str(Path(__file__).with_name(name))
+    if not known.get(RANGE):
+        is_local_by_profile = takes_profile and not is_networked
+        known[RANGE] = "SUBNET" if is_networked else "SYSTEM_DEFAULT" if is_local_by_profile else "LOCALHOST"

@@ -1,0 +1,42 @@
+"""A launch file for those who have ROS 2: `ros2 launch $(foreglow ros2 launch-file) source:=DRIVE`.
+
+Arguments: source (empty: cameras and car of your own), arguments (for all nodes, such as `--config car.toml`),
+namespace. A node that dies is started again.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PythonExpression
+
+COMPUTE = ("detector", "distance", "tracking", "beam")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The five nodes, each a process."""
+    source, arguments, namespace = (LaunchConfiguration(name) for name in ("source", "arguments", "namespace"))
+    ros_arguments = [" --ros-args -r __ns:=", namespace]
+    nodes = [
+        ExecuteProcess(
+            cmd=[["foreglow ros2 ", name, " ", arguments, *ros_arguments]],
+            name=f"foreglow_{name}",
+            output="screen",
+            respawn=True,
+            respawn_delay=0.5,
+            shell=True,
+        )
+        for name in COMPUTE
+    ]
+    player = ExecuteProcess(
+        cmd=[["foreglow ros2 source ", source, *ros_arguments]], name="foreglow_source", output="screen", shell=True
+    )
+    has_source = IfCondition(PythonExpression(["'", source, "' != ''"]))
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("source", default_value="", description="what `foreglow ros2 source` plays"),
+            DeclareLaunchArgument("arguments", default_value="", description="for all nodes but the source"),
+            DeclareLaunchArgument("namespace", default_value="/", description="of all topics"),
+            *nodes,
+            GroupAction([player], condition=has_source),
+        ]
+    )

@@ -1,0 +1,71 @@
+"""A `Frame` out of the messages that belong to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from foreglow.geometry import Camera
+from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.join import Joined
+from foreglow.runtime.ros2.messages import read_camera_info, read_image, read_motion, read_mount, read_road
+from foreglow.types import EgoMotion, Frame
+
+
+class FrameReader:
+    """Makes frames; a camera that stays as it is stays the same object, from which stages keep what they computed."""
+
+    def __init__(self, calibration: Camera | None = None) -> None:
+        """Takes the camera, where it is not to be taken from messages."""
+        self._calibration = calibration
+        self._known: tuple[Any, Camera | None] = (None, None)
+
+    def read(self, joined: Joined) -> Frame:
+        """The frame, as far as the messages tell; without an image, one of its size and no content.
+
+        Raises:
+            ValueError: If a message cannot be used; it names topic and field.
+        """
+        messages = joined.messages
+        size_px, camera = self._camera(messages)
+        if topics.IMAGE in messages:
+            image = read_image(messages[topics.IMAGE], topics.IMAGE)
+        else:
+            image = np.broadcast_to(np.uint8(0), size_px[::-1])
+        road = messages.get(topics.ROAD)
+        return Frame(
+            image,
+            joined.header.timestamp_ns,
+            sequence=joined.header.sequence,
+            path=topics.IMAGE,
+            camera=camera,
+            motion=_motion(messages),
+            road=None if road is None else read_road(road, topics.ROAD),
+        )
+
+    def _camera(self, messages: Mapping[str, Any]) -> tuple[tuple[int, int], Camera | None]:
+        """Size of the image, and its camera."""
+        if self._calibration is not None:
+            return (self._calibration.width_px, self._calibration.height_px), self._calibration
+        info, mount = messages[topics.CAMERA_INFO], messages.get(topics.MOUNT)
+        key = (
+            *(info.height, info.width, info.distortion_model, tuple(info.d), tuple(info.k)),
+            *(info.roi, info.binning_x, info.binning_y),
+            None if mount is None else (mount.fields, mount.point_step, mount.data),
+        )
+        if self._known[0] != key:
+            _, intrinsics = read_camera_info(info, topics.CAMERA_INFO)
+            camera: Camera | None = None
+            if intrinsics is not None and mount is not None:
+                camera = Camera(**intrinsics.model_dump(), vehicle_from_camera=read_mount(mount, topics.MOUNT))
+            self._known = (key, camera)
+        return (info.width, info.height), self._known[1]
+
+
+def _motion(messages: Mapping[str, Any]) -> EgoMotion | None:
+    twist = messages.get(topics.TWIST)
+    if twist is None:
+        return None
+    return read_motion(twist, messages.get(topics.ATTITUDE), topics.TWIST, topics.ATTITUDE)

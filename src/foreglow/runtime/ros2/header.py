@@ -1,0 +1,63 @@
+"""What every message begins with: when the image was taken, and which sequence it belongs to."""
+
+from __future__ import annotations
+
+import array
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from std_msgs.msg import Header as HeaderMessage
+
+MAX_NAME = 256
+"""Characters of a sequence's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Whose message it is: all of one frame have the same, as ROS has it.
+
+    Attributes:
+        timestamp_ns: Time of exposure, nanoseconds; `stamp` in a message.
+        sequence: Name of the sequence; `frame_id` in a message. Where it changes, every stage forgets.
+    """
+
+    timestamp_ns: int
+    sequence: str = ""
+
+
+def header_message(header: Header) -> HeaderMessage:
+    """The header as a message.
+
+    Raises:
+        ValueError: If the time is more than 68 years from zero.
+    """
+    sec, nanosec = divmod(header.timestamp_ns, 1_000_000_000)
+    if not -(2**31) <= sec < 2**31:
+        raise ValueError(f"header.stamp: expected a time within 68 years of zero, got {sec} s")
+    return HeaderMessage(stamp=Time(sec=sec, nanosec=nanosec), frame_id=header.sequence)
+
+
+def read_header(message: HeaderMessage, topic: str) -> Header:
+    """The header of a message that came on `topic`.
+
+    Raises:
+        ValueError: If its nanoseconds are more than a second, or the name is too long.
+    """
+    if not 0 <= message.stamp.nanosec < 1_000_000_000:
+        raise ValueError(f"{topic}: header.stamp.nanosec: expected less than 1e9, got {message.stamp.nanosec}")
+    if len(message.frame_id) > MAX_NAME:
+        raise ValueError(
+            f"{topic}: header.frame_id: expected at most {MAX_NAME} characters, got {len(message.frame_id)}"
+        )
+    return Header(message.stamp.sec * 1_000_000_000 + message.stamp.nanosec, message.frame_id)
+
+
+def byte_array(values: NDArray[Any]) -> array.array[int]:
+    """The bytes of `values` as what rclpy takes without looking at each of them."""
+    data = array.array("B")
+    if values.size:
+        data.frombytes(np.ascontiguousarray(values).view(np.uint8).reshape(-1).data)
+    return data

@@ -1,0 +1,231 @@
+"""What all nodes that work on frames share: their topics, one frame after the other, faults and diagnostics."""
+
+from __future__ import annotations
+
+import gc
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from foreglow.runtime.live import LiveFault
+from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.header import Header, header_message
+from foreglow.runtime.ros2.join import Join, Joined
+from foreglow.runtime.ros2.messages import header_of
+from foreglow.runtime.ros2.receiver import Receiver
+from foreglow.runtime.ros2.results import timing_message
+
+Inputs = TypeVar("Inputs")
+"""What a node reads out of the messages of a frame."""
+
+BAD_MESSAGE = "bad_message"
+"""A message could not be read."""
+INPUT_MISSING = "input_missing"
+"""Nothing came to work on."""
+
+REPORT_NS = 1_000_000_000
+"""Between two reports of a node's state, unless its faults change."""
+
+IDLE_S, WAITING_S = 0.02, 0.002
+"""How long to wait for messages at most: while nothing is due, and while a frame waits for a sample."""
+
+
+def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
+    """A plain node of rclpy, which is started if it was not; it serves neither parameters nor descriptions of types.
+
+    Both would have every wait look after a dozen more things; there are no parameters to serve.
+    """
+    if not rclpy.ok():
+        rclpy.init(args=["foreglow", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+    no_service = Parameter("start_type_description_service", value=False)
+    return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
+
+
+class Laps:
+    """Times the parts of a frame's work, one after the other.
+
+    Attributes:
+        times_ms: Milliseconds by part.
+    """
+
+    def __init__(self) -> None:
+        self.times_ms: dict[str, float] = {}
+        self._latest_ns = time.monotonic_ns()
+
+    def took(self, name: str) -> None:
+        """The time since the part before is this one's."""
+        now_ns = time.monotonic_ns()
+        self.times_ms[name] = (now_ns - self._latest_ns) / 1e6
+        self._latest_ns = now_ns
+
+    def skip(self) -> None:
+        """The time since the part before is told by others."""
+        self._latest_ns = time.monotonic_ns()
+
+
+class FrameNode(ABC, Generic[Inputs]):
+    """A node that makes something of each frame, the newest first, and goes on whatever happens.
+
+    Attributes:
+        faults: What is wrong now, names.
+        num_frames: Frames that were worked on.
+    """
+
+    def __init__(
+        self, name: str, exact: Sequence[str], sampled: Sequence[str] = (), *, ros_arguments: Sequence[str] = ()
+    ) -> None:
+        """Joins the network.
+
+        Args:
+            name: Of the node.
+            exact: Topics of which a frame needs a message with its own header; the first one says that it is new.
+            sampled: Topics of which it takes what is known at its time.
+            ros_arguments: Of the command line, from `--ros-args` on: names, namespace, remappings.
+        """
+        self.ros = make_ros_node(name, ros_arguments)
+        self.name = name
+        self.faults: set[str] = set()
+        self.num_frames = 0
+        self._join = Join(exact, sampled)
+        self._sequence: str | None = None
+        self._reported: tuple[int, tuple[str, ...]] = (0, ())
+        self._slowest_ms: dict[str, float] = {}
+        self._publishers: dict[str, Any] = {}
+        self._timing = self.publisher(topics.TIMING)
+        self._diagnostics = self.ros.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, topics.NUM_KEPT)
+        for topic in (*sampled, *exact[1:], exact[0]):  # what is ready at one time comes in this order
+            self._subscribe(topic, 1 if topic == exact[0] else topics.NUM_KEPT)
+        self._receiver = Receiver(self.ros)
+
+    def publisher(self, topic: str) -> Any:
+        """A publisher on one of our topics."""
+        quality = topics.publisher_quality(topic)
+        self._publishers[topic] = self.ros.create_publisher(topics.TYPES[topic], topic, quality)
+        return self._publishers[topic]
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forgets earlier frames: another sequence begins."""
+
+    @abstractmethod
+    def read(self, joined: Joined) -> Inputs:
+        """What the messages of a frame say.
+
+        Raises:
+            ValueError: If one of them cannot be used; it names topic and field.
+        """
+
+    @abstractmethod
+    def step(self, header: Header, inputs: Inputs, laps: Laps) -> None:
+        """Works on one frame and publishes what comes of it."""
+
+    def failed(self, header: Header, fault: str) -> None:
+        """A frame could not be worked on, for `fault`."""
+
+    def idle(self, now_ns: int) -> None:
+        """Called again and again, by a clock that only goes forward."""
+
+    def clock_ns(self) -> int:
+        """The frames' clock: ROS time."""
+        return int(self.ros.get_clock().now().nanoseconds)
+
+    def spin(self, should_stop: Callable[[], bool]) -> None:
+        """Works until `should_stop`, or ROS is shut down."""
+        gc.collect()
+        gc.freeze()  # what is there by now stays: to look through it again would take longer than a frame
+        try:
+            while rclpy.ok() and not should_stop():
+                self.spin_once()
+        finally:
+            gc.unfreeze()
+            self.close()
+
+    def spin_once(self) -> None:
+        """Takes what has come, and works on a frame if one is whole."""
+        is_waiting = self._join.is_waiting
+        self._receiver.receive(WAITING_S if is_waiting else IDLE_S)
+        joined = self._join.take(time.monotonic_ns())
+        if joined is not None:
+            self._work_on(joined)
+        self.idle(time.monotonic_ns())
+        self._report()
+
+    def close(self) -> None:
+        """Leaves the network."""
+        self.ros.destroy_node()
+
+    def _subscribe(self, topic: str, depth: int) -> None:
+        def take(message: Any) -> None:
+            try:
+                header = header_of(message, topic)
+            except ValueError as error:
+                self._note(BAD_MESSAGE, error)
+                return
+            self._join.put(topic, header, message, time.monotonic_ns())
+
+        self.ros.create_subscription(topics.TYPES[topic], topic, take, topics.subscriber_quality(topic, depth))
+
+    def _work_on(self, joined: Joined) -> None:
+        header = joined.header
+        begun_ns = time.monotonic_ns()
+        since_exposure_ms = (self.clock_ns() - header.timestamp_ns) / 1e6
+        laps, fault = Laps(), BAD_MESSAGE
+        try:
+            if header.sequence != self._sequence:
+                self._sequence = header.sequence
+                self.reset()
+            inputs = self.read(joined)
+            laps.took("decode")
+            fault = LiveFault.STAGE_FAILED
+            self.step(header, inputs, laps)
+        except Exception as error:  # the light has to go on, and to be low, whatever is wrong
+            self._note(fault, error)
+            self.failed(header, fault)
+            return
+        self.faults.difference_update((BAD_MESSAGE, LiveFault.STAGE_FAILED))
+        self.num_frames += 1
+        laps.times_ms["wait"] = (begun_ns - joined.received_ns) / 1e6
+        laps.times_ms["received"] = since_exposure_ms - (begun_ns - joined.received_ns) / 1e6
+        laps.times_ms["done"] = since_exposure_ms + (time.monotonic_ns() - begun_ns) / 1e6
+        for name, value in laps.times_ms.items():
+            self._slowest_ms[name] = max(value, self._slowest_ms.get(name, 0.0))
+        self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), laps.times_ms))
+
+    def _note(self, fault: str, error: Exception) -> None:
+        self.faults.add(fault)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
+
+    def _report(self) -> None:
+        """Says how the node is, once a second and whenever the faults change."""
+        now_ns, faults = time.monotonic_ns(), tuple(sorted(self.faults))
+        reported_ns, reported = self._reported
+        if faults == reported and now_ns - reported_ns < REPORT_NS:
+            return
+        self._reported = now_ns, faults
+        values = {
+            "faults": " ".join(faults),
+            "frames": str(self.num_frames),
+            "dropped": str(self._join.num_dropped),
+            "waiting for": " ".join(self._join.missing),
+            **{f"slowest {name} ms": f"{value:.2f}" for name, value in self._slowest_ms.items()},
+        }
+        self._slowest_ms.clear()
+        self._diagnostics.publish(diagnostics(self.name, Header(self.clock_ns()), faults, values))
+
+
+def diagnostics(name: str, header: Header, faults: Sequence[str], values: Mapping[str, str]) -> DiagnosticArray:
+    """A node's state as ROS's tools show it."""
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK,
+        name=f"foreglow: {name}",
+        message=", ".join(faults) or "all is well",
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+    return DiagnosticArray(header=header_message(header), status=[status])

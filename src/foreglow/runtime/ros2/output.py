@@ -1,0 +1,86 @@
+"""Where beam commands go: the topic, the CAN bus; and low beam by itself when nothing comes to work on."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from foreglow.config import PipelineConfig
+from foreglow.photometry import read_headlamps
+from foreglow.runtime.can_output import CanBus
+from foreglow.runtime.live import LiveFault
+from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.node import INPUT_MISSING, FrameNode
+from foreglow.runtime.ros2.results import beam_message
+from foreglow.types import BeamCommand
+
+DEADLINE_FRAMES = 1.9
+"""After so many frames' time without input there is low beam: within two."""
+
+
+class BeamOutput:
+    """Sends commands, and low beam in their place once the deadline is missed, again and again until input comes."""
+
+    def __init__(
+        self,
+        node: FrameNode[Any],
+        config: PipelineConfig,
+        *,
+        can: CanBus | None = None,
+        deadline_s: float | None = None,
+    ) -> None:
+        """Takes what it sends to.
+
+        Args:
+            node: Whose commands they are; it is told of faults.
+            config: Of the pipeline; its tracker says how many frames come in a second.
+            can: The bus; None without one.
+            deadline_s: Longest time without input; None for `DEADLINE_FRAMES`.
+        """
+        self._num_leds = read_headlamps(config.beam.headlamps).num_leds
+        self._publisher = node.publisher(topics.BEAM)
+        self._faults = node.faults
+        self._clock_ns = node.clock_ns
+        self._can = can
+        self._frame_ns = round(1e9 / config.tracker.rate_hz)
+        self._deadline_ns = round(DEADLINE_FRAMES * self._frame_ns if deadline_s is None else deadline_s * 1e9)
+        self._due_ns = time.monotonic_ns() + self._deadline_ns
+
+    def came(self) -> tuple[str, ...]:
+        """Input has come; what was wrong until now, for the guard to let light return slowly."""
+        missed = (INPUT_MISSING,) if INPUT_MISSING in self._faults else ()
+        self._faults.discard(INPUT_MISSING)
+        self._due_ns = time.monotonic_ns() + self._deadline_ns
+        return missed
+
+    def look(self, now_ns: int) -> None:
+        """Commands low beam if input is overdue, by a clock that only goes forward."""
+        if now_ns >= self._due_ns:
+            self._faults.add(INPUT_MISSING)
+            self._due_ns = now_ns + self._frame_ns
+            self.low(Header(self._clock_ns()), INPUT_MISSING)
+
+    def low(self, header: Header, fault: str) -> None:
+        """Commands low beam for `fault`."""
+        self.send(header, BeamCommand.low(header.timestamp_ns, self._num_leds, fault))
+
+    def send(self, header: Header, command: BeamCommand) -> None:
+        """Sends a command: onto the bus first."""
+        if self._can is not None:
+            self._send_can(self._can, command)
+        self._publisher.publish(beam_message(header, command))
+
+    def close(self) -> None:
+        """Leaves the bus with low beam."""
+        self.low(Header(self._clock_ns()), "stopped")
+        if self._can is not None:
+            self._can.close()
+
+    def _send_can(self, can: CanBus, command: BeamCommand) -> None:
+        try:
+            can.send(command)
+        except OSError:
+            self._faults.add(LiveFault.BUS)
+        else:
+            self._faults.discard(LiveFault.BUS)

@@ -1,0 +1,225 @@
+"""What the stages make of a frame, as tables and back: a row a box, a track; one row for the beam and for timing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.table import Field, read_table, table_message
+from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState
+
+DETECTIONS = {
+    "box_xyxy_px": Field("i4", 4),
+    "score": Field("f4"),
+    "direct_probability": Field("f4"),
+}
+RANGES = DETECTIONS | {
+    "range_m": Field("f8", is_optional=True),
+    "sigma_m": Field("f8", is_optional=True),
+}
+TRACKS = {
+    "id": Field("i4"),
+    "state": Field("u1"),
+    "box_xyxy_px": Field("f8", 4, is_finite=True),
+    "confidence": Field("f8", is_finite=True),
+    "num_hits": Field("i4"),
+    "num_misses": Field("i4"),
+    "age_s": Field("f8", is_finite=True),
+    "range_m": Field("f8"),
+    "sigma_m": Field("f8"),
+    "detection": Field("i4"),
+    "direct_probability": Field("f8"),
+}
+"""Fields are named as in `Tracks`, in the singular."""
+
+BEAM = {
+    "mode": Field("u1"),
+    "levels_left": Field("f8", None),
+    "levels_right": Field("f8", None),
+    "gaps_rad": Field("f8", None, is_optional=True),
+    "gap_ranges_m": Field("f8", None, is_optional=True),
+    "faults": Field("u1", None, is_optional=True),
+}
+"""Borders of gaps follow each other, right, left, right ...; faults are text, UTF-8, one a line."""
+
+_STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
+
+TIMING = {name: Field("f8", is_optional=True) for name in ("received", "wait", "decode", *_STAGES, "send", "done")}
+"""Milliseconds: since exposure until the last part of the frame had come (`received`) and until all was sent (`done`);
+and how long each part took, from the `wait` for the node's attention on.
+"""
+
+_INT_32 = np.iinfo(np.int32)
+
+
+def detections_message(header: Header, detections: Detections, ranges: Ranges | None = None) -> PointCloud2:
+    """The scored boxes, with their ranges where there are any."""
+    columns: dict[str, NDArray[Any]] = {
+        "box_xyxy_px": detections.boxes_xyxy_px,
+        "score": detections.scores,
+        "direct_probability": detections.direct_probabilities,
+    }
+    if ranges is not None:
+        columns |= {"range_m": ranges.ranges_m, "sigma_m": ranges.sigmas_m}
+    return table_message(header, columns)
+
+
+def read_detections(message: PointCloud2, topic: str, score_threshold: float) -> tuple[Header, Detections]:
+    """The scored boxes; the threshold is not sent, all nodes have the same configuration.
+
+    Raises:
+        ValueError: If it is no such table, or a value is none of `Detections`.
+    """
+    header, columns = read_table(message, topic, DETECTIONS)
+    return header, _detections(columns, topic, score_threshold)
+
+
+def read_ranges(message: PointCloud2, topic: str, score_threshold: float) -> tuple[Header, Detections, Ranges | None]:
+    """The scored boxes and their ranges; None where nothing was estimated.
+
+    Raises:
+        ValueError: If it is no such table, or a value is none of `Ranges`.
+    """
+    header, columns = read_table(message, topic, RANGES)
+    detections = _detections(columns, topic, score_threshold)
+    if "range_m" not in columns and "sigma_m" not in columns:
+        return header, detections, None
+    for name in ("range_m", "sigma_m"):
+        if name not in columns:
+            raise ValueError(f"{topic}: {name}: missing, expected range_m and sigma_m, or neither")
+    with _naming(topic):
+        return header, detections, Ranges(detections, columns["range_m"], columns["sigma_m"])
+
+
+def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
+    """The tracks.
+
+    Raises:
+        ValueError: If a number is beyond 32 bits.
+    """
+    whole = {"id": tracks.ids, "num_hits": tracks.num_hits, "num_misses": tracks.num_misses}
+    for name, array in whole.items():
+        if len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
+            raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
+    return table_message(
+        header,
+        {
+            "id": tracks.ids.astype(np.int32),
+            "state": tracks.states.astype(np.uint8),
+            "box_xyxy_px": tracks.boxes_xyxy_px,
+            "confidence": tracks.confidences,
+            "num_hits": tracks.num_hits.astype(np.int32),
+            "num_misses": tracks.num_misses.astype(np.int32),
+            "age_s": tracks.ages_s,
+            "range_m": tracks.ranges_m,
+            "sigma_m": tracks.sigmas_m,
+            "detection": tracks.detections.astype(np.int32),
+            "direct_probability": tracks.direct_probabilities,
+        },
+    )
+
+
+def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
+    """The tracks.
+
+    Raises:
+        ValueError: If it is no such table, or a value is none of `Tracks`.
+    """
+    header, columns = read_table(message, topic, TRACKS)
+    if (columns["state"] > max(TrackState)).any():
+        raise ValueError(f"{topic}: state: expected 0 to {max(TrackState)}, got {columns['state'].max()}")
+    with _naming(topic):
+        return header, Tracks(
+            ids=columns["id"].astype(np.int64),
+            states=columns["state"].astype(np.int64),
+            boxes_xyxy_px=columns["box_xyxy_px"],
+            confidences=columns["confidence"],
+            num_hits=columns["num_hits"].astype(np.int64),
+            num_misses=columns["num_misses"].astype(np.int64),
+            ages_s=columns["age_s"],
+            ranges_m=columns["range_m"],
+            sigmas_m=columns["sigma_m"],
+            detections=columns["detection"].astype(np.int64),
+            direct_probabilities=columns["direct_probability"],
+        )
+
+
+def beam_message(header: Header, beam: BeamCommand) -> PointCloud2:
+    """The command, in one row."""
+    return table_message(
+        header,
+        {
+            "mode": np.array([int(beam.mode)], np.uint8),
+            "levels_left": beam.levels[:1],
+            "levels_right": beam.levels[1:],
+            "gaps_rad": beam.gaps_rad.reshape(1, -1),
+            "gap_ranges_m": beam.gap_ranges_m.reshape(1, -1),
+            "faults": np.frombuffer("\n".join(beam.faults).encode(), np.uint8).reshape(1, -1),
+        },
+    )
+
+
+def read_beam(message: PointCloud2, topic: str) -> tuple[Header, BeamCommand]:
+    """The command.
+
+    Raises:
+        ValueError: If it is no such table, or a value is none of `BeamCommand`.
+    """
+    header, columns = read_table(message, topic, BEAM, num_rows=1)
+    left, right = columns["levels_left"], columns["levels_right"]
+    if left.shape != right.shape:
+        raise ValueError(f"{topic}: levels_right: expected as many LEDs as left, {left.size}, got {right.size}")
+    gaps, ranges_m = columns.get("gaps_rad", np.zeros((1, 0))), columns.get("gap_ranges_m", np.zeros((1, 0)))
+    if gaps.size != 2 * ranges_m.size:
+        raise ValueError(f"{topic}: gaps_rad: expected two borders for each of {ranges_m.size} ranges, got {gaps.size}")
+    if columns["mode"][0] > max(BeamMode):
+        raise ValueError(f"{topic}: mode: expected 0 to {max(BeamMode)}, got {columns['mode'][0]}")
+    with _naming(topic):  # also of text that is not UTF-8
+        faults = columns.get("faults", np.zeros(0, np.uint8)).tobytes().decode()
+        return header, BeamCommand(
+            header.timestamp_ns,
+            BeamMode(int(columns["mode"][0])),
+            np.concatenate([left, right]),
+            gaps.reshape(-1, 2),
+            ranges_m[0],
+            tuple(faults.split("\n")) if faults else (),
+        )
+
+
+def timing_message(header: Header, times_ms: Mapping[str, float]) -> PointCloud2:
+    """What a node took for a frame, in one row."""
+    return table_message(header, {name: np.array([value]) for name, value in times_ms.items()})
+
+
+def read_timing(message: PointCloud2, topic: str) -> tuple[Header, dict[str, float]]:
+    """What a node took for a frame, milliseconds; the header's `sequence` is the node's name.
+
+    Raises:
+        ValueError: If it is no such table.
+    """
+    header, columns = read_table(message, topic, TIMING, num_rows=1)
+    return header, {name: float(column[0]) for name, column in columns.items()}
+
+
+def _detections(columns: Mapping[str, NDArray[Any]], topic: str, score_threshold: float) -> Detections:
+    with _naming(topic):
+        proposals = Proposals(columns["box_xyxy_px"])
+        return Detections(proposals, columns["score"], score_threshold, columns["direct_probability"])
+
+
+class _naming:  # noqa: N801
+    """Puts the topic in front of an error's message."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, ValueError):
+            raise ValueError(f"{self._topic}: {error}") from None

@@ -1,0 +1,104 @@
+"""Starts the nodes as processes of their own, and again where one dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0)
+"""Before a process is started again: longer each time, and from the beginning once it has lived for `SOUND_S`."""
+SOUND_S = 10.0
+END_S = 5.0
+"""How long a process has to end before it is killed."""
+BAD_INPUT = 2
+"""Exit code of a command that cannot work with what it is given."""
+
+
+class Process:
+    """One node's process."""
+
+    def __init__(self, name: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        """Starts `foreglow ros2` with `arguments`."""
+        self.name = name
+        self._command = [sys.executable, "-m", "foreglow.cli", "ros2", *arguments]
+        self._environment = environment
+        self._num_failures = 0
+        self._due_s: float | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Starts it; it ends with us, also when we are killed."""
+        self._began_s = time.monotonic()
+        self._due_s = None
+        # A process group of its own: Ctrl-C in the terminal is ours to pass on.
+        self.popen = subprocess.Popen(
+            [*self._command, "--parent", str(os.getpid())], env=self._environment, start_new_session=True
+        )
+
+    def look(self) -> int | None:
+        """Its exit code where it has just ended, else None; starts it again when it is time."""
+        now_s, code = time.monotonic(), self.popen.poll()
+        if code is None:
+            return None
+        if self._due_s is None:
+            self._num_failures = 0 if now_s - self._began_s > SOUND_S else self._num_failures + 1
+            self._due_s = now_s + PAUSES_S[min(max(self._num_failures - 1, 0), len(PAUSES_S) - 1)]
+            return code
+        if now_s >= self._due_s:
+            self.start()
+        return None
+
+    def end(self) -> None:
+        """Asks it to end, and kills it if it does not."""
+        if self.popen.poll() is None:
+            self.popen.send_signal(signal.SIGINT)
+
+    def wait(self) -> None:
+        """Waits until it has ended."""
+        try:
+            self.popen.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            self.popen.wait()
+
+
+def supervise(
+    nodes: Mapping[str, Sequence[str]],
+    source: Sequence[str],
+    should_stop: Callable[[], bool],
+    say: Callable[[str], None],
+) -> int:
+    """Runs the nodes until the source has come to its end; returns the exit code.
+
+    A node that dies is started again. One that cannot work with what it is given, and a source that fails, end all.
+
+    Args:
+        nodes: By name, the arguments of `foreglow ros2` for each compute node.
+        source: Those for the source.
+        should_stop: Whether to end.
+        say: Takes a line for the user.
+    """
+    processes = [Process(name, arguments) for name, arguments in nodes.items()]
+    player = Process("source", source)
+    try:
+        while not should_stop():
+            if (code := player.popen.poll()) is not None:
+                return code
+            for process in processes:
+                code = process.look()
+                if code == BAD_INPUT:
+                    return code
+                if code is not None:
+                    say(f"{process.name} has ended ({code}), is started again")
+            time.sleep(0.02)
+        return 130
+    finally:
+        everyone = (player, *processes)
+        for process in everyone:
+            process.end()
+        for process in everyone:
+            process.wait()

@@ -1,0 +1,124 @@
+"""What belongs to one frame is put together, the newest wins, and nothing that is lost stalls what follows."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("rclpy")  # its header is ROS's
+
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.join import Join
+
+MS = 1_000_000
+FRAME = 55 * MS
+
+
+def header(number: int, sequence: str = "S") -> Header:
+    return Header(1_000 * FRAME + number * FRAME, sequence)
+
+
+def test_a_frame_is_whole_with_its_last_part() -> None:
+    join = Join(("tracks", "image"))
+    join.put("image", header(0), "i0", 1)
+    assert join.take(2) is None
+    assert join.missing == ("tracks",)
+    join.put("tracks", header(0), "t0", 3)
+    joined = join.take(4)
+    assert joined == (header(0), {"image": "i0", "tracks": "t0"}, 3)
+    assert join.take(5) is None
+    assert join.num_dropped == 0
+
+
+def test_the_newest_wins() -> None:
+    join = Join(("tracks", "image"))
+    for number in range(3):
+        join.put("image", header(number), number, 1)
+        join.put("tracks", header(number), number, 1)
+    joined = join.take(2)
+    assert joined is not None
+    assert joined.header == header(2)
+    assert join.num_dropped == 2
+    assert join.take(3) is None
+
+
+def test_a_lost_part_stalls_no_later_frame() -> None:
+    join = Join(("tracks", "image"))
+    for number in range(100):
+        join.put("image", header(number), number, 1)
+        if number % 3 == 0:
+            join.put("tracks", header(number), number, 1)
+            joined = join.take(2)
+            assert joined is not None
+            assert joined.header == header(number)
+    assert join.num_dropped == 66
+
+
+def test_the_image_after_next_does_not_drive_out_the_one_that_is_waited_for() -> None:
+    join = Join(("tracks", "image"))
+    for number in range(Join.CAPACITY):
+        join.put("image", header(number), number, 1)
+    join.put("tracks", header(0), "t", 2)
+    joined = join.take(3)
+    assert joined is not None
+    assert joined.messages["image"] == 0
+
+
+def test_a_sequence_is_a_part_of_a_frames_name() -> None:
+    join = Join(("tracks", "image"))
+    join.put("image", header(0, "A"), "i", 1)
+    join.put("tracks", header(0, "B"), "t", 1)
+    assert join.take(2) is None
+
+
+def test_samples_are_taken_as_of_the_frames_time() -> None:
+    join = Join(("image",), ("twist",))
+    for number, ms in enumerate((-20, -5, 5, 15)):
+        join.put("twist", Header(header(0).timestamp_ns + ms * MS), number, 1)
+    join.put("image", header(0), "i", 2)
+    joined = join.take(3)
+    assert joined is not None
+    assert joined.messages["twist"] == 1
+
+
+def test_a_sample_is_waited_for_while_its_topic_lives() -> None:
+    join = Join(("image",), ("twist",))
+    join.put("image", header(0), "i", 0)
+    assert join.take(0) is not None  # nobody has ever told
+    join.put("twist", header(0), "old", 0)
+    join.put("image", header(1), "i", FRAME)
+    assert join.take(FRAME) is None
+    assert join.is_waiting
+    join.put("twist", header(1), "new", FRAME + MS)
+    joined = join.take(FRAME + MS)
+    assert joined is not None
+    assert joined.messages["twist"] == "new"
+    assert not join.is_waiting
+
+
+def test_nothing_is_waited_for_too_long_or_held_too_long() -> None:
+    join = Join(("image",), ("twist",))
+    join.put("twist", header(0), "old", 0)
+    join.put("image", header(1), "i", FRAME)
+    joined = join.take(FRAME + Join.PATIENCE_NS)
+    assert joined is not None
+    assert joined.messages["twist"] == "old"
+    late = Header(header(0).timestamp_ns + Join.HOLD_NS + 1)
+    join.put("image", late, "i", Join.HOLD_NS + 1)
+    joined = join.take(Join.HOLD_NS + 1)  # its topic is quiet by now
+    assert joined is not None
+    assert "twist" not in joined.messages
+
+
+@given(st.lists(st.tuples(st.sampled_from(["tracks", "image", "twist"]), st.integers(0, 12)), max_size=60))
+def test_whatever_comes_nothing_grows_and_no_frame_goes_back(puts: list[tuple[str, int]]) -> None:
+    join, handed = Join(("tracks", "image"), ("twist",)), []
+    for now, (topic, number) in enumerate(puts):
+        join.put(topic, header(number), (topic, number), now)
+        joined = join.take(now + Join.PATIENCE_NS)
+        if joined is not None:
+            assert joined.messages["tracks"] == ("tracks", joined.messages["image"][1])
+            handed.append(joined)
+        assert len(join._frames) <= Join.CAPACITY
+    assert sum(topic != "twist" for topic, _ in puts) >= 2 * len(handed)

@@ -1,0 +1,81 @@
+"""Times are moved, not changed; who hears us is the user's to say; the launch file names what exists."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from foreglow.runtime.ros2.environment import prepare
+from foreglow.runtime.ros2.source import PAUSE_NS, repeated, timed
+from tests.stand_ins import night_frames
+
+NOW_NS = 1_700_000_000_123_456_789
+
+
+def test_times_of_a_sequence_are_moved_as_one() -> None:
+    frames = [*night_frames(4, "A"), *night_frames(3, "B")]
+    due = list(timed(frames, lambda: NOW_NS))
+    assert [one.header.sequence for one in due] == ["A"] * 4 + ["B#1"] * 3
+    times_ns = [one.header.timestamp_ns - NOW_NS - PAUSE_NS for one in due]
+    assert times_ns[:4] == [0, 50_000_000, 100_000_000, 150_000_000]
+    assert times_ns[4:] == [150_000_000 + PAUSE_NS + 50_000_000 * k for k in range(3)]
+
+
+def test_quicker_means_nearer() -> None:
+    due = list(timed(night_frames(3), lambda: 0, speed=2.0))
+    assert [one.header.timestamp_ns - PAUSE_NS for one in due] == [0, 25_000_000, 50_000_000]
+
+
+def test_a_drive_is_played_again_as_another_sequence() -> None:
+    frames = repeated(night_frames(3), 2, is_endless=True)
+    played = [next(frames) for _ in range(5)]
+    assert [one.sequence for one in played] == ["S00001", "S00001", "S00001+1", "S00001+1", "S00001+2"]
+    assert len(list(repeated(night_frames(3)))) == 3
+    assert not list(repeated([], is_endless=True))
+
+
+def test_by_default_nobody_else_hears_us() -> None:
+    known: dict[str, str] = {}
+    prepare(environment=known)
+    profile = ET.parse(known["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    name = "{http://www.eprosima.com}"
+    assert [one.text for one in profile.iter(f"{name}address")] == ["127.0.0.1"]
+    assert next(profile.iter(f"{name}useBuiltinTransports")).text == "false"
+
+
+@pytest.mark.parametrize(
+    ("known", "is_networked", "expected"),
+    [
+        ({}, False, "SYSTEM_DEFAULT"),  # the profile has the loopback interface alone
+        ({}, True, "SUBNET"),
+        ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, False, "LOCALHOST"),
+        ({"FASTDDS_DEFAULT_PROFILES_FILE": "mine.xml"}, False, "LOCALHOST"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, True, "OFF"),
+    ],
+)
+def test_what_the_user_has_set_counts(known: dict[str, str], is_networked: bool, expected: str) -> None:
+    given = dict(known)
+    prepare(is_networked=is_networked, environment=known)
+    assert known["ROS_AUTOMATIC_DISCOVERY_RANGE"] == expected
+    assert given.items() <= known.items()
+    is_others = "RMW_IMPLEMENTATION" in given or "FASTDDS_DEFAULT_PROFILES_FILE" in given
+    assert ("FASTRTPS_DEFAULT_PROFILES_FILE" in known) != is_others
+
+
+def test_the_launch_file_starts_nodes_that_exist() -> None:
+    from typer.testing import CliRunner
+
+    from foreglow.cli import app
+
+    path = Path(CliRunner().invoke(app, ["ros2", "launch-file"]).output.replace("\n", ""))
+    code = compile(path.read_text(encoding="utf-8"), str(path), "exec")
+    assert "generate_launch_description" in code.co_names or "generate_launch_description" in str(code.co_consts)
+    from foreglow.runtime.ros2.measurement import FIVE
+
+    assert str(FIVE).replace("'", '"') in path.read_text(encoding="utf-8")
+    assert os.access(path, os.R_OK)

@@ -1,0 +1,158 @@
+"""A node goes on whatever happens, and says what; nothing is heard outside this machine."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.beam.messages import LEVELS_IDS
+from foreglow.config import preset
+from foreglow.datasets import PVDN, shipped_drive
+from foreglow.types import BeamCommand, BeamMode, Frame
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from foreglow.runtime.live import LiveFault
+from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, make_ros_node
+from foreglow.runtime.ros2.receiver import Receiver
+from foreglow.runtime.ros2.results import read_beam
+from foreglow.runtime.ros2.source import Due, FramePublisher
+from foreglow.runtime.ros2.stages import PipelineNode, Setting
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning"),  # rclpy's own
+    pytest.mark.usefixtures("domain"),
+]
+
+
+class Bench:
+    """One node, and those who talk to it and listen, in this process."""
+
+    def __init__(self, make: Callable[[], PipelineNode]) -> None:
+        self.ros = make_ros_node("bench")
+        self.node = make()
+        self.commands: list[BeamCommand] = []
+        self.states: list[DiagnosticStatus] = []
+        self._publisher = FramePublisher(self.ros)
+        self.ros.create_subscription(topics.TYPES[topics.BEAM], topics.BEAM, self._take, 100)
+        self.ros.create_subscription(
+            DiagnosticArray, topics.DIAGNOSTICS, lambda message: self.states.extend(message.status), 100
+        )
+        self._receiver = Receiver(self.ros)
+
+    def _take(self, message: Any) -> None:
+        self.commands.append(read_beam(message, topics.BEAM)[1])
+
+    def send(self, frame: Frame, change: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
+        messages = self._publisher.messages(Due(frame, Header(self.node.clock_ns(), frame.sequence)))
+        change(dict(messages))
+        self._publisher.publish(messages)
+
+    def wait(self, is_done: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + 20
+        while not is_done():
+            assert time.monotonic() < end_s, [(one.mode, one.faults) for one in self.commands]
+            self.node.spin_once()
+            self._receiver.receive(0.0)
+
+    def until(self, fault: str, frame: Frame, change: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
+        """Sends frames until a command has this fault; empty for none."""
+        count = len(self.commands)
+
+        def is_done() -> bool:
+            self.send(frame, change)
+            return any(fault in one.faults if fault else not one.faults for one in self.commands[count:])
+
+        self.wait(is_done)
+
+
+@pytest.fixture
+def frame() -> Frame:
+    return next(itertools.islice(PVDN(shipped_drive()), 20, 21))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    config = preset("foreglow").commanding()
+    guard = config.guard.model_copy(update={"max_age_s": 10.0, "max_same_images": 1000, "max_gap_s": 10.0})
+    setting = Setting(config.model_copy(update={"guard": guard}), deadline_s=0.5)
+    made = Bench(lambda: PipelineNode(setting))
+    try:
+        yield made
+    finally:
+        made.node.close()
+        made.ros.destroy_node()
+        rclpy.shutdown()
+
+
+def test_whatever_happens_there_is_low_beam_and_it_recovers(
+    bench: Bench, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.wait(lambda: bool(bench.commands))
+    assert bench.commands[0].faults == (INPUT_MISSING,)
+    assert bench.commands[0].mode == BeamMode.LOW
+    bench.until("", frame)
+
+    def with_short_rows(messages: dict[str, Any]) -> None:
+        messages[topics.IMAGE].step = 7
+
+    bench.until(BAD_MESSAGE, frame, with_short_rows)
+    assert BAD_MESSAGE in bench.node.faults
+    bench.until("", frame)
+    with monkeypatch.context() as patch:
+        patch.setattr(bench.node._pipeline, "step", lambda *_, **__: 1 / 0)
+        bench.until(LiveFault.STAGE_FAILED, frame)
+    bench.until("", frame)
+    assert not bench.node.faults
+    other = dataclasses.replace(frame, sequence="other")
+    bench.until("", other)
+    count = len(bench.commands)
+    bench.wait(lambda: any(INPUT_MISSING in one.faults for one in bench.commands[count:]))
+    bench.until("", frame)
+    messages = {state.message for state in bench.states}
+    assert {"all is well", INPUT_MISSING, BAD_MESSAGE, LiveFault.STAGE_FAILED} <= messages
+    assert {state.name for state in bench.states} == {"foreglow: pipeline"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:
+    bench.until("", frame)
+    own = {link.readlink().name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}
+    addresses = set()
+    for name in ("udp", "udp6", "tcp", "tcp6"):
+        for line in Path("/proc/self/net", name).read_text(encoding="ascii").splitlines()[1:]:
+            fields = line.split()
+            if f"socket:[{fields[9]}]" in own:
+                addresses.add(socket.inet_ntoa(bytes.fromhex(fields[1].split(":")[0])[3::-1]))
+    assert addresses
+    assert {one for one in addresses if not one.startswith(("127.", "239."))} == set()
+
+
+def test_commands_go_onto_the_bus(frame: Frame) -> None:
+    can = pytest.importorskip("can")
+    from foreglow.runtime.can_output import CanBus
+
+    with can.Bus(interface="virtual", channel="ros2", fd=True) as bus:
+        sink = CanBus("virtual:ros2")
+        made = Bench(lambda: PipelineNode(Setting(preset("foreglow").commanding(), can=sink)))
+        try:
+            made.until("", dataclasses.replace(frame, sequence="S"))
+        finally:
+            made.node.close()
+            made.ros.destroy_node()
+            rclpy.shutdown()
+        identifiers = {bus.recv(1.0).arbitration_id for _ in range(5)}
+    assert set(LEVELS_IDS) < identifiers
