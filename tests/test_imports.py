@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": VALUES | {"files", "scale", "datasets"},
     **{tool: VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation"} for tool in ("evaluation", "runtime")},
     "learning": VALUES | STAGES | BASE | {"_native"} | {"pipeline", "datasets", "simulation", "evaluation"},
-    "experiments": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation", "learning"},
+    "experiments": VALUES | STAGES | BASE | {"pipeline", "datasets", "simulation", "evaluation", "learning", "runtime"},
     "reports": VALUES | TOOLS | BASE | {"simulation"},
     "cli": VALUES | STAGES | TOOLS | BASE | {"pipeline", "datasets", "simulation", "reports", ""},
     "": VALUES | {"pipeline", "datasets", "evaluation", "proposals"},

@@ -247,7 +247,7 @@ def test_runs_that_cannot_be_used(tmp_path: Path, run: Path) -> None:
         foreglow_command("run", shipped_drive(), "--out", trackless, "--preset", "paper", "--limit", 1).exit_code == 0
     )
     line = complaint("beam", trackless, "--out", out)
-    assert "frames.jsonl: line 1: tracks: expected a list, got nothing: the run had no model or no tracker" in line
+    assert "trackless: expected the folder of a run with tracks: it had no model or no tracker" in line
     (moved / "summary.json").unlink()
     assert "summary.json: no such file" in complaint("beam", moved, "--out", out)
     assert not out.exists()

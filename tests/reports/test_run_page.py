@@ -145,7 +145,7 @@ def test_the_drive_that_ships(shipped: Path) -> None:
 
 def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
     frames = shipped / "frames.jsonl"
-    for name in ("summary.json", "config.toml"):
+    for name in ("summary.json", "config.toml", "times.jsonl"):
         (tmp_path / name).write_bytes((shipped / name).read_bytes())
     (tmp_path / "frames.jsonl").write_text(frames.read_text().replace('"timestamp_ns":', '"timestamp_ns":1'))
     page = Page(write_report(tmp_path))

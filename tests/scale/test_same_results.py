@@ -175,7 +175,7 @@ def test_tune_measures_the_same(tmp_path: Path, workers: Workers) -> None:
 def test_frames_in_order_only_are_refused(tmp_path: Path, drives: Path) -> None:
     for options in (("--video",), ("--limit", 2)):
         line = complaint("run", drives, "--out", tmp_path / "out", "--jobs", 2, *options)
-        assert "expected --video and --limit without --jobs and --cluster" in line
+        assert "--save and --limit without --jobs and --cluster" in line
     assert "expected --jobs or --cluster, got both" in complaint(
         "run", drives, "--out", tmp_path / "out", "--jobs", 2, "--cluster", "tcp://127.0.0.1:9"
     )

@@ -123,6 +123,8 @@ def _configuration_of_run(run: Path, out: Path, file: Path | None, *, is_other: 
     if run.resolve() == out.resolve():
         raise ValueError(f"{out}: expected another folder for the results than that of the run")
     configuration = read_config(run / "config.toml")
+    if configuration.classifier.model is None or configuration.tracker.method == "none":
+        raise ValueError(f"{run}: expected the folder of a run with tracks: it had no model or no tracker")
     return configuration if file is None else read_config(file, configuration)
 
 

@@ -162,6 +162,39 @@ def experiment_time_benefit(
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
 
 
+@experiments.command("runtime")
+def experiment_runtime(
+    data: Annotated[Path, argument(metavar="DATA", help="A data set at its full frame rate, or one split of it.")],
+    out: Annotated[Path, folder(help="Folder for the report.")],
+    split: Annotated[str, typer.Option(metavar="train|val|test", help="What is measured on, of a data set.")] = "test",
+    on: Annotated[
+        list[str] | None,
+        typer.Option(metavar="process|live|node|ros2", help="Measure only this; repeatable (default: all four)."),
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Of those that are run at their own rate: so many frames.")
+    ] = 1000,
+    preset: PresetOption = DEFAULT_PRESET,
+    model: ModelOption = None,
+    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
+) -> None:
+    """Run-time of each stage, as in the paper's figure: in process, live, and over a ROS 2 network."""
+    from foreglow.datasets import split_in
+    from foreglow.experiments.runtime import KINDS, run_experiment
+    from foreglow.reports.figures import require_matplotlib
+    from foreglow.reports.progress import StepProgress
+    from foreglow.reports.runtime_page import summary_lines, write_report
+
+    require_matplotlib()
+    configuration = configuration_of(preset, config, model)
+    with contextlib.closing(StepProgress()) as progress:
+        results = run_experiment(
+            split_in(data, cast("SplitName", split)), configuration, on or list(KINDS), frames, progress
+        )
+    report = write_report(results, out)
+    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
+
+
 @experiments.command("glare")
 def experiment_glare(
     scenes: Annotated[Path, argument(metavar="SCENES", help="A simulated split, or its scenes.jsonl.")],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
 import sys
 import threading
 import time
@@ -20,6 +19,7 @@ from foreglow.runtime.live.sources import LiveSource
 from foreglow.runtime.live.summary import LiveSummary, live_summary
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, LivePipeline, Stepped, Worker
+from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import InterruptFlag
 from foreglow.runtime.summary import Tally
 from foreglow.types import BeamCommand
@@ -113,23 +113,19 @@ class LiveLoop:
         pipeline = self._make_pipeline()
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
-        gc.collect()
-        gc.freeze()  # what is there now stays: later collections need not look at it
-        self._begun_s = time.monotonic()
         self._watch = FrameWatch(self._config, self._period_s, self._source.max_silence_s, self._book)
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name="read", daemon=True)
         reader.start()
         is_complete = False
         try:
-            with InterruptFlag() as interrupt:
+            with settled_memory(), InterruptFlag() as interrupt:
                 while not (interrupt.is_set or self._is_over):
                     self._supervise()
                     self._is_stopped.wait(self._period_s / 4)
                 is_complete = not interrupt.is_set
         finally:
             self._stop(reader)
-            gc.unfreeze()
             sys.setswitchinterval(switch_s)
         if self._error is not None:
             raise self._error

@@ -34,7 +34,7 @@ from foreglow.runtime.recording.channels import (
 )
 from foreglow.runtime.recording.drawing import boxes_message, calibration_message, scene_message, transform_message
 from foreglow.runtime.recording.growing_file import GrowingFile
-from foreglow.runtime.records import frame_record
+from foreglow.runtime.records import frame_record, time_record
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamMode, Frame, FrameResult, Image
 
@@ -127,7 +127,7 @@ class McapRecorder:
             self._transform.log(transform_message(frame.camera, stamp), log_time=time_ns)
         self._boxes.log(boxes_message(result, stamp), log_time=time_ns)
         self._scene.log(scene_message(frame, result, stamp), log_time=time_ns)
-        self._result.log(_json(frame_record(frame, result)), log_time=time_ns)
+        self._result.log(_json(frame_record(frame, result) | time_record(frame, result)), log_time=time_ns)
         if result.beam is not None:
             self._note_faults("low beam", result.beam.faults, time_ns)
         if self._chunk_start_ns is None:

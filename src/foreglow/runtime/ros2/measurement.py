@@ -147,7 +147,8 @@ class Network:
             answers.append(self._send(due))
             if is_in_step:
                 self._spin_until(lambda: self._is_done(answers[-1]), STEP_S)
-        self._spin_until(lambda: self._is_done(answers[-1]), LAST_S)
+        if answers:
+            self._spin_until(lambda: self._is_done(answers[-1]), LAST_S)
         return answers
 
     def warm_up(self, frame: Frame, num_frames: int = 5) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from foreglow.runtime.live import LiveFault
+from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header, header_message
 from foreglow.runtime.ros2.join import Join, Joined
@@ -137,13 +137,11 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def spin(self, should_stop: Callable[[], bool]) -> None:
         """Works until `should_stop`, or ROS is shut down."""
-        gc.collect()
-        gc.freeze()  # what is there by now stays: to look through it again would take longer than a frame
         try:
-            while rclpy.ok() and not should_stop():
-                self.spin_once()
+            with settled_memory():
+                while rclpy.ok() and not should_stop():
+                    self.spin_once()
         finally:
-            gc.unfreeze()
             self.close()
 
     def spin_once(self) -> None:
