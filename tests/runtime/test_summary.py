@@ -108,7 +108,7 @@ def test_tallies_of_parts_are_that_of_the_whole() -> None:
         assert result.detections is not None
         ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
         result = dataclasses.replace(
-            result, ranges=ranges, tracks=tracks_of([[0, 0, 4, 4]], ids=[place % 2]), beam=beam
+            result, ranges=ranges, tracks=tracks_of([[0, 0, 4, 4]], ids=[place // 2]), beam=beam
         )
         result = dataclasses.replace(result, stage_ms={"proposals": float(rng.random())})
         for tally in (whole, second if place >= 3 else first):
@@ -120,3 +120,15 @@ def test_tallies_of_parts_are_that_of_the_whole() -> None:
     assert found == expected
     assert found.to_json() == expected.to_json()  # also the order of faults
     assert expected.num_tracks == 4
+
+
+def test_a_tally_of_days_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(summary, "NUM_TIMES", 10)
+    tally = summary.Tally()
+    frame = night_frames(1)[0]
+    for number in range(200):
+        result = result_of(frame, [[0, 0, 4, 4]], [0.9])
+        tally.add(frame, dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]], ids=[number // 4])))
+    assert len(tally._counted) == 1
+    assert {len(values) for values in tally._stage_ms.values()} == {10}
+    assert tally.summary("here", [], Pipeline(), is_complete=True).num_tracks == 50

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import math
-from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Collection, Mapping, Sequence
 from importlib import metadata
 from typing import TypeAlias
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runtime.stepper import Described
-from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Tracks
 
 RunTime: TypeAlias = dict[str, float | None]
 """`median`, `p95` and `p99` of one stage in milliseconds; None where no frame was run."""
@@ -57,7 +58,8 @@ class RunSummary:
         num_skipped: Files that could not be read and were passed over.
         skipped: One line a skipped file: its path and why.
         frame_sizes_px: The (width, height) that occurred, in order of their first frame.
-        run_time_ms: Median, p95 and p99 over the frames of every stage and of `total`, their sum, in milliseconds.
+        run_time_ms: Median, p95 and p99 over the latest `NUM_TIMES` frames of every stage and of `total`, their sum, in
+            milliseconds.
         version: Of Foreglow.
         commit: The checkout that Foreglow ran from; None where it was installed.
         has_local_changes: Whether that checkout differed from its commit; None where it was installed.
@@ -90,6 +92,10 @@ class RunSummary:
         return json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
 
 
+NUM_TIMES = 20_000
+"""Run-times of so many frames, the latest, are kept: a live run may last for days."""
+
+
 class Tally:
     """Counts and run-times, gathered frame by frame; those of the parts of a run can be put together."""
 
@@ -98,10 +104,12 @@ class Tally:
         self._num_proposals = 0
         self._num_accepted = 0
         self._num_ranged = 0
-        self._tracks: set[tuple[str, int]] | None = None
+        self._num_tracks: int | None = None
+        self._sequence = ""
+        self._counted: set[int] = set()
         self._beam: BeamTally | None = None
         self._sizes_px: dict[tuple[int, int], None] = {}
-        self._stage_ms: defaultdict[str, list[float]] = defaultdict(list)
+        self._stage_ms: defaultdict[str, deque[float]] = defaultdict(functools.partial(deque, (), NUM_TIMES))
 
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Counts one frame."""
@@ -112,8 +120,7 @@ class Tally:
         if result.ranges is not None:
             self._num_ranged += int(np.isfinite(result.ranges.ranges_m).sum())
         if result.tracks is not None:
-            plausible = result.tracks.ids[result.tracks.is_plausible].tolist()
-            self._tracks = (self._tracks or set()) | {(frame.sequence, number) for number in plausible}
+            self._count_tracks(frame.sequence, result.tracks)
         if result.beam is not None:
             self._beam = self._beam or BeamTally()
             self._beam.add(result.beam)
@@ -123,13 +130,13 @@ class Tally:
         self._stage_ms["total"].append(sum(result.stage_ms.values()))
 
     def extend(self, later: Tally) -> None:
-        """Counts all that `later` counted, as if it had been added after the frames so far."""
+        """Counts all that `later` counted, of other sequences, as if it had been added after the frames so far."""
         self.num_frames += later.num_frames
         self._num_proposals += later._num_proposals
         self._num_accepted += later._num_accepted
         self._num_ranged += later._num_ranged
-        if later._tracks is not None:
-            self._tracks = (self._tracks or set()) | later._tracks
+        if later._num_tracks is not None:
+            self._num_tracks = (self._num_tracks or 0) + later._num_tracks
         if later._beam is not None:
             self._beam = self._beam or BeamTally()
             self._beam.extend(later._beam)
@@ -167,7 +174,7 @@ class Tally:
             num_scored=self._num_proposals if is_classified else None,
             num_accepted=self._num_accepted if is_classified else None,
             num_ranged=self._num_ranged if is_ranging else None,
-            num_tracks=None if self._tracks is None else len(self._tracks),
+            num_tracks=self._num_tracks,
             beam=None if self._beam is None else self._beam.summary(),
             num_skipped=len(skipped),
             skipped=tuple(skipped),
@@ -180,6 +187,15 @@ class Tally:
             dispatch=pipeline.dispatch,
         )
 
+    def _count_tracks(self, sequence: str, tracks: Tracks) -> None:
+        """Counts the tracks that are plausible for the first time; those that ended are forgotten."""
+        if sequence != self._sequence:
+            self._sequence = sequence
+            self._counted.clear()
+        plausible = set(tracks.ids[tracks.is_plausible].tolist())
+        self._num_tracks = (self._num_tracks or 0) + len(plausible - self._counted)
+        self._counted = (self._counted | plausible) & set(tracks.ids.tolist())
+
 
 class BeamTally:
     """Counts modes, faults and gaps, command by command."""
@@ -187,23 +203,26 @@ class BeamTally:
     def __init__(self) -> None:
         self._modes: Counter[int] = Counter()
         self._faults: Counter[str] = Counter()
-        self._widths_rad: list[float] = []
+        self._sum_gaps_rad = 0.0
+        self._num_gaps = 0
 
     def add(self, command: BeamCommand) -> None:
         """Counts one command."""
         self._modes[command.mode] += 1
         self._faults.update(command.faults)
-        self._widths_rad += np.diff(command.gaps_rad)[:, 0].tolist()
+        self._num_gaps += len(command.gaps_rad)
+        self._sum_gaps_rad += float(np.diff(command.gaps_rad).sum())
 
     def extend(self, later: BeamTally) -> None:
         """Counts all that `later` counted."""
         self._modes.update(later._modes)
         self._faults.update(later._faults)
-        self._widths_rad += later._widths_rad
+        self._num_gaps += later._num_gaps
+        self._sum_gaps_rad += later._sum_gaps_rad
 
     def summary(self) -> BeamSummary:
         """Of all commands so far."""
-        mean_gap_deg = round(math.degrees(float(np.mean(self._widths_rad))), 3) if self._widths_rad else None
+        mean_gap_deg = round(math.degrees(self._sum_gaps_rad / self._num_gaps), 3) if self._num_gaps else None
         return BeamSummary(
             num_low=self._modes[BeamMode.LOW],
             num_glare_free=self._modes[BeamMode.GLARE_FREE],
@@ -213,7 +232,7 @@ class BeamTally:
         )
 
 
-def run_time(values_ms: Sequence[float]) -> RunTime:
+def run_time(values_ms: Collection[float]) -> RunTime:
     """Median, p95 and p99 (linear between ranks), in milliseconds to 0.1 us; None for no values.
 
     >>> run_time([1.0, 2.0, 3.0])
@@ -221,5 +240,5 @@ def run_time(values_ms: Sequence[float]) -> RunTime:
     """
     if not values_ms:
         return dict.fromkeys(("median", "p95", "p99"))
-    median, p95, p99 = np.percentile(values_ms, (50, 95, 99)).round(4).tolist()
+    median, p95, p99 = np.percentile(list(values_ms), (50, 95, 99)).round(4).tolist()
     return {"median": median, "p95": p95, "p99": p99}
