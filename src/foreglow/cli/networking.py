@@ -24,11 +24,11 @@ from foreglow.cli.app import (
     PoseErrorOption,
     PosesOption,
     PresetOption,
-    Source,
     TimeOffsetOption,
     app,
     configuration_of,
     equipped,
+    size_of,
 )
 from foreglow.cli.beaming import lamp_bus
 
@@ -42,8 +42,18 @@ app.add_typer(network, name="ros2")
 # What ROS 2 itself is told, from --ros-args on, is passed through.
 PASSING = {"allow_extra_args": True, "ignore_unknown_options": True}
 
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE", help="What `run` takes, at its own rate; or a camera or an address, as for `live`."
+    ),
+]
+SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Size to ask a camera for.")]
+RateOption = Annotated[float | None, typer.Option(metavar="HZ", help="Rate to ask a camera for.")]
 NetworkOption = Annotated[bool, typer.Option("--network", help="Let nodes on other machines take part.")]
-CanOption = Annotated[str | None, typer.Option(metavar="IFACE:CHANNEL", help="CAN bus for the commands.")]
+CanOption = Annotated[
+    str | None, typer.Option(metavar="CHANNEL", help="CAN bus for the commands: can0, or INTERFACE:CHANNEL.")
+]
 DeadlineOption = Annotated[
     float | None, typer.Option(metavar="S", min=0.01, help="Low beam after so long without input.")
 ]
@@ -68,17 +78,26 @@ def source(
     time_offset: TimeOffsetOption = 0.0,
     pose_error: PoseErrorOption = 5.0,
     on_error: OnErrorOption = "stop",
+    size: SizeOption = None,
+    rate: RateOption = None,
     wait: Annotated[bool, typer.Option("--wait", help="Begin once the network listens.")] = False,
     is_networked: NetworkOption = False,
     parent: ParentOption = None,
 ) -> None:
     """Publish the frames of SOURCE at their own rate, and what the car knew."""
     from foreglow.datasets import open_source
+    from foreglow.datasets.vehicle_logs import open_vehicle_data
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
     files = (calibration, can_log, dbc, mapping, road_map, poses)
-    images = open_source(frames, on_error=cast("OnError", on_error))
-    played = equipped(images, files, time_offset, pose_error)
+    data = None if calibration is None else open_vehicle_data(calibration)
+    options = CameraOptions(size_px=None if size is None else size_of(size), rate_hz=rate, data=data)
+    camera = open_camera(frames, options)
+    if camera is None:
+        images = open_source(frames, on_error=cast("OnError", on_error))
+        played = equipped(images, files, time_offset, pose_error)
     ros_arguments = _begin(context, is_networked)
     from foreglow.runtime.ros2.source import Player, repeated
 
@@ -87,7 +106,10 @@ def source(
         player = Player(should_stop, ros_arguments)
         if wait:
             player.wait()
-        player.play(repeated(played, limit, is_endless=loop), speed=speed)
+        if camera is not None:
+            player.stream(camera, limit=limit)
+        else:
+            player.play(repeated(played, limit, is_endless=loop), speed=speed)
 
 
 def _add_stage(name: str, text: str) -> None:
@@ -149,22 +171,27 @@ def everything(
     speed: SpeedOption = 1.0,
     loop: LoopOption = False,
     limit: LimitOption = None,
+    size: SizeOption = None,
+    rate: RateOption = None,
     is_networked: NetworkOption = False,
 ) -> None:
     """The five nodes as processes, from SOURCE to the beam; a node that dies is started again."""
     from foreglow.datasets import open_source
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
     ros_arguments = _begin(context, is_networked)
     from foreglow.runtime.ros2.supervisor import supervise
 
-    open_source(frames)
+    if open_camera(frames, CameraOptions()) is None:
+        open_source(frames)
     configuration_of(preset, config, model).commanding()
     shared = _options(preset=preset, model=model, config=config, calibration=calibration)
     ending = [*(["--network"] if is_networked else []), *ros_arguments]
     nodes = {name: [name, *shared, *ending] for name in ("detector", "distance", "tracking")}
     nodes["beam"] = ["beam", *shared, *_options(can=can, deadline=deadline), *ending]
-    played = ["source", str(frames), *_options(speed=speed, limit=limit, calibration=calibration)]
+    played = ["source", frames, *_options(speed=speed, limit=limit, calibration=calibration, size=size, rate=rate)]
     player = [*played, *(["--loop"] if loop else []), "--wait", *ending]
     with InterruptFlag() as interrupt:
         code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True))

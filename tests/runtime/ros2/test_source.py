@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy")
 
+import rclpy
+
+from benchmarks.faulty import ScriptedCamera
 from foreglow.runtime.ros2.environment import prepare
-from foreglow.runtime.ros2.source import PAUSE_NS, repeated, timed
+from foreglow.runtime.ros2.source import PAUSE_NS, Due, Player, repeated, timed
 from tests.stand_ins import night_frames
 
 NOW_NS = 1_700_000_000_123_456_789
@@ -79,3 +83,27 @@ def test_the_launch_file_starts_nodes_that_exist() -> None:
 
     assert str(FIVE).replace("'", '"') in path.read_text(encoding="utf-8")
     assert os.access(path, os.R_OK)
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+@pytest.mark.usefixtures("domain")
+def test_a_live_camera_is_stamped_with_its_exposure_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = night_frames(5)
+    monkeypatch.setattr("foreglow.runtime.ros2.source.RETRY_S", 0.01)
+    player = Player(lambda: False)
+    sent: list[tuple[Due, int]] = []
+
+    def keep(messages: list[tuple[str, Due]]) -> None:
+        sent.extend((due, player.clock_ns()) for _, due in messages)
+
+    player._publisher = SimpleNamespace(messages=lambda due: [("", due)], publish=keep)  # type: ignore[assignment]
+    camera = ScriptedCamera([*frames[:3], OSError("unplugged")], frames[3:], is_live=True, is_endless=True)
+    assert player.stream(camera, limit=5) == 5
+    rclpy.shutdown()
+    assert [due.frame.frame for due, _ in sent] == [frame.frame for frame in frames]
+    ages_ns = [now_ns - due.header.timestamp_ns for due, now_ns in sent]
+    assert min(ages_ns) >= 0
+    assert max(ages_ns) < 1e9
+    stamps_ns = [due.header.timestamp_ns for due, _ in sent]
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert {due.header.sequence for due, _ in sent} == {"S00001"}

@@ -39,15 +39,24 @@ def open_live(
         FileNotFoundError: If there is nothing at the path.
         ValueError: If what is there cannot be used, or the scenario is unknown.
     """
+    opened = open_camera(text, camera)
+    if opened is not None:
+        return opened
     kind, _, rest = text.partition(":")
-    if "://" in text:
-        return StreamCamera(text, camera)
-    if kind == "camera":
-        return CaptureCamera(text, int(rest) if rest.isdecimal() else rest, cv2.CAP_V4L2, camera)
-    if kind == "gstreamer":
-        return CaptureCamera(text, rest, cv2.CAP_GSTREAMER, camera)
     if kind == "simulate":
         scene = read_scene(Path(rest)) if rest.endswith(".toml") else scenario(rest, seed)
         return DriveAround(scene, quality)
     frames = open_source(text, topic=topic)
     return Paced(frames if camera.data is None else Equipped(frames, camera.data), speed)
+
+
+def open_camera(text: str, options: CameraOptions) -> LiveSource | None:
+    """The camera or the stream called `text`; None where it is neither."""
+    kind, _, rest = text.partition(":")
+    if "://" in text:
+        return StreamCamera(text, options)
+    if kind == "camera":
+        return CaptureCamera(text, int(rest) if rest.isdecimal() else rest, cv2.CAP_V4L2, options)
+    if kind == "gstreamer":
+        return CaptureCamera(text, rest, cv2.CAP_GSTREAMER, options)
+    return None

@@ -1,4 +1,4 @@
-"""The source: frames of a data set, a recording or a video at their own rate, as a camera's driver publishes them."""
+"""The source: frames of a camera, or of a data set, a recording or a video at their own rate, as a driver does it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from foreglow.runtime.live import LiveSource
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.messages import (
@@ -26,6 +27,9 @@ FRAME_ID = "camera"
 
 PAUSE_NS = 500_000_000
 """Between two sequences, and before the first frame."""
+
+RETRY_S = 1.0
+"""Between two attempts to open a camera."""
 
 
 class Due(NamedTuple):
@@ -138,6 +142,29 @@ class Player:
                     break
                 self._publisher.publish(messages)
                 num_frames += 1
+        finally:
+            self.ros.destroy_node()
+        return num_frames
+
+    def stream(self, camera: LiveSource, *, limit: int | None = None) -> int:
+        """Publishes the frames of a live camera as they come, stamped with their exposure; returns how many.
+
+        A camera that is lost is opened anew, as often as need be.
+        """
+        num_frames = 0
+        try:
+            while not (self._should_stop() or num_frames == limit):
+                try:
+                    for frame in camera:
+                        stamp_ns = self.clock_ns() - (camera.now_ns() - frame.timestamp_ns)
+                        due = Due(frame, Header(stamp_ns, sequence_name(frame.sequence, 0)))
+                        self._publisher.publish(self._publisher.messages(due))
+                        num_frames += 1
+                        if self._should_stop() or num_frames == limit:
+                            break
+                except (OSError, ValueError) as error:
+                    self.ros.get_logger().error(f"camera_gone: {error}", throttle_duration_sec=1.0)
+                    time.sleep(RETRY_S)
         finally:
             self.ros.destroy_node()
         return num_frames
