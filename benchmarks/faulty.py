@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -61,6 +62,7 @@ class ScriptedCamera:
         self._scripts = list(scripts)
         self._is_live = is_live
         self.is_lossless = not is_live
+        self.speed = 1.0 if is_live else math.inf
         self.is_endless = is_endless
         self.rate_hz: float | None = RATE_HZ
         self.max_silence_s: float | None = None if is_live else 60.0

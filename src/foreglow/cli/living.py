@@ -159,10 +159,10 @@ def _run(
         takers.append(ResultsOnly(FrameRecords(results.partial("frames.jsonl"))))
         takers.append(ResultsOnly(FrameRecords(results.partial("times.jsonl"), time_record)))
     notifier = ServiceNotifier()
-    loop = LiveLoop(
-        source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=takers, beat=notifier.beat
-    )
     try:
+        loop = LiveLoop(
+            source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=takers, beat=notifier.beat
+        )
         summary = loop.run(limit)
         notifier.stop()
         if results is not None:

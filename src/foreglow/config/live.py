@@ -30,7 +30,7 @@ class LiveConfig(FrozenModel):
     silent_frames: Annotated[float, Field(gt=1, le=100)] = 2.5
     slow_frames: Annotated[float, Field(gt=1, le=100)] = 1.6
     num_steady: Annotated[int, Field(ge=1, le=1000)] = 5
-    max_step_s: Annotated[float, Field(gt=0, le=10)] = 0.1
+    max_step_s: Annotated[float, Field(gt=0, le=10)] = 0.08
     abandon_s: Annotated[float, Field(gt=0, le=100)] = 1.0
     max_failures: Annotated[int, Field(ge=1, le=1000)] = 3
     retry_s: Annotated[float, Field(gt=0, le=100)] = 1.0

@@ -263,3 +263,13 @@ def release_when_low(lamps: Watched, released: threading.Event) -> None:
 
 def commands_with(lamps: Lamps, fault: str) -> list[Any]:
     return [one for one in lamps.commands if fault in one.faults]
+
+
+def test_pipeline_that_cannot_be_made_leaves_nothing(drive: list[Frame]) -> None:
+    def make() -> Pipeline:
+        raise FileNotFoundError("no such model")
+
+    keeper = Keeper()
+    with pytest.raises(FileNotFoundError, match="no such model"):
+        run_live(ScriptedCamera(drive[:5]), live_config(), make, [keeper])
+    assert keeper.ends == ["discard"]

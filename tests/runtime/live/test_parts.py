@@ -105,7 +105,7 @@ def frames_at(*times: float) -> list[Frame]:
 
 def test_watch_of_a_slow_camera() -> None:
     book = FaultBook(lambda: 0, ("camera",))
-    watch = FrameWatch(LiveConfig(slow_frames=1.6, num_steady=3), 0.05, None, book)
+    watch = FrameWatch(LiveConfig(slow_frames=1.6, num_steady=3), 0.05, book, max_silence_s=None)
     seen = []
     for frame in frames_at(0, 1, 2, 4, 5, 7, 9, 11, 12, 13, 14, 15):
         assert watch.arrived(frame)
@@ -114,9 +114,20 @@ def test_watch_of_a_slow_camera() -> None:
     assert seen == [bool(one) for one in (0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0)]
 
 
+def test_watch_of_a_camera_that_is_late_again() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(retry_s=0.01, silent_frames=100.0), 0.05, book, speed=10.0, max_silence_s=None)
+    for frame in frames_at(0, 1, 2, 4):
+        watch.arrived(frame)
+    assert not watch.listen()
+    time.sleep(0.02)  # four frames' time at this speed
+    assert watch.listen()
+    assert list(book.active) == ["camera_slow"]
+
+
 def test_watch_of_the_order() -> None:
     book = FaultBook(lambda: 0, ("camera",))
-    watch = FrameWatch(LiveConfig(), 0.05, None, book)
+    watch = FrameWatch(LiveConfig(), 0.05, book, max_silence_s=None)
     assert [watch.arrived(frame) for frame in frames_at(0, 1, 1, 0.5, 2)] == [True, True, False, False, True]
     assert book.counts["frame_out_of_order"] == 1
     other = Frame(np.zeros((2, 2), np.uint8), 0, sequence="another")
@@ -125,7 +136,7 @@ def test_watch_of_the_order() -> None:
 
 def test_watch_of_silence() -> None:
     book = FaultBook(lambda: 0, ("camera",))
-    watch = FrameWatch(LiveConfig(retry_s=0.01), 0.001, None, book)
+    watch = FrameWatch(LiveConfig(retry_s=0.01), 0.001, book, max_silence_s=None)
     assert not watch.listen()
     time.sleep(0.1)
     assert watch.listen()

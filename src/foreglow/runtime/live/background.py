@@ -60,6 +60,12 @@ class Background:
         except Exception as error:
             self.error = self.error or error
 
+    def discard(self) -> None:
+        """Ends the thread; nothing remains of what was written."""
+        self._waiting.put(None)
+        self._thread.join()
+        self.sink.discard()
+
     def _put(self, call: Callable[[], None]) -> bool:
         if self.error is not None:
             return False

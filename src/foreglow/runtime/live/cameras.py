@@ -42,6 +42,7 @@ class _Arriving:
     """What all live cameras have in common: the clock, and frames numbered from 0 on."""
 
     max_silence_s: float | None = None
+    speed = 1.0
     is_lossless = False
     is_endless = True
     num_frames: int | None = None

@@ -24,6 +24,8 @@ from foreglow.runtime.run import InterruptFlag
 from foreglow.runtime.summary import Tally
 from foreglow.types import BeamCommand
 
+LIVE_FAULTS = frozenset(LiveFault)
+
 GUARD, BUS, SINKS = "guard", "bus", "sinks"
 """Further origins of faults; those of `CAMERA` and `STAGE` mean low beam."""
 
@@ -68,7 +70,7 @@ class LiveLoop:
         sinks: Sequence[LiveSink] = (),
         beat: Callable[[], None] = lambda: None,
     ) -> None:
-        """Takes all that it is made of; nothing runs yet.
+        """Takes all that it is made of; `run` is to be called once.
 
         Args:
             source: The frames.
@@ -76,14 +78,15 @@ class LiveLoop:
             config: The configuration.
             outputs: Where commands go.
             sinks: Where results and the health go.
-            beat: Called again and again while all threads are alive: for a watchdog outside.
+            beat: Called again and again, as long as the loop goes round: for a watchdog outside.
 
         Raises:
             ValueError: If the lamps' description is broken.
         """
         self._source, self._config = source, config.live
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
-        self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)
+        self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
+        self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
         # Where frames wait for computing, a busy machine is no fault.
         self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
@@ -110,10 +113,21 @@ class LiveLoop:
             Exception: What making the pipeline raised, or a source that is no camera.
         """
         self._limit = limit
-        pipeline = self._make_pipeline()
+        try:
+            pipeline = self._make_pipeline()
+        except BaseException:
+            for sink in self._sinks:
+                sink.discard()
+            raise
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
-        self._watch = FrameWatch(self._config, self._period_s, self._source.max_silence_s, self._book)
+        self._watch = FrameWatch(
+            self._config,
+            self._period_s,
+            self._book,
+            speed=self._source.speed,
+            max_silence_s=self._source.max_silence_s,
+        )
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name="read", daemon=True)
         reader.start()
@@ -122,7 +136,7 @@ class LiveLoop:
             with settled_memory(), InterruptFlag() as interrupt:
                 while not (interrupt.is_set or self._is_over):
                     self._supervise()
-                    self._is_stopped.wait(self._period_s / 4)
+                    self._is_stopped.wait(self._wait_s / 4)
                 is_complete = not interrupt.is_set
         finally:
             self._stop(reader)
@@ -192,7 +206,7 @@ class LiveLoop:
             self._abandon()
         now_s = time.monotonic()
         is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
-        if is_waiting and now_s - self._low_s >= self._period_s:
+        if is_waiting and now_s - self._low_s >= self._wait_s:
             self._low_s = now_s
             self._command_low()
         self._note_sinks()
@@ -236,7 +250,7 @@ class LiveLoop:
             self._send(beam)
             sent_ns = time.monotonic_ns()
         age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
-        self._book.note(GUARD, [name for name in beam.faults if name not in set(LiveFault)])
+        self._book.note(GUARD, [name for name in beam.faults if name not in LIVE_FAULTS])
         if result is None:
             return
         stage_ms = {

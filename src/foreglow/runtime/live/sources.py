@@ -35,6 +35,11 @@ class LiveSource(FrameSource, Protocol):
         ...
 
     @property
+    def speed(self) -> float:
+        """How many times as fast as the wall's its clock goes while frames come; infinite with `is_lossless`."""
+        ...
+
+    @property
     def is_lossless(self) -> bool:
         """Whether the source waits until a frame was taken, so that none is dropped."""
         ...
@@ -68,7 +73,7 @@ class Paced:
         if not speed > 0:
             raise ValueError(f"speed: expected a positive number, got {speed}")
         self._source = source
-        self._speed = speed
+        self.speed = speed
         self._first_ns = self._start_ns = 0
         if self.is_lossless:
             self.max_silence_s = START_S
@@ -80,9 +85,8 @@ class Paced:
 
     @property
     def rate_hz(self) -> float | None:
-        """By the wall's clock; the other source's at infinite speed."""
-        rate_hz = self._source.rate_hz
-        return rate_hz if rate_hz is None or self.is_lossless else rate_hz * self._speed
+        """The other source's, by its own clock."""
+        return self._source.rate_hz
 
     @property
     def num_frames(self) -> int | None:
@@ -97,27 +101,32 @@ class Paced:
     @property
     def is_lossless(self) -> bool:
         """At infinite speed."""
-        return math.isinf(self._speed)
+        return math.isinf(self.speed)
+
+    @property
+    def _wait_s(self) -> float:
+        """A frame's time by the wall's clock; 0 where the rate is not known."""
+        return 0.0 if self.rate_hz is None else 1.0 / (self.rate_hz * self.speed)
 
     def now_ns(self) -> int:
         """Goes on between frames, at the speed."""
         if self.is_lossless:
             return self._first_ns
-        return self._first_ns + round((time.monotonic_ns() - self._start_ns) * self._speed)
+        return self._first_ns + round((time.monotonic_ns() - self._start_ns) * self.speed)
 
     def __iter__(self) -> Iterator[Frame]:
         sequence: str | None = None
         for frame in self._source:
             if frame.sequence != sequence or self.is_lossless:
                 if sequence is not None and not self.is_lossless:
-                    time.sleep(1.0 / (self.rate_hz or 1.0))  # the frame before is done with by then
+                    time.sleep(self._wait_s)  # the frame before is done with by then
                 sequence, self._first_ns, self._start_ns = frame.sequence, frame.timestamp_ns, time.monotonic_ns()
-            wait_ns = (frame.timestamp_ns - self._first_ns) / self._speed - (time.monotonic_ns() - self._start_ns)
+            wait_ns = (frame.timestamp_ns - self._first_ns) / self.speed - (time.monotonic_ns() - self._start_ns)
             if wait_ns > 0:
                 time.sleep(wait_ns / 1e9)
             yield frame
             if not self.is_lossless:
-                time.sleep(READ_AFTER / (self.rate_hz or math.inf))
+                time.sleep(READ_AFTER * self._wait_s)
 
 
 class DriveAround:
@@ -128,6 +137,7 @@ class DriveAround:
     """
 
     max_silence_s: float | None = START_S
+    speed = 1.0
     is_lossless = False
     is_endless = False
 

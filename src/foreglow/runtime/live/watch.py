@@ -15,17 +15,21 @@ CAMERA = "camera"
 class FrameWatch:
     """Judges every frame that arrives by its time, and the silence between them by the wall's clock."""
 
-    def __init__(self, config: LiveConfig, period_s: float, max_silence_s: float | None, book: FaultBook) -> None:
+    def __init__(
+        self, config: LiveConfig, period_s: float, book: FaultBook, *, speed: float = 1.0, max_silence_s: float | None
+    ) -> None:
         """Begins to listen now; the first frame may take as long as a lost source takes to open.
 
         Args:
             config: What is too long.
-            period_s: A frame's time.
-            max_silence_s: A longer silence is a fault; None goes by the period.
+            period_s: A frame's time, by the frames' clock.
             book: Where faults are noted.
+            speed: How many times as fast as the wall's that clock goes.
+            max_silence_s: A longer silence by the wall's clock is a fault, and none is slow; None goes by the period.
         """
         self._book = book
-        self._max_silence_s = max_silence_s or config.silent_frames * period_s
+        self._max_silence_s = max_silence_s or config.silent_frames * period_s / speed
+        self._max_pause_s = max_silence_s or config.slow_frames * period_s / speed
         self._max_step_ns = config.slow_frames * period_s * 1e9
         self._num_steady = config.num_steady
         self._heard_s = time.monotonic() + config.retry_s
@@ -55,11 +59,15 @@ class FrameWatch:
         self._note(LiveFault.CAMERA_GONE)
 
     def listen(self) -> bool:
-        """Whether the source is silent for too long, or lost; called again and again."""
-        is_silent = bool(self._lost) or time.monotonic() - self._heard_s > self._max_silence_s
-        if is_silent:
+        """Whether the source is silent for too long, or lost, or slow again; called again and again."""
+        pause_s = time.monotonic() - self._heard_s
+        if self._lost or pause_s > self._max_silence_s:
             self._note(LiveFault.CAMERA_GONE)
-        return is_silent
+            return True
+        if self._num_slow == 1 and pause_s > self._max_pause_s:  # the second in a row is late already
+            self._num_slow, self._num_in_time = 2, 0
+            self._note()
+        return self._num_slow >= 2 and pause_s > self._max_pause_s
 
     def _note(self, *faults: LiveFault) -> None:
         slow = [] if self._num_in_time >= self._num_steady else [LiveFault.CAMERA_SLOW]

@@ -18,7 +18,7 @@ from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.join import Joined
 from foreglow.runtime.ros2.messages import read_image
-from foreglow.runtime.ros2.node import FrameNode, Laps
+from foreglow.runtime.ros2.node import FrameNode, Inputs, Laps
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (
     detections_message,
@@ -151,20 +151,39 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
         laps.took("send")
 
 
-class BeamNode(FrameNode[tuple[Frame, Tracks]]):
+class CommandingNode(FrameNode[Inputs]):
+    """A node that commands the beam: low beam where a frame failed, or input is overdue."""
+
+    def __init__(self, name: str, setting: Setting, exact: Sequence[str], sampled: Sequence[str]) -> None:
+        """Joins the network; takes the topics of the camera, too."""
+        camera_exact, camera_sampled = setting.camera_topics
+        exact, sampled = (*exact, *camera_exact), (*camera_sampled, *sampled)
+        super().__init__(name, exact, sampled, ros_arguments=setting.ros_arguments)
+        self._reader = FrameReader(setting.calibration)
+        self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
+
+    def failed(self, header: Header, fault: str) -> None:
+        """Low beam; what the guard believes to shine has gone."""
+        self.reset()
+        self._output.came()
+        self._output.low(header, fault)
+
+    def idle(self, now_ns: int) -> None:
+        """Low beam if input is overdue."""
+        self._output.look(now_ns)
+
+    def close(self) -> None:
+        """Leaves low beam behind."""
+        self._output.close()
+        super().close()
+
+
+class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     """Tracks to beam commands, as far as the guard lets them; low beam when none come."""
 
     def __init__(self, setting: Setting) -> None:
-        exact, sampled = setting.camera_topics
-        super().__init__(
-            "beam",
-            (topics.TRACKS, topics.IMAGE, *exact),
-            (*sampled, topics.TWIST, topics.ROAD),
-            ros_arguments=setting.ros_arguments,
-        )
+        super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), (topics.TWIST, topics.ROAD))
         self._stage = BeamStage(setting.config.beam, setting.config.guard)
-        self._reader = FrameReader(setting.calibration)
-        self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
     def reset(self) -> None:
         """Forgets earlier frames: begins with low beam."""
@@ -181,39 +200,16 @@ class BeamNode(FrameNode[tuple[Frame, Tracks]]):
         self._output.send(header, command)
         laps.took("send")
 
-    def failed(self, header: Header, fault: str) -> None:
-        """Low beam; what the guard believes to shine has gone."""
-        self._stage.reset()
-        self._output.came()
-        self._output.low(header, fault)
 
-    def idle(self, now_ns: int) -> None:
-        """Low beam if input is overdue."""
-        self._output.look(now_ns)
-
-    def close(self) -> None:
-        """Leaves low beam behind."""
-        self._output.close()
-        super().close()
-
-
-class PipelineNode(FrameNode[Frame]):
+class PipelineNode(CommandingNode[Frame]):
     """All stages in one node; publishes the same as the network of them."""
 
     def __init__(self, setting: Setting) -> None:
-        exact, sampled = setting.camera_topics
-        super().__init__(
-            "pipeline",
-            (topics.IMAGE, *exact),
-            (*sampled, topics.TWIST, topics.ATTITUDE, topics.ROAD),
-            ros_arguments=setting.ros_arguments,
-        )
+        super().__init__("pipeline", setting, (topics.IMAGE,), (topics.TWIST, topics.ATTITUDE, topics.ROAD))
         self._pipeline = Pipeline(setting.config)
-        self._reader = FrameReader(setting.calibration)
         self._detections = self.publisher(topics.DETECTIONS)
         self._ranges = self.publisher(topics.RANGES)
         self._tracks = self.publisher(topics.TRACKS)
-        self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
     def reset(self) -> None:
         """Forgets earlier frames."""
@@ -232,21 +228,6 @@ class PipelineNode(FrameNode[Frame]):
         self._publish(header, result)
         laps.took("send")
         laps.times_ms.update(result.stage_ms)
-
-    def failed(self, header: Header, fault: str) -> None:
-        """Low beam; what the guard believes to shine has gone."""
-        self._pipeline.reset()
-        self._output.came()
-        self._output.low(header, fault)
-
-    def idle(self, now_ns: int) -> None:
-        """Low beam if input is overdue."""
-        self._output.look(now_ns)
-
-    def close(self) -> None:
-        """Leaves low beam behind."""
-        self._output.close()
-        super().close()
 
     def _publish(self, header: Header, result: FrameResult) -> None:
         if result.detections is not None:
