@@ -48,6 +48,8 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.recording
 	$(BIN)/python -m benchmarks.viewer
 	$(BIN)/python -m benchmarks.simulator
+	$(BIN)/python -m benchmarks.live_faults
+	$(BIN)/python -m benchmarks.ros2
 	$(BIN)/python -m benchmarks.scale
 
 # Simulated drives to learn from, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights
