@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     with (
         tempfile.TemporaryDirectory() as folder,
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as dask,
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as dask,
     ):
         split = write_split(Path(folder) / "day" / "val", num_frames)
         workers: dict[str, Workers] = {

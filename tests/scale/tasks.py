@@ -24,11 +24,16 @@ def process_of(item: float, parent: Parent) -> int:  # noqa: ARG001
 
 
 def fail_at(item: tuple[bool, Path], parent: Parent) -> str:  # noqa: ARG001
-    """Fails at once where it is told to, and else takes a while."""
+    """Fails at once where it is told to, and else takes until that must be known."""
     is_bad, folder = item
+    failed = folder.parent / "failed"
     if is_bad:
+        failed.touch()
         raise ValueError(f"{folder}: bad item")
-    time.sleep(0.5)
+    until_s = time.monotonic() + 20.0
+    while not failed.exists() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    time.sleep(1.5)
     (folder / "finished").touch()
     return "good"
 
