@@ -101,3 +101,34 @@ def test_damaged_recording_ends_with_an_error(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert "001.png" in complaint("live", images, "--speed", 0, "--out", out)
     assert not out.exists() or not RESULTS & names(out)
+
+
+def test_recording_named_after_its_time(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
+    named = tmp_path / "drive_%Y.mcap"
+    assert foreglow_command("live", shipped_drive(), "--speed", 0, "--limit", 3, "--record", named).exit_code == 0
+    (recording,) = tmp_path.iterdir()
+    assert recording.name == f"drive_{time.strftime('%Y')}.mcap"
+    again = foreglow_command("live", recording, "--speed", 0, "--out", tmp_path / "out")
+    assert again.exit_code == 0, again.output
+    assert num_lines(tmp_path / "out") == 3
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_recording_of_a_process_that_is_ended(tmp_path: Path, how: signal.Signals) -> None:
+    pytest.importorskip("foxglove")
+    recording = tmp_path / "drive.mcap"
+    partial = tmp_path / "drive.mcap.partial"
+    process = subprocess.Popen(
+        subprocess_command("live", shipped_drive(), "--speed", "0.3", "--record", recording), stderr=subprocess.PIPE
+    )
+    deadline_s = time.monotonic() + 60
+    while not (partial.exists() and partial.stat().st_size > 2_000_000):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    process.send_signal(how)
+    process.communicate(timeout=60)
+    left = recording if how == signal.SIGINT else partial
+    assert names(tmp_path) == {left.name}
+    assert foreglow_command("live", left, "--speed", 0, "--out", tmp_path / "out").exit_code == 0
+    assert num_lines(tmp_path / "out") >= 2

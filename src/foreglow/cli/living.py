@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -105,7 +106,8 @@ def live(
         outputs: list[BeamOutput] = [opened] if isinstance(opened, DriveAround) else []
         if can is not None:
             outputs.append(lamp_bus(can, configuration))
-        sinks = recording_sinks(record, Path(source), configuration)
+        named = None if record is None else Path(time.strftime(str(record)))
+        sinks = recording_sinks(named, Path(source), configuration)
         lux_of = opened.lux if isinstance(opened, DriveAround) else None
         sinks += viewer_sinks(view, save, configuration, lux_of)
         summary = _run(opened, configuration, out, outputs, sinks, limit)
