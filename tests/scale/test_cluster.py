@@ -73,10 +73,13 @@ def test_asked_to_stop_work_returns_what_it_has(cluster: DaskCluster, tmp_path: 
 
 
 SCRIPT = """
+import signal
 import sys
 from pathlib import Path
 from foreglow.scale import Cluster
 from tests.scale import tasks
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what runs in the background without
 
 items = {name: Path(sys.argv[1]) / f"{name}.x" for name in ("a", "b")}
 list(Cluster(sys.argv[2]).each(tasks.wait_for_stop, items, lambda *_: None))

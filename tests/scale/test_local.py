@@ -116,10 +116,13 @@ def test_who_leaves_early_leaves_no_process_behind(tmp_path: Path) -> None:
 
 
 SCRIPT = """
+import signal
 import sys
 from pathlib import Path
 from foreglow.scale import Local
 from tests.scale import tasks
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what runs in the background without
 
 items = {name: Path(sys.argv[1]) / f"{name}.x" for name in ("a", "b")}
 list(Local(2).each(tasks.wait_for_stop, items, lambda *_: None))
