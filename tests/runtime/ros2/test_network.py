@@ -98,29 +98,37 @@ def test_a_killed_node_means_low_beam_and_comes_back(frames: list[Frame]) -> Non
     with Network(patient_config(), keeps_results=False) as network:
         network.warm_up(frames[0])
         for victim in FIVE:
-            since = len(network.commands)
-            network.run(moving(network, frames, since, until=BeamMode.FULL))
-            process = network.processes[victim].popen
-            os.kill(process.pid, signal.SIGKILL)
-            killed, killed_ns = len(network.commands), time.time_ns()
-            network.run(moving(network, frames, killed, until=BeamMode.LOW))
-            low = next(one for one in network.commands[killed:] if one.beam.mode == BeamMode.LOW)
-            if victim != "beam":  # there it is the lamps' own timeout that ends the light
-                assert INPUT_MISSING in low.beam.faults
-                assert low.received_ns - killed_ns < 1e9  # how soon is the benchmark's to say
-            recovering = network.commands.index(low)
-            network.run(moving(network, frames, recovering, until=BeamMode.FULL))
-            assert not network.commands[-1].beam.faults
-            assert network.processes[victim].popen.pid != process.pid
+            network.run(killing(network, frames, victim))
 
 
-def moving(network: Network, frames: list[Frame], since: int, until: BeamMode) -> Iterator[Frame]:
-    """Frames at full rate, over and over, until a command of this mode has come; a minute at most."""
-    for number, frame in enumerate(itertools.islice(itertools.cycle(frames), 18 * 60)):
-        if any(one.beam.mode == until for one in network.commands[since:]):
-            return
-        yield dataclasses.replace(frame, timestamp_ns=number * STEP_NS, sequence="long")
-    raise AssertionError(f"no {until.name} beam within a minute")
+def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Frame]:
+    """Frames at full rate, over and over; once there is light a node is killed, until there is light again."""
+    turns = enumerate(itertools.cycle(frames))
+    endless = (dataclasses.replace(frame, timestamp_ns=k * STEP_NS, sequence="long") for k, frame in turns)
+    commands = network.commands
+
+    def until(is_low: bool) -> Iterator[Frame]:
+        """A minute at most."""
+        since = len(commands)
+        for frame in itertools.islice(endless, 18 * 60):
+            if any((one.beam.mode == BeamMode.LOW) == is_low for one in commands[since:]):
+                return
+            yield frame
+        raise AssertionError([(one.beam.mode, one.beam.faults) for one in commands[since:]])
+
+    yield from until(is_low=False)
+    process = network.processes[victim].popen
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    killed, killed_ns = len(commands), time.time_ns()
+    if victim != "beam":  # there it is the lamps' own timeout that ends the light
+        yield from until(is_low=True)
+        low = next(one for one in commands[killed:] if one.beam.mode == BeamMode.LOW)
+        assert INPUT_MISSING in low.beam.faults
+        assert low.received_ns - killed_ns < 1e9  # how soon is the benchmark's to say
+    yield from itertools.islice(endless, 9)  # what was on its way when the process died
+    yield from until(is_low=False)
+    assert network.processes[victim].popen.pid != process.pid
 
 
 def foreglow(*arguments: str) -> list[str]:
