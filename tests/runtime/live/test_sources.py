@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib.util
 import io
 import itertools
 import math
@@ -29,6 +28,7 @@ from foreglow.runtime.live.opening import open_live
 from foreglow.runtime.records import frame_record
 from foreglow.types import BeamCommand, BeamMode, Frame
 from tests.runtime.live.stand_ins import Keeper, run_live
+from tests.simulation.light.rendering import need_renderer
 from tests.stand_ins import ListSource, night_frames, night_image
 
 
@@ -230,8 +230,8 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
     assert first.road is not None
 
 
-@pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs the extra sim")
 def test_our_own_light_in_closed_loop() -> None:
+    need_renderer()
     from foreglow.simulation import resized, scenario
 
     scene = resized(scenario("curve", 1), 160, 120)
