@@ -8,9 +8,9 @@ import torch
 
 from benchmarks.synthetic_frames import night_frame
 from foreglow.datasets import open_source
-from foreglow.learning import import_weights
-from foreglow.learning.networks import ArtifactNetwork
-from foreglow.learning.weights import ImportedModel
+from foreglow.lab.learning import import_weights
+from foreglow.lab.learning.networks import ArtifactNetwork
+from foreglow.lab.learning.weights import ImportedModel
 from foreglow.types import Image
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -19,7 +19,7 @@ from benchmarks.synthetic_frames import night_frame
 from benchmarks.timing import CONSOLE, Contender, Row, RunTimes, in_ms, interleaved, options, table, write_results
 from foreglow.datasets import Recording
 from foreglow.pipeline import Pipeline
-from foreglow.runtime.recording import McapRecorder
+from foreglow.runtime.mcap import McapRecorder
 from foreglow.types import Frame, FrameResult
 
 RATE_HZ = 18

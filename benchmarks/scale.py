@@ -17,8 +17,8 @@ from foreglow.config import preset
 from foreglow.datasets import PVDN
 from foreglow.datasets.pvdn_schema import Sequence as PVDNSequence
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter
+from foreglow.parallel import Cluster, Local, Parent, Workers
 from foreglow.runtime import Opening, OutputFolder, run_apart
-from foreglow.scale import Cluster, Local, Parent, Workers
 from foreglow.types import Frame
 
 NUM_SEQUENCES = 4

@@ -17,11 +17,11 @@ import cv2
 
 import foreglow
 from foreglow.datasets import read_image
+from foreglow.display.progress import SceneProgress
 from foreglow.files import write_atomic
-from foreglow.reports.progress import SceneProgress
-from foreglow.simulation import DatasetConfig, drive_frames, read_scene, simulate_dataset
+from foreglow.lab.simulation import DatasetConfig, drive_frames, read_scene, simulate_dataset
 
-FOLDER = Path(foreglow.__file__).parent / "drives" / "curve"
+FOLDER = Path(foreglow.__file__).parent / "shipped_drives" / "curve"
 LOSSLESS = Path("bench_output") / "shipped_drive"
 
 JPEG_QUALITY = 87

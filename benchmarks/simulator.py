@@ -16,12 +16,12 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, Row, RunTimes, options, table, write_results
-from foreglow.simulation import drive_frames
-from foreglow.simulation.light.haze import Haze
-from foreglow.simulation.light.llvm import dr, prepare
-from foreglow.simulation.light.render import Renderer
-from foreglow.simulation.scenes.scenarios import SCENARIOS, adapted, scenario
-from foreglow.simulation.scenes.scene import Scene
+from foreglow.lab.simulation import drive_frames
+from foreglow.lab.simulation.light.haze import Haze
+from foreglow.lab.simulation.light.llvm import dr, prepare
+from foreglow.lab.simulation.light.render import Renderer
+from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, adapted, scenario
+from foreglow.lab.simulation.scenes.scene import Scene
 
 SIZES_PX = ((1280, 960), (640, 480))
 SEED = 7

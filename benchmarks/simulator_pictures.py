@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
-from foreglow.reports.preview import labelled
-from foreglow.reports.tone import Tone
-from foreglow.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
+from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
+from foreglow.lab.simulation.preview import labelled
 
 SEED = 0
 SIZE_PX = (1280, 960)

@@ -16,9 +16,9 @@ from benchmarks.memory import resident_mib
 from benchmarks.timing import CONSOLE, options, write_results
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.pipeline import Pipeline
+from foreglow.runs.frame_records import frame_record
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import LiveLoop, Paced
-from foreglow.runtime.records import frame_record
 from foreglow.types import BeamCommand, Frame, FrameResult
 
 NUM_FRAMES, NUM_QUICK = 200_000, 900

@@ -19,10 +19,10 @@ from rich.table import Table
 from benchmarks.timing import CONSOLE, Row, RunTimes, in_ms, options, table, write_results
 from foreglow.config import preset
 from foreglow.datasets import PVDN, shipped_drive
+from foreglow.display.viewer import RerunSink, RrdFile
+from foreglow.display.viewer.blueprint import blueprint
+from foreglow.display.viewer.sink import JPEG_QUALITY
 from foreglow.pipeline import Pipeline
-from foreglow.reports.viewer import RerunSink, RrdFile
-from foreglow.reports.viewer.blueprint import blueprint
-from foreglow.reports.viewer.sink import JPEG_QUALITY
 from foreglow.types import Frame
 
 QUALITIES = {f"recorded, JPEG {JPEG_QUALITY}": JPEG_QUALITY, "recorded, without loss": None}

@@ -15,10 +15,10 @@ from benchmarks import beam, distance, guard_sweep, ros2, scale, simulator, trac
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
+from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
-from foreglow.simulation import adapted, scenario
+from tests.lab.simulation.light.rendering import need_renderer
 from tests.shared_data import SHARED
-from tests.simulation.light.rendering import need_renderer
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from foreglow.config import PipelineConfig, preset, read_config
     from foreglow.datasets import PVDN, open_source
-    from foreglow.evaluation import BoxQuality, evaluate_boxes, evaluate_split
+    from foreglow.lab.evaluation import BoxQuality, evaluate_boxes, evaluate_split
     from foreglow.pipeline import Pipeline
     from foreglow.types import Detections, Frame, FrameResult, Proposals
 
@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "BoxQuality": "foreglow.evaluation",
+    "BoxQuality": "foreglow.lab.evaluation",
     "Detections": "foreglow.types",
     "Frame": "foreglow.types",
     "FrameResult": "foreglow.types",
@@ -51,8 +51,8 @@ _HOMES = {
     "PipelineConfig": "foreglow.config",
     "PVDN": "foreglow.datasets",
     "Proposals": "foreglow.types",
-    "evaluate_boxes": "foreglow.evaluation",
-    "evaluate_split": "foreglow.evaluation",
+    "evaluate_boxes": "foreglow.lab.evaluation",
+    "evaluate_split": "foreglow.lab.evaluation",
     "open_source": "foreglow.datasets",
     "preset": "foreglow.config",
     "read_config": "foreglow.config",

@@ -13,10 +13,10 @@ from foreglow import datasets
 from foreglow.cli import app
 from foreglow.config import read_config
 from foreglow.datasets import PVDN
-from foreglow.simulation import read_truth
-from foreglow.simulation.recording.dataset import simulate_dataset
+from foreglow.lab.simulation import read_truth
+from foreglow.lab.simulation.writing.dataset import simulate_dataset
 from tests.datasets.tiny_pvdn import make_pvdn
-from tests.simulation.stub_drive import drive, scene
+from tests.lab.simulation.stub_drive import drive, scene
 
 
 def demo(*arguments: object) -> Result:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.runtime.records import FrameRecords
+from foreglow.runs.frame_records import FrameRecords
 from foreglow.types import Frame
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.stand_ins import night_image, result_of, tracks_of
@@ -189,7 +189,7 @@ def test_missing_matplotlib_is_named(
     def require_matplotlib() -> None:
         raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
 
-    monkeypatch.setattr("foreglow.reports.figures.require_matplotlib", require_matplotlib)
+    monkeypatch.setattr("foreglow.lab.reports.figures.require_matplotlib", require_matplotlib)
     line = complaint("evaluate", split, "--predictions", predictions, "--out", tmp_path / "out")
     assert "pip install 'foreglow[plots]'" in line
 

@@ -10,9 +10,9 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
-from tests.experiments.detector_data import make_data, make_model
-from tests.experiments.ranged_drives import make_split
-from tests.learning.yolo.fakes import Calls, fake_libreyolo
+from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
+from tests.lab.studies.detector_data import make_data, make_model
+from tests.lab.studies.ranged_drives import make_split
 
 
 @pytest.fixture

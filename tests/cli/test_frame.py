@@ -29,7 +29,7 @@ def test_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     def import_weights(*_: object) -> None:
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
-    monkeypatch.setattr("foreglow.learning.import_weights", import_weights)
+    monkeypatch.setattr("foreglow.lab.learning.import_weights", import_weights)
     line = complaint("import-weights", tmp_path / "weights.pt", "--out", tmp_path / "model.onnx")
     assert "pip install 'foreglow[train]'" in line
 

@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
-from tests.datasets.recordings.bags import TOPIC, images, make_bag, make_mcap, raw
+from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
 pytest.importorskip("foxglove")
 
@@ -101,7 +101,7 @@ def test_a_run_that_fails_leaves_no_recording(tmp_path: Path, folder: Path, conf
 def test_without_the_packages(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = tmp_path / "drive.mcap"
     assert foreglow_command("record", shipped_drive(), "--out", recording, "--limit", 1).exit_code == 0
-    for name in [name for name in sys.modules if name.startswith("foreglow.runtime.recording")]:
+    for name in [name for name in sys.modules if name.startswith("foreglow.runtime.mcap")]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("foxglove", "zstandard"):
         monkeypatch.setitem(sys.modules, name, None)

@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from foreglow.cli import app
-from foreglow.simulation import Scene, read_scene, scene_to_toml
-from foreglow.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
+from foreglow.lab.simulation import Scene, read_scene, scene_to_toml
+from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
-from tests.simulation.light.rendering import need_renderer
+from tests.lab.simulation.light.rendering import need_renderer
 
 
 def foreglow(*arguments: object) -> Result:
@@ -155,6 +155,6 @@ def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file:
     def missing(*_: object) -> None:
         raise ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba")
 
-    monkeypatch.setattr("foreglow.simulation.light.render.prepare", missing)
+    monkeypatch.setattr("foreglow.lab.simulation.light.render.prepare", missing)
     said = complaint("simulate", "--scene", scene_file, "--preview", "mine", "--out", tmp_path)
     assert "pip install 'foreglow[sim]'" in said

@@ -17,14 +17,14 @@ pytest.importorskip("onnx")
 
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN
-from foreglow.evaluation import evaluate_boxes
-from foreglow.evaluation.box_quality import split_keypoints_px
-from foreglow.evaluation.predictions import Predictions
-from foreglow.learning.recipes import RECIPES, read_recipe
-from foreglow.learning.training_run import train_model
+from foreglow.lab.evaluation import evaluate_boxes
+from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
+from foreglow.lab.learning.recipes import RECIPES, read_recipe
+from foreglow.lab.learning.training_run import train_model
 from foreglow.pipeline import Pipeline
+from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
-from tests.learning.tiny_drives import CONFIG_TOML, make_drives
+from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
 
 QUICK = """
 patience = 40

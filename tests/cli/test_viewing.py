@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("rerun")
 
 from foreglow.datasets import shipped_drive
-from foreglow.reports.viewer import outputs
+from foreglow.display.viewer import outputs
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
-from tests.reports.viewer.recordings import Recording
+from tests.display.viewer.recordings import Recording
 
 
 def test_run_is_kept_as_a_recording(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_failed_run_leaves_no_recording(tmp_path: Path, folder: Path, config: 
 
 
 def test_without_rerun(tmp_path: Path, folder: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [one for one in sys.modules if one == "rerun" or one.startswith("foreglow.reports.viewer")]:
+    for name in [one for one in sys.modules if one == "rerun" or one.startswith("foreglow.display.viewer")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rerun", None)
     line = complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--save", tmp_path / "run.rrd")

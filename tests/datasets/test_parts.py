@@ -10,7 +10,7 @@ import pytest
 from foreglow.datasets import PVDN, Equipped, Selection, part_names, part_of
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
-from tests.learning.night_set import make_night_set
+from tests.lab.learning.night_set import make_night_set
 from tests.stand_ins import ListSource, night_frames
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from foreglow.datasets import PVDN, open_source, shipped_drive
 from foreglow.datasets.pvdn_schema import Cycle
-from foreglow.evaluation.lights import read_lights
-from foreglow.simulation import read_scene, read_truth
+from foreglow.lab.evaluation.boxes.lights import read_lights
+from foreglow.lab.simulation import read_scene, read_truth
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_it_is_small_and_whole(drive: PVDN) -> None:
 
 def test_a_command_takes_it_as_a_source() -> None:
     source = open_source(shipped_drive())
-    assert (source.name, source.num_frames) == ("drives/curve", 90)
+    assert (source.name, source.num_frames) == ("shipped_drives/curve", 90)
 
 
 def test_its_truth_is_that_of_its_scene(drive: PVDN) -> None:

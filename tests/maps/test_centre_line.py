@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.geometry import Pose, rotation
+from foreglow.lab.simulation.scenes.scene import RoadSpec
+from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.writing.street_data import road_ahead
 from foreglow.maps import CentreLine
-from foreglow.simulation.recording.street_data import road_ahead
-from foreglow.simulation.scenes.scene import RoadSpec
-from foreglow.simulation.world.road import Road
 from tests.maps.roads import arc, pose, straight
 
 

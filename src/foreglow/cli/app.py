@@ -14,11 +14,11 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource, OnError
+    from foreglow.display.video import Drawing
+    from foreglow.parallel import Workers
     from foreglow.photometry import Headlamps
-    from foreglow.reports.video import Drawing
     from foreglow.runtime import Opening, OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.health import LiveSink
-    from foreglow.scale import Workers
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -175,7 +175,7 @@ def recording_sinks(record: Path | None, source: Path, configuration: PipelineCo
     """The sink that records what is made of `source`, which must not be what it writes; none without a path."""
     if record is None:
         return []
-    from foreglow.runtime.recording import McapRecorder
+    from foreglow.runtime.mcap import McapRecorder
 
     if source.resolve() in (record.resolve(), record.with_name(record.name + ".partial").resolve()):
         raise ValueError(f"{source}: expected a source that the recording {record} does not overwrite")
@@ -212,7 +212,7 @@ def run_by_workers(
     opening: Opening, name: str, out: Path, configuration: PipelineConfig, workers: Workers
 ) -> RunSummary:
     """Runs a pipeline over each sequence apart, with a progress bar where there is a terminal."""
-    from foreglow.reports.progress import PartsProgress
+    from foreglow.display.progress import PartsProgress
     from foreglow.runtime import OutputFolder, run_apart
 
     with contextlib.closing(PartsProgress(opening().num_frames)) as progress:
@@ -242,15 +242,15 @@ def run_frames(
 
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:
     """A progress bar where there is a terminal."""
-    from foreglow.reports.progress import ProgressSink
+    from foreglow.display.progress import ProgressSink
 
     return ProgressSink(frames.num_frames if limit is None else min(limit, frames.num_frames or limit))
 
 
 def picture_sink(frames: FrameSource, folder: OutputFolder, name: str, draw: Drawing | None = None) -> ResultSink:
     """The sink for pictures, annotated frames unless drawn otherwise: a picture of a single image, else a video."""
-    from foreglow.reports.overlay import annotate
-    from foreglow.reports.video import PictureSink, VideoSink
+    from foreglow.display.overlay import annotate
+    from foreglow.display.video import PictureSink, VideoSink
 
     if frames.num_frames == 1:
         return PictureSink(folder.partial(f"{name}.png"), draw or annotate)
@@ -259,14 +259,14 @@ def picture_sink(frames: FrameSource, folder: OutputFolder, name: str, draw: Dra
 
 def beam_sink(frames: FrameSource, folder: OutputFolder, headlamps: Headlamps) -> ResultSink:
     """The sink for the pictures of the beam, whose light is shown as drivers' eyes get it."""
-    from foreglow.reports.beam_view import EYE_HEIGHT_M, BeamView
+    from foreglow.display.beam_view import EYE_HEIGHT_M, BeamView
 
     return picture_sink(frames, folder, "beam", BeamView(headlamps, map_height_m=EYE_HEIGHT_M).draw)
 
 
 def finish(summary: RunSummary, out: Path) -> None:
     """Says on stdout what came of a run; exits with 130 where it was interrupted."""
-    from foreglow.reports.tables import run_lines
+    from foreglow.lab.reports.tables import run_lines
 
     typer.echo("\n".join(run_lines(summary, out)))
     if not summary.is_complete:

@@ -22,7 +22,7 @@ def check(
     """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and say what the calibration means."""
     from foreglow.calibration import read_calibration
     from foreglow.datasets import read_image
-    from foreglow.reports.calibration_check import check_lines, write_check
+    from foreglow.display.calibration_check import check_lines, write_check
 
     calibrated = read_calibration(camera)
     write_check(out, calibrated, read_image(image), str(image))

@@ -24,8 +24,8 @@ from foreglow.cli.app import (
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
-    from foreglow.evaluation import Examination
-    from foreglow.scale import Workers
+    from foreglow.lab.evaluation import Examination
+    from foreglow.parallel import Workers
 
 
 @app.command()
@@ -57,14 +57,14 @@ def evaluate(
     import rich
 
     from foreglow.files import write_json_results
-    from foreglow.reports.evaluation_page import examination_lines, write_report
-    from foreglow.reports.tables import box_quality_table
-    from foreglow.scale import workers_at
+    from foreglow.lab.reports.evaluation_page import examination_lines, write_report
+    from foreglow.lab.reports.tables import box_quality_table
+    from foreglow.parallel import workers_at
 
     workers = workers_at(jobs, cluster)
     configuration = _evaluated_configuration(predictions, model, preset, config, threshold)
     if out is not None:
-        from foreglow.reports.figures import require_matplotlib
+        from foreglow.lab.reports.figures import require_matplotlib
 
         require_matplotlib()
     if predictions is not None:
@@ -103,9 +103,9 @@ def _evaluated_configuration(
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
     """All figures of predictions in a file."""
     from foreglow.datasets import PVDN
-    from foreglow.evaluation import examine, read_predictions, read_split_labels
-    from foreglow.evaluation.directness import directness, read_cameras
-    from foreglow.evaluation.track_file import has_tracks, read_tracks
+    from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
+    from foreglow.runs.tracks_file import has_tracks, read_tracks
 
     dataset = PVDN(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset)
@@ -121,9 +121,9 @@ def _examined_model(
 ) -> Examination:
     """All figures of a pipeline that runs on the split now; with `seed`, on disturbed images too."""
     from foreglow.datasets import PVDN
-    from foreglow.evaluation import examine, read_predictions, read_split_labels
-    from foreglow.evaluation.robustness import robustness
-    from foreglow.reports.progress import ProgressSink
+    from foreglow.display.progress import ProgressSink
+    from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.lab.evaluation.boxes.robustness import robustness
     from foreglow.runtime import Opening
 
     dataset = PVDN(split)

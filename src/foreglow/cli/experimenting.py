@@ -24,8 +24,8 @@ from foreglow.cli.app import (
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import SplitName
-    from foreglow.experiments.detector_plan import DetectorPlan
-    from foreglow.experiments.glare import GlarePlan, NamedScene
+    from foreglow.lab.studies.detector.plan import DetectorPlan
+    from foreglow.lab.studies.glare.run import GlarePlan, NamedScene
 
 TrainedOption = Annotated[Path | None, file(metavar="MODEL", help="ONNX, or a folder of `train`, for this row.")]
 
@@ -40,8 +40,8 @@ def experiment_simulator(
     real_image: Annotated[Path | None, file(help="A real image of the same exposure, to compare with.")] = None,
 ) -> None:
     """Hold a simulated data set beside real drives: labels, pixels, and the time that indirect light leads."""
-    from foreglow.experiments.simulator import examine
-    from foreglow.reports.simulator_page import write_report
+    from foreglow.lab.studies.simulator.page import write_report
+    from foreglow.lab.studies.simulator.run import examine
 
     report = write_report(examine(data, real_labels, real_image), out)
     typer.echo(f"look in {report}")
@@ -58,11 +58,11 @@ def experiment_distance(
     seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 1,
 ) -> None:
     """Measure every estimator of ranges with every heuristic on lights whose range is known."""
+    from foreglow.display.progress import StepProgress
     from foreglow.distance import ESTIMATORS
-    from foreglow.experiments.distance import DistancePlan, run_experiment
-    from foreglow.reports.distance_page import write_report
-    from foreglow.reports.figures import require_matplotlib
-    from foreglow.reports.progress import StepProgress
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.distance.page import write_report
+    from foreglow.lab.studies.distance.run import DistancePlan, run_experiment
 
     require_matplotlib()
     names = tuple(ESTIMATORS) if estimators is None else tuple(estimators.split(","))
@@ -96,7 +96,7 @@ def experiment_detector(
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to train.")] = "auto",
 ) -> None:
     """Make the paper's table of detectors: baseline, paper, ours and YOLO, measured alike."""
-    from foreglow.experiments.detector_plan import ROWS, DetectorPlan
+    from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
 
     paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
     epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
@@ -119,10 +119,10 @@ def experiment_detector(
 def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
     """Runs the experiment and writes its report, whose path it returns."""
     from foreglow.datasets import PVDN, split_folder
-    from foreglow.experiments.detector import run_experiment
-    from foreglow.experiments.detector_pictures import pictures
-    from foreglow.reports.detector_page import write_report
-    from foreglow.reports.progress import StepProgress, TrainingBar
+    from foreglow.display.progress import StepProgress, TrainingBar
+    from foreglow.lab.studies.detector.page import write_report
+    from foreglow.lab.studies.detector.pictures import pictures
+    from foreglow.lab.studies.detector.run import run_experiment
 
     with contextlib.closing(StepProgress()) as progress, contextlib.closing(TrainingBar()) as training:
 
@@ -148,10 +148,10 @@ def experiment_time_benefit(
 ) -> None:
     """How long before a production system and a human the first vehicle of each sequence is detected."""
     from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, split_in
-    from foreglow.experiments.time_benefit import run_experiment
-    from foreglow.reports.figures import require_matplotlib
-    from foreglow.reports.progress import StepProgress
-    from foreglow.reports.time_benefit_page import summary_lines, write_report
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
+    from foreglow.lab.studies.time_benefit.run import run_experiment
 
     require_matplotlib()
     dataset = PVDN(split_in(data, cast("SplitName", split)))
@@ -180,10 +180,10 @@ def experiment_runtime(
 ) -> None:
     """Run-time of each stage, as in the paper's figure: in process, live, and over a ROS 2 network."""
     from foreglow.datasets import split_in
-    from foreglow.experiments.runtime import KINDS, run_experiment
-    from foreglow.reports.figures import require_matplotlib
-    from foreglow.reports.progress import StepProgress
-    from foreglow.reports.runtime_page import summary_lines, write_report
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.runtime.page import summary_lines, write_report
+    from foreglow.lab.studies.runtime.run import KINDS, run_experiment
 
     require_matplotlib()
     configuration = configuration_of(preset, config, model)
@@ -213,12 +213,12 @@ def experiment_glare(
     config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
 ) -> None:
     """Drive scenes in closed loop with six beam policies, and measure the light at other drivers' eyes in lux."""
-    from foreglow.experiments.glare import GlarePlan, named_scenes, run_experiment
-    from foreglow.experiments.glare_loop import Delays
-    from foreglow.reports.figures import require_matplotlib
-    from foreglow.reports.glare_page import summary_lines, write_experiment
-    from foreglow.reports.progress import SceneProgress
-    from foreglow.scale import workers_at
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.glare.loop import Delays
+    from foreglow.lab.studies.glare.page import summary_lines, write_experiment
+    from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
+    from foreglow.parallel import workers_at
 
     require_matplotlib()
     workers = workers_at(jobs, cluster)
@@ -246,11 +246,11 @@ def experiment_occurrence(
 ) -> None:
     """How well it is told where and when hidden vehicles come into sight, before they do."""
     from foreglow.datasets import split_in
-    from foreglow.evaluation.occurrence import lead_scores
-    from foreglow.experiments.occurrence import run_experiment
-    from foreglow.reports.detector_table import markdown
-    from foreglow.reports.glare_tables import occurrence_table
-    from foreglow.reports.progress import StepProgress
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.studies.detector.tables import markdown
+    from foreglow.lab.studies.glare.tables import occurrence_table
+    from foreglow.lab.studies.occurrence.metrics import lead_scores
+    from foreglow.lab.studies.occurrence.run import run_experiment
 
     with contextlib.closing(StepProgress()) as progress:
         sightings = run_experiment(
@@ -262,9 +262,9 @@ def experiment_occurrence(
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more and films it."""
-    from foreglow.experiments.glare_drives import Drives
+    from foreglow.lab.studies.glare.driving import Drives
+    from foreglow.lab.studies.glare.film import write_film
     from foreglow.photometry import read_headlamps
-    from foreglow.reports.glare_film import write_film
 
     drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)
     titles, rate_hz = ("paper", "foreglow"), named.scene.rate_hz

@@ -29,11 +29,11 @@ def annotate(
     """Turn key points into labelled boxes, labels/bounding_boxes/*.json, and rate them."""
     import rich
 
+    from foreglow.display.progress import StepProgress
     from foreglow.files import write_json_results
-    from foreglow.learning.annotate import annotate_split, splits_to_annotate
-    from foreglow.reports.progress import StepProgress
-    from foreglow.reports.tables import annotation_table
-    from foreglow.scale import workers_at
+    from foreglow.lab.learning.annotate import annotate_split, splits_to_annotate
+    from foreglow.lab.reports.tables import annotation_table
+    from foreglow.parallel import workers_at
 
     workers = workers_at(jobs, cluster)
     configuration = configuration_of(preset, config, None)
@@ -65,13 +65,13 @@ def tune(
     out: Annotated[Path, folder(help="Folder for the results; the same one goes on.")] = Path("tune_output"),
 ) -> None:
     """Search the parameters of the proposals: on train, chosen on val, reported on test."""
-    from foreglow.learning.tuning import TuningSettings
-    from foreglow.learning.tuning import tune as search
-    from foreglow.reports.figures import require_matplotlib
-    from foreglow.reports.progress import StepProgress
-    from foreglow.reports.tables import tuning_lines
-    from foreglow.reports.tuning_page import write_report
-    from foreglow.scale import workers_at
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.tuning import TuningSettings
+    from foreglow.lab.learning.tuning import tune as search
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.reports.tables import tuning_lines
+    from foreglow.lab.reports.tuning_page import write_report
+    from foreglow.parallel import workers_at
 
     require_matplotlib()
     settings = TuningSettings(
@@ -108,11 +108,11 @@ def train(
     cache: Annotated[Path | None, folder(help="Where samples are kept (default: in the folder).")] = None,
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
-    from foreglow.learning import recipes
-    from foreglow.learning.training_run import train_model
-    from foreglow.reports.progress import TrainingBar
-    from foreglow.reports.tables import training_lines
-    from foreglow.reports.training_curves import draw_training
+    from foreglow.display.progress import TrainingBar
+    from foreglow.lab.learning import recipes
+    from foreglow.lab.learning.training_run import train_model
+    from foreglow.lab.reports.tables import training_lines
+    from foreglow.lab.reports.training_curves import draw_training
 
     chosen = recipes.recipe(recipe) if recipe_file is None else recipes.read_recipe(recipe_file, recipes.recipe(recipe))
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
@@ -138,8 +138,8 @@ def fit_ranges(
     seed: Annotated[int, typer.Option(min=0, help="Of the order of the images.")] = 0,
 ) -> None:
     """Fit the model of the road-surface ranges to lights whose ranges are known."""
-    from foreglow.learning.ranges import fit_ranges, write_hypotheses
-    from foreglow.reports.progress import StepProgress
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.ranges import fit_ranges, write_hypotheses
 
     with contextlib.closing(StepProgress()) as progress:
         model = fit_ranges(data, configuration_of("foreglow", config, None), seed=seed, progress=progress)
@@ -161,7 +161,7 @@ def import_weights(
     ] = None,
 ) -> None:
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""
-    from foreglow.learning import import_weights
+    from foreglow.lab.learning import import_weights
 
     model = import_weights(weights, out, fold)
     millions = model.num_multiply_adds / 1e6
@@ -176,8 +176,8 @@ def export_yolo(
     size: Annotated[int, typer.Option(min=32, max=4096, help="Side of the square images, pixels.")] = 960,
 ) -> None:
     """Write the labelled boxes of DATA as a YOLO data set."""
-    from foreglow.learning.yolo import export_yolo
-    from foreglow.reports.progress import StepProgress
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.yolo import export_yolo
 
     with contextlib.closing(StepProgress()) as progress:
         told = functools.partial(progress, "images")
@@ -201,8 +201,8 @@ def yolo_train(
 ) -> None:
     """Train a YOLO from random weights on the labelled boxes of DATA."""
     from foreglow.config import validated
-    from foreglow.learning.yolo import YoloConfig, train_yolo
-    from foreglow.reports.progress import StepProgress
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.yolo import YoloConfig, train_yolo
 
     fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
     config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
@@ -221,9 +221,9 @@ def yolo_predict(
 ) -> None:
     """Write what a trained YOLO finds in a split."""
     from foreglow.datasets import PVDN
-    from foreglow.evaluation.predictions import write_predictions
-    from foreglow.learning.yolo import predict_yolo, read_yolo_run
-    from foreglow.reports.progress import StepProgress
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.yolo import predict_yolo, read_yolo_run
+    from foreglow.runs.predictions import write_predictions
 
     with contextlib.closing(StepProgress()) as progress:
         told = functools.partial(progress, "images")

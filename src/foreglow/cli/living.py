@@ -147,13 +147,13 @@ def _run(
 ) -> LiveSummary:
     """Runs the loop, with the lamps at its end and the status on the screen."""
     from foreglow.config import config_to_toml
+    from foreglow.display.live_status import LiveStatus
     from foreglow.pipeline import Pipeline
-    from foreglow.reports.live_status import LiveStatus
+    from foreglow.runs.frame_records import FrameRecords, time_record
     from foreglow.runtime import OutputFolder
     from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
-    from foreglow.runtime.records import FrameRecords, time_record
 
     results = None if out is None else OutputFolder(out)
     takers: list[LiveSink] = [LiveStatus(), *sinks]
@@ -180,7 +180,7 @@ def _run(
 
 def _finish(summary: LiveSummary, out: Path | None) -> None:
     """Says what came of it; exits with 130 where it was interrupted, and with 2 where something was not recorded."""
-    from foreglow.reports.live_status import live_lines
+    from foreglow.display.live_status import live_lines
 
     typer.echo("\n".join([*live_lines(summary), *([] if out is None else [f"look in {out}"])]))
     if summary.sink_errors:

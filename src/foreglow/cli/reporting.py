@@ -16,6 +16,6 @@ def report(
     out: Annotated[Path | None, file(metavar="FILE.html", help="Where to write it (default: RUN/report.html).")] = None,
 ) -> None:
     """Write one HTML page on RUN: tracks, ranges, beam and faults over time, key moments, run-times."""
-    from foreglow.reports.run_page import write_report
+    from foreglow.lab.reports.run_page import write_report
 
     typer.echo(f"look in {write_report(run, out)}")

@@ -45,7 +45,7 @@ from foreglow.cli.viewing import SaveOption, ViewOption, lux_as_driven, viewer_s
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
-    from foreglow.evaluation.story import Story
+    from foreglow.lab.studies.demo.story import Story
     from foreglow.runtime import OutputFolder, ResultSink
 
 
@@ -77,9 +77,9 @@ def run(
     cluster: ClusterOption = None,
 ) -> None:
     """Find the light artifacts in SOURCE, follow them, and write them to a folder."""
+    from foreglow.parallel import workers_at
     from foreglow.pipeline import Pipeline
     from foreglow.runtime import Opening
-    from foreglow.scale import workers_at
 
     workers = workers_at(jobs, cluster)
     configuration = configuration_of(preset, config, model)
@@ -150,10 +150,10 @@ def download(
 def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> tuple[Story, ...]:
     """What happened in a run of frames with labels; the best of it becomes a picture beside the results."""
     from foreglow.datasets import PVDN
-    from foreglow.evaluation import read_predictions
-    from foreglow.evaluation.story import best_story, has_labels, tell_stories
-    from foreglow.evaluation.track_file import read_tracks
-    from foreglow.reports.moments import write_moments
+    from foreglow.lab.evaluation import read_predictions
+    from foreglow.lab.studies.demo.moments import write_moments
+    from foreglow.lab.studies.demo.story import best_story, has_labels, tell_stories
+    from foreglow.runs.tracks_file import read_tracks
 
     if not isinstance(frames, PVDN) or not has_labels(frames):
         return ()
@@ -171,7 +171,7 @@ def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
     """Says what happened: one story in full, several as a table."""
     import rich
 
-    from foreglow.reports.story import story_lines, story_table
+    from foreglow.lab.studies.demo.narration import story_lines, story_table
 
     if len(stories) == 1:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
@@ -182,9 +182,9 @@ def _tell(stories: tuple[Story, ...], *, is_classified: bool) -> None:
 def _tell_gap(frames: FrameSource, story: Story, out: Path) -> None:
     """Says since when the beam was dark where the story's vehicle came into sight."""
     from foreglow.datasets import PVDN
-    from foreglow.evaluation.gap_opening import gap_opened_s
-    from foreglow.evaluation.track_file import read_gaps
-    from foreglow.reports.story import gap_line
+    from foreglow.lab.studies.demo.gap_opening import gap_opened_s
+    from foreglow.lab.studies.demo.narration import gap_line
+    from foreglow.runs.tracks_file import read_gaps
 
     if isinstance(frames, PVDN) and story.sight is not None:
         typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -12,9 +12,9 @@ import typer
 from foreglow.cli.app import ClusterOption, app, file, folder, size_of
 
 if TYPE_CHECKING:
-    from foreglow import simulation
-    from foreglow.scale import Workers
-    from foreglow.simulation import Scene
+    from foreglow.lab import simulation
+    from foreglow.lab.simulation import Scene
+    from foreglow.parallel import Workers
 
 
 @app.command()
@@ -40,8 +40,8 @@ def simulate(
     quality: Annotated[str, typer.Option(metavar="fast|training|fine", help="How finely it renders.")] = "training",
 ) -> None:
     """Simulate night drives: a data set in PVDN's format with the truth beside it, or a preview of one drive."""
-    from foreglow import simulation
-    from foreglow.scale import workers_at
+    from foreglow.lab import simulation
+    from foreglow.parallel import workers_at
 
     workers = workers_at(jobs, cluster)
     if print_scene is not None:
@@ -62,14 +62,14 @@ def simulate(
 
 def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
     """The scenes in the given files."""
-    from foreglow.simulation import read_scene
+    from foreglow.lab.simulation import read_scene
 
     return tuple(read_scene(file) for file in files or ())
 
 
 def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) -> tuple[Scene, ...]:
     """The scenes with the beam of ours that was asked for, and without traffic if so."""
-    from foreglow.simulation import EGO_BEAMS, with_beam, without_traffic
+    from foreglow.lab.simulation import EGO_BEAMS, with_beam, without_traffic
 
     if ego_beam is not None:
         if ego_beam not in EGO_BEAMS:
@@ -80,7 +80,7 @@ def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) ->
 
 def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tuple[Scene, ...]:
     """The scenes with the size, the frame rate and the exposure that were asked for."""
-    from foreglow.simulation import adapted
+    from foreglow.lab.simulation import adapted
 
     size_px = size_of(size)
     return tuple(adapted(scene, size_px, fps, cycle) for scene in scenes)
@@ -88,9 +88,9 @@ def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tu
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:
     """Renders one drive with its labels drawn, and says where to look."""
-    from foreglow.reports.preview import preview
-    from foreglow.reports.progress import SceneProgress
-    from foreglow.simulation import drive_frames
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.simulation import drive_frames
+    from foreglow.lab.simulation.preview import preview
 
     out.mkdir(parents=True, exist_ok=True)
     with contextlib.closing(SceneProgress(1, scene.num_frames)) as progress:
@@ -102,9 +102,9 @@ def _simulate(
     scenes: tuple[Scene, ...], out: Path | None, origin: tuple[int, str, str], workers: Workers, quality: str
 ) -> None:
     """Writes the data set, and says what is in it."""
-    from foreglow.reports.progress import SceneProgress
-    from foreglow.reports.tables import dataset_lines
-    from foreglow.simulation import DatasetConfig, drive_frames, simulate_dataset
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.reports.tables import dataset_lines
+    from foreglow.lab.simulation import DatasetConfig, drive_frames, simulate_dataset
 
     if out is None:
         raise ValueError("simulate: expected --out DIR, --preview NAME or --print NAME")

@@ -22,8 +22,9 @@ def export_mot(
     import importlib
 
     from foreglow.datasets import PVDN
-    from foreglow.evaluation import mot, read_predictions
-    from foreglow.evaluation.track_file import read_tracks
+    from foreglow.lab.evaluation import read_predictions
+    from foreglow.lab.evaluation.tracks import mot
+    from foreglow.runs.tracks_file import read_tracks
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written

@@ -12,8 +12,8 @@ from foreglow.cli.app import file
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
-    from foreglow.reports.viewer import RerunSink
-    from foreglow.reports.viewer.sink import LuxOf
+    from foreglow.display.viewer import RerunSink
+    from foreglow.display.viewer.sink import LuxOf
 
 WINDOW_S = 20.0
 """The plots of a window show so much of the latest time."""
@@ -42,9 +42,9 @@ def viewer_sinks(
     """
     if not view and save is None:
         return []
+    from foreglow.display.viewer import RerunSink, RrdFile, ViewerWindow
+    from foreglow.display.viewer.blueprint import blueprint
     from foreglow.photometry import read_headlamps
-    from foreglow.reports.viewer import RerunSink, RrdFile, ViewerWindow
-    from foreglow.reports.viewer.blueprint import blueprint
 
     has_lux = lux_of is not None
     num_columns = read_headlamps(configuration.beam.headlamps).num_columns
@@ -59,7 +59,7 @@ def viewer_sinks(
 def lux_as_driven(frames: FrameSource) -> LuxOf | None:
     """The light at other drivers' eyes as the simulated drive was recorded; None for other sources."""
     from foreglow.datasets import PVDN, Equipped
-    from foreglow.simulation.recording.lux import RecordedLux
+    from foreglow.lab.simulation.writing.lux import RecordedLux
 
     if isinstance(frames, Equipped):
         frames = frames.source

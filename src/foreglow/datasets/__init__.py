@@ -3,6 +3,7 @@
 One Protocol, `FrameSource`, and `open_source` to choose by path.
 """
 
+from foreglow.datasets.bags import Recording
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.download import download_pvdn
 from foreglow.datasets.image_folder import ImageFolder
@@ -23,7 +24,6 @@ from foreglow.datasets.pvdn_schema import (
     Weather,
 )
 from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
-from foreglow.datasets.recordings import Recording
 from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder, split_in

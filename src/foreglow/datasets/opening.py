@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from foreglow.datasets.bags import Recording, is_recording
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder
 from foreglow.datasets.images import IMAGE_SUFFIXES
 from foreglow.datasets.pvdn import PVDN, is_split, split_of_sequence, splits_below
-from foreglow.datasets.recordings import Recording, is_recording
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.video import Video
 

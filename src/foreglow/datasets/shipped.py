@@ -13,7 +13,7 @@ def shipped_drive(name: str = DEMO_DRIVE) -> Path:
     Raises:
         FileNotFoundError: If none of this name was installed.
     """
-    folder = Path(__file__).resolve().parents[1] / "drives" / name
+    folder = Path(__file__).resolve().parents[1] / "shipped_drives" / name
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such drive in this installation")
     return folder

@@ -11,10 +11,10 @@ from typing import Protocol
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import FrameSource
-from foreglow.runtime.folder import OutputFolder
-from foreglow.runtime.records import FrameRecords, time_record
+from foreglow.runs.folder import OutputFolder
+from foreglow.runs.frame_records import FrameRecords, time_record
+from foreglow.runs.summary import RunSummary, Tally
 from foreglow.runtime.stepper import Stepper
-from foreglow.runtime.summary import RunSummary, Tally
 from foreglow.types import Frame, FrameResult
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM)

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
-from foreglow.simulation.recording.street_data import StreetDataError, StreetMap
-from foreglow.simulation.scenes.scene import RoadSpec
-from foreglow.simulation.world.road import Road
+from foreglow.lab.simulation.scenes.scene import RoadSpec
+from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 from tests.datasets.vehicle_logs.messages import message, segment

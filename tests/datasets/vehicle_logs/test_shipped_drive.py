@@ -11,9 +11,9 @@ import pytest
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import open_vehicle_data, read_can_log, write_can_log
 from foreglow.geometry import Floats, rotation_angles_rad
+from foreglow.lab.simulation import read_truth
+from foreglow.lab.simulation.writing.truth_files import SequenceTruth
 from foreglow.maps import GeographicOrigin
-from foreglow.simulation import read_truth
-from foreglow.simulation.recording.truth_files import SequenceTruth
 from foreglow.types import EgoMotion, Frame
 
 ORIGIN = GeographicOrigin(48.0, 9.0)

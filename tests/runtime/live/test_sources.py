@@ -22,13 +22,13 @@ import pytest
 from benchmarks.faulty import live_config
 from foreglow.datasets import shipped_drive
 from foreglow.pipeline import Pipeline
+from foreglow.runs.frame_records import frame_record
 from foreglow.runtime.live import DriveAround, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_live
-from foreglow.runtime.records import frame_record
 from foreglow.types import BeamCommand, BeamMode, Frame
+from tests.lab.simulation.light.rendering import need_renderer
 from tests.runtime.live.stand_ins import Keeper, run_live
-from tests.simulation.light.rendering import need_renderer
 from tests.stand_ins import ListSource, night_frames, night_image
 
 
@@ -232,7 +232,7 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
 
 def test_our_own_light_in_closed_loop() -> None:
     need_renderer()
-    from foreglow.simulation import resized, scenario
+    from foreglow.lab.simulation import resized, scenario
 
     scene = resized(scenario("curve", 1), 160, 120)
     drive = DriveAround(scene, "fast")

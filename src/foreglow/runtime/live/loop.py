@@ -11,6 +11,7 @@ from typing import Protocol
 
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
+from foreglow.runs.summary import Tally
 from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.background import Background
 from foreglow.runtime.live.faults import FaultBook, LiveFault
@@ -21,7 +22,6 @@ from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import InterruptFlag
-from foreglow.runtime.summary import Tally
 from foreglow.types import BeamCommand
 
 LIVE_FAULTS = frozenset(LiveFault)

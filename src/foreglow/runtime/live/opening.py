@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 
 from foreglow.datasets import Equipped, open_source
+from foreglow.lab.simulation import read_scene, scenario
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.sources import DriveAround, LiveSource, Paced
-from foreglow.simulation import read_scene, scenario
 
 
 def open_live(

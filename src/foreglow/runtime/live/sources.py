@@ -11,7 +11,7 @@ from typing import Protocol
 from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver
 from foreglow.datasets import FrameSource
-from foreglow.simulation import Drive, Scene, with_beam
+from foreglow.lab.simulation import Drive, Scene, with_beam
 from foreglow.types import BeamCommand, Frame
 
 START_S = 120.0

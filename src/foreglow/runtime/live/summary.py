@@ -6,8 +6,8 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 
+from foreglow.runs.summary import RunSummary
 from foreglow.runtime.live.faults import FaultBook, FaultEvent
-from foreglow.runtime.summary import RunSummary
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,174 @@
+"""MCAP files, read from front to back: up to where a killed recorder left them, too.
+
+Source: mcap.dev/spec, version 0.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, decompressed, is_partial
+from foreglow.datasets.bags.cursor import Cursor
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
+_READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
+_FOOTER_BYTES = 20
+_HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
+
+
+class McapFile:
+    """A `Container`; opening it looks at its start and its end."""
+
+    def __init__(self, path: Path) -> None:
+        """Looks whether it is one.
+
+        Raises:
+            ValueError: If it is none.
+        """
+        self._path = path
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise ValueError(f"{path}: expected an MCAP file, it does not start like one")
+            self._size = file.seek(0, 2)
+            file.seek(max(len(MAGIC), self._size - len(MAGIC)))
+            is_whole = file.read() == MAGIC
+        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated recording, its end is missing"
+
+    def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
+        """As in `Container`."""
+        channels = _Channels(names)
+        with self._path.open("rb") as file:
+            file.seek(len(MAGIC))
+            for place, kind, length in self._heads(file, refuse):
+                if kind in (_DATA_END, _FOOTER):
+                    return
+                if kind not in _READ:
+                    continue
+                if length > MAX_BYTES:
+                    refuse(f"{self._path}: byte {place}: expected a record of at most {MAX_BYTES} bytes, got {length}")
+                    continue
+                data = memoryview(file.read(length))
+                try:
+                    yield from channels.messages(kind, data)
+                except ValueError as error:
+                    refuse(f"{self._path}: byte {place}: {error}")
+        if not self.truncation and not is_partial(self._path):
+            refuse(f"{self._path}: expected records up to the end, one of them cannot be followed")
+
+    def count(self, name: str) -> int | None:
+        """As in `Container`: by the statistics at the end."""
+        channels, counts = _Channels(None), dict[int, int]()
+        try:
+            with self._path.open("rb") as file:
+                file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
+                start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
+                if not 0 < start < self._size:
+                    return None
+                file.seek(start)
+                for _, kind, length in self._heads(file, _raise):
+                    if kind == _FOOTER or length > MAX_BYTES:
+                        break
+                    if kind in (_SCHEMA, _CHANNEL):
+                        channels.add(kind, Cursor(memoryview(file.read(length))))
+                    elif kind == _STATISTICS:
+                        counts = _message_counts(Cursor(memoryview(file.read(length))))
+        except ValueError:
+            return None
+        wanted = [number for number, topic in channels.topics.items() if topic.name == name]
+        return sum(counts.get(number, 0) for number in wanted) if counts and wanted else None
+
+    def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
+        """Place, opcode and length of one record after another that is there as a whole; the file is at its content.
+
+        Ends where the next one is cut.
+        """
+        place = file.tell()
+        while place + _HEAD_BYTES <= self._size:
+            head = file.read(_HEAD_BYTES)
+            kind, length = head[0], int.from_bytes(head[1:], "little")
+            if kind == 0:
+                refuse(f"{self._path}: byte {place}: expected a record of MCAP, got {head[:4].hex()}")
+                return
+            if place + _HEAD_BYTES + length > self._size:
+                return
+            yield place, kind, length
+            place += _HEAD_BYTES + length
+            file.seek(place)
+
+
+class _Channels:
+    """The topics by the numbers of their channels, and the messages on them."""
+
+    def __init__(self, names: Collection[str] | None) -> None:
+        self._names = names
+        self._schemas = {0: ""}
+        self.topics: dict[int, Topic] = {}
+
+    def messages(self, kind: int, data: memoryview) -> Iterator[Message]:
+        """The messages in a record, which is one itself or a chunk of them; a definition is taken in."""
+        cursor = Cursor(data)
+        if kind == _CHUNK:
+            for inner_kind, inner in _records(_chunk(cursor)):
+                if inner_kind in _READ - {_CHUNK}:
+                    yield from self.messages(inner_kind, inner)
+        elif kind == _MESSAGE:
+            topic = self.topics.get(number := cursor.number("H", "channel"))
+            if topic is None:
+                raise ValueError(f"channel: expected one that is defined, got {number}")
+            cursor.number("I", "sequence")
+            log_time_ns = cursor.number("Q", "log_time")
+            cursor.number("Q", "publish_time")
+            if self._names is None or topic.name in self._names:
+                yield Message(topic, log_time_ns, cursor.rest())
+        else:
+            self.add(kind, cursor)
+
+    def add(self, kind: int, cursor: Cursor) -> None:
+        """Takes in a schema or a channel."""
+        number = cursor.number("H", "id")
+        if kind == _SCHEMA:
+            self._schemas[number] = cursor.text("name")
+            return
+        schema = cursor.number("H", "schema_id")
+        topic, encoding = cursor.text("topic"), cursor.text("message_encoding")
+        self.topics[number] = Topic(topic, self._schemas.get(schema, ""), encoding)
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Opcode and content of each record in a chunk."""
+    cursor = Cursor(data)
+    while not cursor.is_at_end:
+        kind = cursor.number("B", "opcode")
+        yield kind, cursor.take(cursor.number("Q", "length"), "record")
+
+
+def _chunk(cursor: Cursor) -> memoryview:
+    """The records of a chunk, decompressed and checked."""
+    for field in ("message_start_time", "message_end_time"):
+        cursor.number("Q", field)
+    size, checksum = cursor.number("Q", "uncompressed_size"), cursor.number("I", "uncompressed_crc")
+    compression = cursor.text("compression")
+    records = decompressed(cursor.take(cursor.number("Q", "records"), "records"), compression, size)
+    if checksum and zlib.crc32(records) != checksum:
+        raise ValueError("damaged chunk, its checksum is wrong")
+    return records
+
+
+def _message_counts(cursor: Cursor) -> dict[int, int]:
+    """From statistics: messages by channel."""
+    cursor.take(8 + 2 + 4 * 4 + 2 * 8, "statistics")
+    counts = Cursor(cursor.block("channel_message_counts"))
+    found = dict[int, int]()
+    while not counts.is_at_end:
+        channel = counts.number("H", "channel")
+        found[channel] = counts.number("Q", "count")
+    return found
+
+
+def _raise(message: str) -> None:
+    raise ValueError(message)

@@ -1,0 +1,161 @@
+"""Frames from one image topic of a recording."""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic
+from foreglow.datasets.bags.frame_record import FRAME_TOPIC, FRAME_TYPE, FrameRecord
+from foreglow.datasets.bags.image_messages import DECODERS, ImageMessage
+from foreglow.datasets.bags.mcap_file import McapFile
+from foreglow.datasets.bags.ros1_bag import Ros1Bag
+from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
+from foreglow.datasets.json_files import parse_json
+from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.types import Frame
+
+CONTAINERS: Mapping[str, Callable[[Path], Container]] = MappingProxyType(
+    {".mcap": McapFile, ".bag": Ros1Bag, ".db3": SqliteBag}
+)
+"""Containers by the ending of a file; a ROS 2 bag is a folder."""
+
+IMAGE_TYPES = tuple(sorted({name for name, _ in DECODERS}))
+
+NUM_TIMED = 20
+"""So many stamps tell the rate."""
+
+
+class Recording:
+    """The frames of one image topic, in the order of the file, grey.
+
+    Times are those in the headers of the messages, and those of recording where a header has none. Frames of our own
+    recordings carry what they carried when they were recorded: number, sequence, time, camera, motion and road.
+    Others have neither camera nor motion: a recording's CameraInfo does not say where the camera sits in the vehicle.
+    A damaged message or chunk, or a missing end is an error; with `skip`, what is damaged is left out. A recording
+    whose name says that nobody completed it (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
+
+    Attributes:
+        path: File or folder.
+        topic: Name of the topic.
+        rate_hz: Frames a second, by the first stamps; None where these do not tell.
+        num_frames: Images on the topic; None where the recording does not tell.
+        skipped: One line for each thing that the latest iteration left out so far.
+    """
+
+    def __init__(self, path: Path | str, *, topic: str | None = None, on_error: OnError = "stop") -> None:
+        """Opens the recording, finds the topic and closes it again.
+
+        Args:
+            path: A .mcap, .bag or .db3 file, or the folder of a ROS 2 bag.
+            topic: Name of the topic; None for the first that has images.
+            on_error: What damage does.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ModuleNotFoundError: If it is compressed, and the extra `recordings` is not installed.
+            ValueError: If it is no recording, or has no such topic with images; with `stop` also if its end is missing.
+        """
+        self.path = Path(path)
+        self.skipped: list[str] = []
+        self._on_error = checked_on_error(on_error)
+        self._container = _opened(self.path)
+        if self._container.truncation and on_error == "stop":
+            raise ValueError(f"{self._container.truncation}; --on-error skip reads what is there")
+        found = self._found(topic)
+        self.topic, self._decode = found.name, DECODERS[found.type, found.encoding]
+        self.num_frames = self._container.count(self.topic)
+        self.rate_hz = self._rate_hz()
+        self.skipped = []
+
+    @property
+    def name(self) -> str:
+        """Name of the file or folder."""
+        return self.path.name
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.skipped = [self._container.truncation] if self._container.truncation else []
+        return self._frames()
+
+    def _frames(self) -> Iterator[Frame]:
+        index, record = -1, _NO_RECORD
+        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._refuse):
+            if message.topic.type == FRAME_TYPE:
+                record = message
+            elif message.topic.name == self.topic:
+                index += 1
+                try:
+                    yield self._frame(message, index, record)
+                except ValueError as error:
+                    self._refuse(f"{self.path}: {self.topic}: frame {index}: {error}")
+
+    def _frame(self, message: Message, index: int, record: Message) -> Frame:
+        decoded = self._decode(message.data)
+        path = f"{self.path}, {self.topic}, frame {index}"
+        if record.log_time_ns == message.log_time_ns:
+            return parse_json(bytes(record.data), FrameRecord, FRAME_TYPE).frame_of(decoded.image(), path)
+        return Frame(decoded.image(), _time_ns(decoded, message), frame=index, path=path)
+
+    def _found(self, name: str | None) -> Topic:
+        """The topic called `name`, or the first with images.
+
+        Raises:
+            ValueError: If there is none; the message lists those there are.
+        """
+        topics: dict[str, Topic] = {}
+        for message in self._container.messages(None, self._refuse):
+            topic = topics.setdefault(message.topic.name, message.topic)
+            if name in (None, topic.name) and (topic.type, topic.encoding) in DECODERS:
+                return topic
+        known = ", ".join(f"{topic.name} ({topic.type or topic.encoding})" for topic in topics.values()) or "none"
+        wanted = "a topic" if name is None else f"the topic {name}"
+        raise ValueError(f"{self.path}: expected {wanted} with images ({', '.join(IMAGE_TYPES)}), found {known}")
+
+    def _rate_hz(self) -> float | None:
+        """By the median of the steps between the first stamps that can be read."""
+        times_ns = []
+        for message in itertools.islice(self._container.messages({self.topic}, self._refuse), NUM_TIMED):
+            try:
+                times_ns.append(_time_ns(self._decode(message.data), message))
+            except ValueError:
+                continue
+        steps_ns = [step for before, after in itertools.pairwise(times_ns) if (step := after - before) > 0]
+        return 1e9 / statistics.median(steps_ns) if steps_ns else None
+
+    def _refuse(self, message: str) -> None:
+        if self._on_error == "stop":
+            raise ValueError(message)
+        self.skipped.append(message)
+
+
+_NO_RECORD = Message(Topic("", "", ""), -1, memoryview(b""))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether `path` is a recording by its name, or a ROS 2 bag by its metadata."""
+    return (path / METADATA).is_file() if path.is_dir() else _ending(path) in CONTAINERS
+
+
+def _opened(path: Path) -> Container:
+    if path.is_dir():
+        return Ros2Bag(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such recording")
+    ending = _ending(path)
+    if ending not in CONTAINERS:
+        raise ValueError(f"{path}: expected a recording that ends in {', '.join(CONTAINERS)}")
+    return CONTAINERS[ending](path)
+
+
+def _ending(path: Path) -> str:
+    name = path.name
+    for suffix in PARTIAL_SUFFIXES:
+        name = name.removesuffix(suffix)
+    return Path(name).suffix.lower()
+
+
+def _time_ns(decoded: ImageMessage, message: Message) -> int:
+    return decoded.stamp_ns or message.log_time_ns

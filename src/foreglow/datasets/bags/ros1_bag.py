@@ -1,0 +1,168 @@
+"""ROS 1 bags, read from front to back: without their index, as a killed `rosbag record` leaves them, too.
+
+Source: wiki.ros.org/Bags/Format/2.0.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, decompressed, is_partial
+from foreglow.datasets.bags.cursor import Cursor, text_of
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+_MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
+_READ = frozenset({_MESSAGE, _CHUNK, _CONNECTION})
+
+
+class Ros1Bag:
+    """A `Container`; opening it reads the header."""
+
+    def __init__(self, path: Path) -> None:
+        """Looks whether it is one.
+
+        Raises:
+            ValueError: If it is none, or an older one than 2.0.
+        """
+        self._path = path
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise ValueError(f"{path}: expected a ROS 1 bag of version 2.0, it does not start like one")
+            self._size = file.seek(0, 2)
+            file.seek(len(MAGIC))
+            try:
+                is_whole = self._is_whole(file)
+            except ValueError as error:
+                raise ValueError(f"{path}: byte {len(MAGIC)}: {error}") from None
+        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated bag, its index is missing or cut"
+
+    def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
+        """As in `Container`."""
+        connections = _Connections(names)
+        with self._path.open("rb") as file:
+            file.seek(len(MAGIC))
+            end = len(MAGIC)
+            try:
+                for place, header, length in self._heads(file):
+                    end = file.tell() + length
+                    if header["op"][0] not in _READ:
+                        continue
+                    if length > MAX_BYTES:
+                        refuse(f"{self._path}: byte {place}: expected at most {MAX_BYTES} bytes, got {length}")
+                        continue
+                    data = memoryview(file.read(length))
+                    try:
+                        yield from connections.messages(header, data)
+                    except ValueError as error:
+                        refuse(f"{self._path}: byte {place}: {error}")
+            except _HeaderError as error:
+                refuse(f"{self._path}: {error}")
+                return
+        if end < self._size and not self.truncation and not is_partial(self._path):
+            refuse(f"{self._path}: byte {end}: expected a record, it cannot be followed")
+
+    def count(self, name: str) -> int | None:  # noqa: ARG002
+        """As in `Container`: not told."""
+        return None
+
+    def _is_whole(self, file: BinaryIO) -> bool:
+        """Whether the index is there that the bag's header promises: a record for each connection and each chunk."""
+        header = next((header for _, header, _ in self._heads(file)), {})
+        place, *counts = (
+            int.from_bytes(header.get(name, b""), "little") for name in ("index_pos", "conn_count", "chunk_count")
+        )
+        if not 0 < place <= self._size:
+            return False
+        file.seek(place)
+        return sum(1 for _ in self._heads(file)) == sum(counts)
+
+    def _heads(self, file: BinaryIO) -> Iterator[tuple[int, dict[str, bytes], int]]:
+        """Place, header and length of the data of one record after another that is there as a whole; the file is at its
+        data. Ends where the next one is cut.
+
+        Raises:
+            _HeaderError: If a header cannot be followed.
+        """
+        place = file.tell()
+        while place + 8 <= self._size:
+            length = int.from_bytes(file.read(4), "little")
+            if place + 8 + length > self._size:
+                return
+            try:
+                header = _fields(memoryview(file.read(length)))
+            except ValueError as error:
+                raise _HeaderError(f"byte {place}: {error}") from None
+            data_length = int.from_bytes(file.read(4), "little")
+            end = place + 8 + length + data_length
+            if end > self._size:
+                return
+            yield place, header, data_length
+            file.seek(place := end)
+
+
+class _HeaderError(ValueError):
+    """A record's header is broken: nobody knows where the next one starts."""
+
+
+class _Connections:
+    """The topics by the numbers of their connections, and the messages on them."""
+
+    def __init__(self, names: Collection[str] | None) -> None:
+        self._names = names
+        self._topics: dict[bytes, Topic] = {}
+
+    def messages(self, header: dict[str, bytes], data: memoryview) -> Iterator[Message]:
+        """The messages in a record, which is one itself or a chunk of them; a connection is taken in."""
+        kind = header["op"][0]
+        if kind == _CHUNK:
+            size = int.from_bytes(_field(header, "size"), "little")
+            compression = text_of(memoryview(_field(header, "compression")), "compression")
+            cursor = Cursor(decompressed(data, compression, size))
+            while not cursor.is_at_end:
+                inner = _fields(cursor.block("header"))
+                content = cursor.block("data")
+                if inner["op"][0] in (_MESSAGE, _CONNECTION):
+                    yield from self.messages(inner, content)
+        elif kind == _CONNECTION:
+            fields = _fields(data, needs_op=False)
+            name = text_of(memoryview(_field(header, "topic")), "topic")
+            self._topics[_field(header, "conn")] = Topic(
+                name, text_of(memoryview(_field(fields, "type")), "type"), "ros1"
+            )
+        else:
+            topic = self._topics.get(number := _field(header, "conn"))
+            if topic is None:
+                raise ValueError(f"conn: expected one that is defined, got {int.from_bytes(number, 'little')}")
+            time = _field(header, "time")
+            if len(time) != 8:
+                raise ValueError(f"time: expected 8 bytes, got {len(time)}")
+            seconds, nanoseconds = struct.unpack("<II", time)
+            if self._names is None or topic.name in self._names:
+                yield Message(topic, seconds * 1_000_000_000 + nanoseconds, data)
+
+
+def _fields(data: memoryview, *, needs_op: bool = True) -> dict[str, bytes]:
+    """The fields `name=value` of a header; each record's has `op`, one byte.
+
+    Raises:
+        ValueError: If there is none, or the header cannot be followed.
+    """
+    cursor, fields = Cursor(data), dict[str, bytes]()
+    while not cursor.is_at_end:
+        name, is_field, value = bytes(cursor.block("header")).partition(b"=")
+        if not is_field:
+            raise ValueError(f"header: expected fields name=value, got {name[:20]!r}")
+        fields[name.decode("latin-1")] = value
+    if needs_op and len(fields.get("op", b"")) != 1:
+        raise ValueError("header: expected a field op of one byte, found none")
+    return fields
+
+
+def _field(fields: dict[str, bytes], name: str) -> bytes:
+    if name not in fields:
+        raise ValueError(f"{name}: the field is missing")
+    return fields[name]

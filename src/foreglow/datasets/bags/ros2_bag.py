@@ -1,0 +1,147 @@
+"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or one of these files alone."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path, PurePath
+from types import MappingProxyType
+from urllib.parse import quote
+
+import yaml
+
+from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic
+from foreglow.datasets.bags.mcap_file import McapFile
+from foreglow.files import read_text
+
+METADATA = "metadata.yaml"
+
+SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises: the second where the damage is part of the message."""
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+class SqliteBag:
+    """A `Container`: one file of a bag in SQLite, whose messages come in the order in which they were written.
+
+    Source: github.com/ros2/rosbag2, rosbag2_storage_sqlite3.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Reads its topics.
+
+        Raises:
+            ValueError: If it is no bag, or is cut within a page: SQLite would fill that with zeros.
+        """
+        self._path = path
+        size, expected, page = _sizes(path)
+        if size < expected and size % page:
+            raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
+        self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
+        try:
+            with closing(self._connect()) as connection:
+                rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        except SQLITE_ERRORS as error:
+            raise ValueError(f"{path}: expected a ROS 2 bag in SQLite: {error}") from None
+        if not all([type(value) for value in row] == [int, str, str, str] for row in rows):
+            raise ValueError(f"{path}: topics: expected numbers, names, types and formats")
+        self._topics = {row[0]: Topic(*row[1:]) for row in rows}
+
+    def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
+        """As in `Container`."""
+        wanted = [number for number, topic in self._topics.items() if names is None or topic.name in names]
+        marks = ",".join("?" * len(wanted))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id"
+        try:
+            with closing(self._connect()) as connection:
+                for number, log_time_ns, data in connection.execute(query, wanted):
+                    if not isinstance(log_time_ns, int) or not isinstance(data, bytes):
+                        refuse(f"{self._path}: messages: expected a time and bytes, got others")
+                        continue
+                    yield Message(self._topics[number], log_time_ns, memoryview(data))
+        except SQLITE_ERRORS as error:
+            refuse(f"{self._path}: damaged file: {error}")
+
+    def count(self, name: str) -> int | None:
+        """As in `Container`."""
+        query = "SELECT COUNT(*) FROM messages JOIN topics ON topic_id = topics.id WHERE name = ?"
+        try:
+            with closing(self._connect()) as connection:
+                return int(connection.execute(query, (name,)).fetchone()[0])
+        except SQLITE_ERRORS:
+            return None
+
+    def _connect(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro", uri=True)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
+        return connection
+
+
+STORAGES: Mapping[str, Callable[[Path], Container]] = MappingProxyType({".db3": SqliteBag, ".mcap": McapFile})
+"""Containers by the ending of a file of a bag."""
+
+
+class Ros2Bag:
+    """A `Container`: the files that the folder's `metadata.yaml` names, one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        """Reads the metadata and opens every file.
+
+        Raises:
+            FileNotFoundError: If a file is missing.
+            ValueError: If the metadata are broken, or a file cannot be used.
+        """
+        self._files = [_storage(path) for path in _files(folder)]
+        self.truncation = next((file.truncation for file in self._files if file.truncation), "")
+
+    def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
+        """As in `Container`."""
+        for file in self._files:
+            yield from file.messages(names, refuse)
+
+    def count(self, name: str) -> int | None:
+        """As in `Container`."""
+        counts = [file.count(name) for file in self._files]
+        return None if None in counts else sum(count or 0 for count in counts)
+
+
+def _sizes(path: Path) -> tuple[int, int, int]:
+    """Of the file, as its header promises, and of a page, in bytes. Source: sqlite.org/fileformat2, section 1.3."""
+    with path.open("rb") as file:
+        header = file.read(32)
+        size = file.seek(0, 2)
+    if not header.startswith(SQLITE_MAGIC) or len(header) < 32:
+        raise ValueError(f"{path}: expected a ROS 2 bag in SQLite, it does not start like one")
+    page = int.from_bytes(header[16:18], "big")
+    page = 65536 if page == 1 else page
+    return size, page * int.from_bytes(header[28:32], "big"), page
+
+
+def _storage(path: Path) -> Container:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, the bag's {METADATA} names it")
+    if path.suffix not in STORAGES:
+        raise ValueError(
+            f"{path}: expected a file of a bag that ends in {', '.join(STORAGES)}; `ros2 bag convert` decompresses "
+            "others"
+        )
+    return STORAGES[path.suffix](path)
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files that the metadata name, all in the folder itself."""
+    path = folder / METADATA
+    try:
+        metadata = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: expected YAML: {error}") from None
+    information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
+        raise ValueError(f"{path}: rosbag2_bagfile_information.relative_file_paths: expected names of files")
+    mode = str(information.get("compression_mode", "")) if isinstance(information, dict) else ""
+    if mode.upper() == "MESSAGE":
+        raise ValueError(f"{path}: compression_mode: expected messages as they are; `ros2 bag convert` decompresses")
+    return [folder / PurePath(name).name for name in names]

@@ -1,7 +1,0 @@
-"""Frames from recordings: ROS 1 bags, ROS 2 bags, and MCAP files, our own ones with all that their frames carried."""
-
-from foreglow.datasets.recordings.frame_record import FRAME_TOPIC, FRAME_TYPE, FrameRecord
-from foreglow.datasets.recordings.pixels import grey_image
-from foreglow.datasets.recordings.recording import Recording, is_recording
-
-__all__ = ["FRAME_TOPIC", "FRAME_TYPE", "FrameRecord", "Recording", "grey_image", "is_recording"]

@@ -1,0 +1,86 @@
+"""A live run on the screen: a line that changes, one for each change of the faults, and what came of it."""
+
+from __future__ import annotations
+
+import time
+
+from rich.console import Console
+from rich.status import Status
+
+from foreglow.lab.reports.tables import beam_lines
+from foreglow.runtime.health import Health
+from foreglow.runtime.live import FaultEvent, LiveSummary
+from foreglow.types import BeamMode, Frame, FrameResult
+
+PARTS = ("capture", "queue", "proposals", "classifier", "distance", "tracking", "beam", "send", "total")
+
+
+class LiveStatus:
+    """A live sink that shows the health on stderr: on a terminal one line that changes, elsewhere only new faults."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._status = Status("waiting for the first frame", console=self._console)
+        self._faults: tuple[str, ...] = ()
+        self._before = (0, time.monotonic())
+        if self._console.is_terminal:
+            self._status.start()
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Results come too quickly to be read."""
+
+    def write_health(self, health: Health) -> None:
+        """Shows what is known now."""
+        if health.faults != self._faults:
+            self._faults = health.faults
+            what = ", ".join(health.faults) or "all is well again"
+            self._console.print(f"{health.timestamp_ns / 1e9:10.2f} s  {what}", highlight=False)
+        num_frames, then_s = self._before
+        now_s = time.monotonic()
+        if now_s - then_s >= 0.5:
+            rate_hz = (health.num_frames - num_frames) / (now_s - then_s)
+            self._before = (health.num_frames, now_s)
+            mode = (
+                "no command yet" if health.beam is None else BeamMode(health.beam.mode).name.lower().replace("_", "-")
+            )
+            self._status.update(
+                f"{health.num_frames} frames, {rate_hz:.1f} a second, {health.num_dropped} dropped, "
+                f"{health.num_late} late; {mode}"
+            )
+
+    def close(self) -> None:
+        """Takes the line away."""
+        self._status.stop()
+
+    def discard(self) -> None:
+        """Takes the line away."""
+        self._status.stop()
+
+
+def live_lines(summary: LiveSummary) -> list[str]:
+    """What came of a live run, one fact a line."""
+    run = summary.run
+    lines = [
+        f"{run.num_frames} frames, {summary.num_dropped} dropped for a newer one, {summary.num_late} late; "
+        f"{run.num_tracks or 0} tracks"
+    ]
+    times = {part: run.run_time_ms[part] for part in PARTS if part in run.run_time_ms}
+    if run.num_frames:
+        for name in ("median", "p99"):
+            shares = ", ".join(f"{part} {time_ms[name]:.2f}" for part, time_ms in times.items())
+            lines.append(f"from exposure to command, ms ({name}): {shares}")
+    if run.beam is not None:
+        lines += beam_lines(run.beam, run.num_frames)
+    lines += [_event_line(event) for event in summary.faults]
+    if summary.num_unrecorded:
+        lines.append(f"{summary.num_unrecorded} results were not recorded: the recording could not keep up")
+    lines += [f"not recorded: {error}" for error in summary.sink_errors]
+    if not run.is_complete:
+        lines.append("interrupted")
+    return lines
+
+
+def _event_line(event: FaultEvent) -> str:
+    lasted = "until the end" if event.until_ns is None else f"for {(event.until_ns - event.from_ns) / 1e9:.2f} s"
+    detail = f" ({event.detail})" if event.detail else ""
+    return f"fault at {event.from_ns / 1e9:.2f} s {lasted}: {event.fault}{detail}"

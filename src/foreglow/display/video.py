@@ -1,0 +1,189 @@
+"""Annotated pictures of a run: an H.264 video of many frames, or a PNG of one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import TypeAlias
+
+import av
+import cv2
+import numpy as np
+from av.container import OutputContainer
+from av.video.stream import VideoStream
+
+from foreglow.display.overlay import Picture, annotate
+from foreglow.display.tone import Tone
+from foreglow.files import naming
+from foreglow.types import Frame, FrameResult
+
+Drawing: TypeAlias = Callable[[Frame, FrameResult, Tone | None], Picture]
+"""Makes the picture of a frame, such as `annotate`; the tone is None where it shall suit this frame alone."""
+
+DEFAULT_FPS = 18.0
+"""Frame rate of a video whose source has none, Hz: that of one exposure cycle of PVDN."""
+
+QUALITY_CRF = "20"
+"""Constant rate factor of the encoder: 18 is visually lossless, 23 its default."""
+
+
+class Movie:
+    """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other.
+
+    A picture of another size than the first is fitted into the first one's. The file is a valid video once `close` has
+    returned; without a picture there is none.
+    """
+
+    def __init__(self, path: Path, fps: float | None = None) -> None:
+        """A movie in the file `path`, whatever its suffix.
+
+        Args:
+            path: Where the video goes; nothing is written before the first picture.
+            fps: Frames in a second of the video; None means `DEFAULT_FPS`.
+
+        Raises:
+            ValueError: If `fps` is not a positive number.
+        """
+        rate_hz = DEFAULT_FPS if fps is None else fps
+        if not 0.0 < rate_hz < float("inf"):
+            raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
+        self._path = path
+        self._rate = Fraction(rate_hz).limit_denominator(1001)
+        self._container: OutputContainer | None = None
+        self._stream: VideoStream | None = None
+
+    def add(self, picture: Picture) -> None:
+        """Appends `picture`.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        with _naming(self._path):
+            if self._container is None or self._stream is None:
+                self._open(picture)
+            assert self._container is not None
+            assert self._stream is not None
+            fitted = _fitted(picture, self._stream.width, self._stream.height)
+            for packet in self._stream.encode(av.VideoFrame.from_ndarray(fitted, format="bgr24")):
+                self._container.mux(packet)
+
+    def close(self) -> None:
+        """Completes the video.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        if self._container is None or self._stream is None:
+            return
+        with _naming(self._path):
+            for packet in self._stream.encode(None):
+                self._container.mux(packet)
+            self._container.close()
+        self._container = None
+
+    def discard(self) -> None:
+        """Closes the file, whatever it may hold by then."""
+        if self._container is not None:
+            with contextlib.suppress(av.error.FFmpegError):
+                self._container.close()
+            self._container = None
+
+    def _open(self, picture: Picture) -> None:
+        self._container = av.open(str(self._path), "w", format="mp4", options={"movflags": "+faststart"})
+        self._stream = self._container.add_stream(
+            "libx264", rate=self._rate, options={"crf": QUALITY_CRF, "preset": "veryfast"}
+        )
+        self._stream.height, self._stream.width = picture.shape[:2]
+        self._stream.pix_fmt = "yuv420p"
+
+
+class VideoSink:
+    """A result sink that writes pictures of the frames as a `Movie`, annotated ones unless another drawing is given.
+
+    The brightening curve is that of the first frame, so that the video does not flicker.
+    """
+
+    def __init__(self, path: Path, fps: float | None = None, draw: Drawing = annotate) -> None:
+        """A sink for the file `path`, as `Movie` takes them.
+
+        Raises:
+            ValueError: If `fps` is not a positive number.
+        """
+        self._movie = Movie(path, fps)
+        self._draw = draw
+        self._tone: Tone | None = None
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Adds the picture of `frame`.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        if self._tone is None:
+            self._tone = Tone.of(frame.image)
+        self._movie.add(self._draw(frame, result, self._tone))
+
+    def close(self) -> None:
+        """Completes the video.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        self._movie.close()
+
+    def discard(self) -> None:
+        """Closes the file, whatever it may hold by then."""
+        self._movie.discard()
+
+
+class PictureSink:
+    """A result sink that writes the picture of the last frame it gets as PNG; for a single image."""
+
+    def __init__(self, path: Path, draw: Drawing = annotate) -> None:
+        self._path = path
+        self._draw = draw
+        self._picture: Picture | None = None
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Keeps the picture of `frame`."""
+        self._picture = self._draw(frame, result, None)
+
+    def close(self) -> None:
+        """Writes the picture, if there was a frame.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        if self._picture is not None:
+            with naming(self._path):
+                png = cv2.imencode(".png", self._picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]
+                self._path.write_bytes(png.tobytes())
+
+    def discard(self) -> None:
+        """Lets go of the picture."""
+        self._picture = None
+
+
+def _fitted(picture: Picture, width_px: int, height_px: int) -> Picture:
+    """`picture` scaled and centred on black to `width_px` x `height_px`; itself where it has that size."""
+    height, width = picture.shape[:2]
+    if (width, height) == (width_px, height_px):
+        return picture
+    scale = min(width_px / width, height_px / height)
+    size_px = (max(1, min(width_px, round(width * scale))), max(1, min(height_px, round(height * scale))))
+    canvas = np.zeros((height_px, width_px, 3), np.uint8)
+    left_px, top_px = (width_px - size_px[0]) // 2, (height_px - size_px[1]) // 2
+    smaller = cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
+    canvas[top_px : top_px + size_px[1], left_px : left_px + size_px[0]] = smaller
+    return canvas
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turns an error of the encoder or the disk into an OSError that names `path`."""
+    try:
+        yield
+    except (av.error.FFmpegError, OSError) as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error

@@ -1,0 +1,190 @@
+"""How well boxes explain annotated light artifacts: precision, recall, F1, and the box qualities q, q_K, q_B.
+
+Source: Ewecker et al., Provident Vehicle Detection at Night for Advanced Driver Assistance Systems, arXiv 2107.11302;
+counted as in the code published with PVDN.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.runs.predictions import Predictions, read_predictions
+
+
+@dataclass(frozen=True, slots=True)
+class BoxQuality:
+    """The metrics of one set of images. All rates lie in [0, 1]; NaN where nothing was there to be rated.
+
+    The published code gives -1 for an undefined precision, recall or F1, and NaN for the others; here all are NaN.
+
+    Attributes:
+        precision: tp / (tp + fp); NaN without any prediction.
+        recall: tp / (tp + fn); NaN without any keypoint.
+        f1: tp / (tp + (fp + fn) / 2); NaN without both.
+        q: q_k * q_b, of the unrounded values.
+        q_k: Mean over the boxes with a keypoint of 1 / keypoints in the box: 1 if no box holds two.
+        q_k_std: Its population standard deviation.
+        q_b: Mean over the keypoints in a box of 1 / boxes around the keypoint: 1 if no keypoint lies in two.
+        q_b_std: Its population standard deviation.
+        tp: Keypoints in at least one box.
+        fp: Boxes without a keypoint.
+        fn: Keypoints in no box.
+        num_images: Images with ground truth.
+        num_missing: Those of them that the predictions do not mention; they count as without boxes.
+        num_unknown: Images of the predictions without ground truth; they are ignored.
+        is_scored: False if the boxes had no scores and all of them count.
+        threshold: A box counts if its score is above this.
+    """
+
+    precision: float
+    recall: float
+    f1: float
+    q: float
+    q_k: float
+    q_k_std: float
+    q_b: float
+    q_b_std: float
+    tp: int
+    fp: int
+    fn: int
+    num_images: int
+    num_missing: int
+    num_unknown: int
+    is_scored: bool
+    threshold: float
+
+    def rounded_as_published(self) -> BoxQuality:
+        """The same with the published rounding: every rate to 4 decimals, and q as the product of the rounded ones."""
+        names = ("precision", "recall", "f1", "q_k", "q_k_std", "q_b", "q_b_std")
+        rounded: dict[str, Any] = {name: round(getattr(self, name), 4) for name in names}
+        return dataclasses.replace(self, **rounded, q=round(rounded["q_k"] * rounded["q_b"], 4))
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        values = dataclasses.asdict(self)
+        return {
+            name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()
+        }
+
+
+def evaluate_boxes(
+    keypoints_px: Mapping[int, NDArray[Any]], predictions: Predictions, threshold: float = 0.5
+) -> BoxQuality:
+    """How well `predictions` explain `keypoints_px`, over all images together.
+
+    A keypoint lies in a box if x1 <= x <= x2 and y1 <= y <= y2: all four edges belong to the box, although boxes are
+    half-open elsewhere. True positives and false negatives are keypoints, false positives are boxes. There is no
+    matching: a box may explain several keypoints, and a keypoint several boxes, which q_k and q_b tell.
+
+    Args:
+        keypoints_px: By image id, shape (K, 2), columns x and y, full-frame pixels; an image without vehicles has
+            K = 0.
+        predictions: Boxes and scores by image id.
+        threshold: A box counts if its score is above this; without effect on boxes without scores.
+
+    Raises:
+        ValueError: If the keypoints have another shape, or the threshold is NaN.
+
+    >>> keypoints = {7: np.array([[10, 10], [90, 90]])}
+    >>> boxes = Predictions({7: np.array([[5.0, 5.0, 10.0, 10.0]])}, {7: np.array([0.9])})
+    >>> quality = evaluate_boxes(keypoints, boxes)
+    >>> quality.precision, quality.recall, quality.q
+    (1.0, 0.5, 1.0)
+    """
+    if math.isnan(threshold):
+        raise ValueError("threshold: expected a number, got nan")
+    matches = match_boxes(keypoints_px, predictions)
+    keypoints_in_box = matches.points_in_box[matches.scores > threshold]  # n_K of each box that counts
+    boxes_around_keypoint = matches.boxes_around_point(threshold)  # n_B of each keypoint
+
+    tp = int(np.count_nonzero(boxes_around_keypoint))
+    fn = matches.num_points - tp
+    fp = int(np.count_nonzero(keypoints_in_box == 0))
+    q_k, q_k_std = _mean_and_std(1.0 / keypoints_in_box[keypoints_in_box > 0])
+    q_b, q_b_std = _mean_and_std(1.0 / boxes_around_keypoint[boxes_around_keypoint > 0])
+    return BoxQuality(
+        precision=_ratio(tp, tp + fp),
+        recall=_ratio(tp, tp + fn),
+        f1=_ratio(tp, tp + 0.5 * (fp + fn)),
+        q=q_k * q_b,
+        q_k=q_k,
+        q_k_std=q_k_std,
+        q_b=q_b,
+        q_b_std=q_b_std,
+        tp=tp,
+        fp=fp,
+        fn=fn,
+        num_images=len(keypoints_px),
+        num_missing=len(keypoints_px.keys() - predictions.boxes_xyxy_px.keys()),
+        num_unknown=len(predictions.boxes_xyxy_px.keys() - keypoints_px.keys()),
+        is_scored=predictions.is_scored,
+        threshold=threshold,
+    )
+
+
+def evaluate_split(split: Path | str, predictions: Path | str, threshold: float = 0.5) -> BoxQuality:
+    """How well the predictions in a file explain a PVDN split.
+
+    Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
+    file. Image files are not needed.
+
+    Args:
+        split: The split's folder, or a sequence's for this sequence alone.
+        predictions: A file as `read_predictions` takes it.
+        threshold: A box counts if its score is above this.
+
+    Raises:
+        FileNotFoundError: If the split, a label file or the predictions are missing.
+        ValueError: If one of them is broken.
+    """
+    found = read_predictions(predictions)
+    return evaluate_boxes(split_keypoints_px(PVDN(split)), found, threshold)
+
+
+def annotation_quality(split: Path | str) -> BoxQuality:
+    """How well the split's own generated boxes with label 1 explain its keypoints: the upper bound of any classifier.
+
+    Precision is 1 by construction. The paper's table gives these values in parentheses.
+
+    Raises:
+        FileNotFoundError: If the split or one of its label files is missing.
+        ValueError: If one of them is broken.
+    """
+    dataset = PVDN(split)
+    boxes: dict[int, NDArray[np.float64]] = {}
+    labels: dict[int, NDArray[np.float64]] = {}
+    for image_id in dataset.frame_ids:
+        found = dataset.boxes(image_id)
+        if found is not None:
+            boxes[image_id] = np.array(found.boxes_xyxy_px, np.float64).reshape(-1, 4)
+            labels[image_id] = np.array(found.labels, np.float64)
+    return evaluate_boxes(split_keypoints_px(dataset), Predictions(boxes, labels))
+
+
+def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
+    """The keypoints of all selected images by id, each of shape (K, 2), int32.
+
+    Raises:
+        FileNotFoundError: If an image has no keypoint file.
+        ValueError: If a keypoint file is broken.
+    """
+    return {image_id: dataset.keypoints_px(image_id) for image_id in dataset.frame_ids}
+
+
+def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Mean and population standard deviation; NaN of nothing."""
+    return (float(values.mean()), float(values.std())) if len(values) else (math.nan, math.nan)
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan

@@ -1,0 +1,347 @@
+"""Recall by what a light is, and false boxes by where they are: what one pooled F hides."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN, Instance
+from foreglow.datasets.pvdn import PVDN_RATE_HZ
+from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
+from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, NUM_STRONGEST, Light, empty_images, read_lights
+from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
+from foreglow.runs.predictions import Predictions
+
+RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
+"""Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightGroup:
+    """How many lights of one group are found.
+
+    Attributes:
+        name: Of the group, such as `rail` or `30-60 m`.
+        num: Lights in it.
+        recall: Share of them in an accepted box; NaN of none.
+        ceiling: Share of them in any box, whatever its score: what the proposals leave to the classifier.
+        f1: 2 P R / (P + R) of this recall and the precision of all boxes.
+    """
+
+    name: str
+    num: int
+    recall: float
+    ceiling: float
+    f1: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
+
+
+@dataclass(frozen=True, slots=True)
+class FalseBoxes:
+    """The accepted boxes without a keypoint in some images.
+
+    Attributes:
+        num_images: The images.
+        num: Such boxes, as the metrics of the paper count them.
+        num_doubtful: Those of them that hold doubtful light, for which nobody is to be blamed.
+    """
+
+    num_images: int
+    num: int
+    num_doubtful: int
+
+    @property
+    def per_frame(self) -> float:
+        """Mean of an image; NaN without images."""
+        return self.num / self.num_images if self.num_images else math.nan
+
+    @property
+    def per_frame_without_doubtful(self) -> float:
+        """The same without those that hold doubtful light."""
+        return (self.num - self.num_doubtful) / self.num_images if self.num_images else math.nan
+
+    @property
+    def per_minute(self) -> float:
+        """In a minute of PVDN's 18 images a second, whatever the rate of the data set: boxes, not objects."""
+        return self.per_frame * PVDN_RATE_HZ * 60.0
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields and rates by name, for JSON: null instead of NaN."""
+        rates = ("per_frame", "per_frame_without_doubtful", "per_minute")
+        return dataclasses.asdict(self) | {name: plain(getattr(self, name)) for name in rates}
+
+
+@dataclass(frozen=True, slots=True)
+class ImageGroup:
+    """The figures of some of the images alone, such as those in rain.
+
+    Attributes:
+        name: Of the group.
+        precision: Of the accepted boxes in these images; NaN without any.
+        lights: Their lights, with an F of this precision.
+        false_boxes: Their false boxes.
+    """
+
+    name: str
+    precision: float
+    lights: LightGroup
+    false_boxes: FalseBoxes
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {
+            "name": self.name,
+            "precision": plain(self.precision),
+            "lights": self.lights.to_json(),
+            "false_boxes": self.false_boxes.to_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdown:
+    """Recall by groups of lights, and false boxes.
+
+    A false box has no kind and no distance. So `f1` of a group takes the precision of all boxes, tp / (tp + fp) as
+    `evaluate_boxes` has it, beside the group's own recall: groups differ by their recall alone.
+
+    Attributes:
+        threshold: A box is accepted if its score is above.
+        precision: Of all accepted boxes.
+        whole: All lights together; its `f1` is the F of `evaluate_boxes`.
+        groups: By aspect (`kind`, `source`, `sight`, `strength`, `hidden kind`, `distance`), its groups in the order
+            of a table; groups without lights are left out.
+        weathers: The images of each weather, by its name.
+        false_boxes: In all images.
+        false_boxes_empty: In images without any vehicle's light.
+    """
+
+    threshold: float
+    precision: float
+    whole: LightGroup
+    groups: Mapping[str, tuple[LightGroup, ...]]
+    weathers: tuple[ImageGroup, ...]
+    false_boxes: FalseBoxes
+    false_boxes_empty: FalseBoxes
+
+    def group(self, aspect: str, name: str) -> LightGroup | None:
+        """The group `name` of an aspect; None where it has no lights."""
+        return next((one for one in self.groups[aspect] if one.name == name), None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything by name, for JSON: null instead of NaN."""
+        return {
+            "threshold": self.threshold,
+            "precision": plain(self.precision),
+            "whole": self.whole.to_json(),
+            "groups": {aspect: [one.to_json() for one in groups] for aspect, groups in self.groups.items()},
+            "weathers": [one.to_json() for one in self.weathers],
+            "false_boxes": self.false_boxes.to_json(),
+            "false_boxes_empty": self.false_boxes_empty.to_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplitLabels:
+    """What the labels of a split say, read once for any number of predictions.
+
+    Attributes:
+        name: The split, such as `day/val`.
+        rate_hz: Its frames a second.
+        lights: By image id, for every image.
+        doubtful_px: By image id, shape (D, 2): light that is neither an instance nor a fault to find.
+        empty_images: Images in which no vehicle's light is to be seen, not even a doubtful one.
+        weather_of: By image id, its sequence's weather, such as `dry`.
+        sequence_of: By image id, its sequence's id.
+        time_s: By image id, from the first image of its sequence, seconds.
+    """
+
+    name: str
+    rate_hz: float
+    lights: Mapping[int, tuple[Light, ...]]
+    doubtful_px: Mapping[int, NDArray[np.float64]]
+    empty_images: frozenset[int]
+    weather_of: Mapping[int, str]
+    sequence_of: Mapping[int, int]
+    time_s: Mapping[int, float]
+
+    @property
+    def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
+        """By image id, shape (K, 2): the positions of its lights, in their order."""
+        return {image_id: _positions(its) for image_id, its in self.lights.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightMatches:
+    """All lights and all boxes of a split, with what is needed to count any group of them.
+
+    Attributes:
+        lights: All lights, P of them.
+        matches: Which lie in which boxes.
+        best_scores: Shape (P,), the highest score of the boxes around each; -inf without any.
+        has_doubtful: Shape (B,): whether a box holds doubtful light.
+        is_in_empty: Shape (B,): whether a box lies in an image without any vehicle's light.
+        num_empty_images: How many such images there are.
+    """
+
+    lights: tuple[Light, ...]
+    matches: Matches
+    best_scores: NDArray[np.float64]
+    has_doubtful: NDArray[np.bool_]
+    is_in_empty: NDArray[np.bool_]
+    num_empty_images: int
+
+    @property
+    def is_hidden(self) -> NDArray[np.bool_]:
+        """Shape (P,): whether the light's vehicle has not shown a lamp so far."""
+        return np.array([light.is_hidden for light in self.lights], np.bool_)
+
+
+def read_split_labels(dataset: PVDN) -> SplitLabels:
+    """The labels of the selected images of `dataset`.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If one is broken.
+    """
+    ids = dataset.frame_ids
+    return SplitLabels(
+        name=dataset.name,
+        rate_hz=dataset.rate_hz,
+        lights=read_lights(dataset),
+        doubtful_px={one: _positions(dataset.doubtful(one)) for one in ids},
+        empty_images=frozenset(empty_images(dataset)),
+        weather_of={one: dataset.sequence(one).weather.name.lower() for one in ids},
+        sequence_of={one: dataset.sequence(one).id for one in ids},
+        time_s={one: dataset.labels.place_of[one] / dataset.rate_hz for one in ids},
+    )
+
+
+def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
+    """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box."""
+    matches = match_boxes(labels.keypoints_px, predictions)
+    is_empty = np.array([image_id in labels.empty_images for image_id in matches.image_ids], np.bool_)
+    return LightMatches(
+        lights=tuple(light for its in labels.lights.values() for light in its),
+        matches=matches,
+        best_scores=matches.best_scores(),
+        has_doubtful=match_boxes({one: labels.doubtful_px[one] for one in matches.image_ids}, predictions).has_point,
+        is_in_empty=is_empty[matches.image_of_box],
+        num_empty_images=int(is_empty.sum()),
+    )
+
+
+def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int, str] | None = None) -> Breakdown:
+    """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted.
+
+    Args:
+        matched: Lights and boxes.
+        threshold: On the scores.
+        weather_of: By image id, its weather; None for no figures by weather.
+    """
+    matches = matched.matches
+    is_found = matched.best_scores > threshold
+    is_false = (matches.scores > threshold) & ~matches.has_point
+    precision = _precision(is_found, is_false)
+
+    def group(name: str, members: NDArray[np.bool_], its_precision: float = precision) -> LightGroup:
+        recall, ceiling = _share(is_found[members]), _share(matched.best_scores[members] > NEVER)
+        return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(its_precision, recall))
+
+    weather = np.array([(weather_of or {}).get(image_id, "") for image_id in matches.image_ids], object)
+    weathers = []
+    for name in sorted(set((weather_of or {}).values())):
+        has_point, has_box = (weather == name)[matches.image_of_point], (weather == name)[matches.image_of_box]
+        its = _precision(is_found[has_point], is_false[has_box])
+        false = _false_boxes(is_false & has_box, matched.has_doubtful, int((weather == name).sum()))
+        weathers.append(ImageGroup(name, its, group(name, has_point, its), false))
+    return Breakdown(
+        threshold=threshold,
+        precision=precision,
+        whole=group("all", np.ones(len(matched.lights), np.bool_)),
+        groups={
+            aspect: tuple(group(name, its) for name, its in members.items() if its.any())
+            for aspect, members in _members(matched.lights).items()
+        },
+        weathers=tuple(weathers),
+        false_boxes=_false_boxes(is_false, matched.has_doubtful, matches.num_images),
+        false_boxes_empty=_false_boxes(is_false & matched.is_in_empty, matched.has_doubtful, matched.num_empty_images),
+    )
+
+
+def hidden_curve(matched: LightMatches) -> RecallCurve:
+    """Recall of hidden vehicles' light over false boxes a frame in images without any vehicle's light."""
+    return recall_curve(
+        matched.best_scores[matched.is_hidden], matched.matches.scores[matched.is_in_empty], matched.num_empty_images
+    )
+
+
+def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
+    """The lowest threshold with at most `limit` false boxes a frame in images without any vehicle's light.
+
+    Raises:
+        ValueError: If there is no such image, the boxes have no scores, or the limit is negative.
+    """
+    if not matched.matches.is_scored:
+        raise ValueError("threshold_for_empty_images: expected boxes with scores, got boxes without")
+    return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
+
+
+def f1_of(precision: float, recall: float) -> float:
+    """2 P R / (P + R); 0 where nothing is found, whatever the precision, NaN where nothing was to be found.
+
+    >>> f1_of(0.5, 1.0) == 2 / 3
+    True
+    """
+    return 0.0 if recall == 0.0 else 2.0 * precision * recall / (precision + recall)
+
+
+def plain(value: Any) -> Any:
+    """`value`, for JSON: None instead of NaN."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]:
+    """By aspect and group, shape (P,): which lights belong to it."""
+    kind = np.array([light.kind for light in lights], object)
+    is_direct = np.array([light.is_direct for light in lights], np.bool_)
+    is_hidden = np.array([light.is_hidden for light in lights], np.bool_)
+    range_m = np.array([light.range_m for light in lights], np.float64)
+    rank = np.array([light.rank for light in lights], np.int64)
+    return {
+        "kind": {name: kind == name for name in LIGHT_KINDS},
+        "source": {"direct": is_direct, "indirect": ~is_direct},
+        "sight": {"hidden": is_hidden, "in sight": ~is_hidden},
+        "strength": {"strongest three reflections": (rank >= 0) & (rank < NUM_STRONGEST)},
+        "hidden kind": {name: is_hidden & (kind == name) for name in LIGHT_KINDS},
+        "distance": {
+            f"{low:g}-{high:g} m": (low <= range_m) & (range_m < high) for low, high in pairwise(RANGE_EDGES_M)
+        },
+    }
+
+
+def _false_boxes(is_false: NDArray[np.bool_], has_doubtful: NDArray[np.bool_], num_images: int) -> FalseBoxes:
+    return FalseBoxes(num_images, int(is_false.sum()), int((is_false & has_doubtful).sum()))
+
+
+def _precision(is_found: NDArray[np.bool_], is_false: NDArray[np.bool_]) -> float:
+    tp, fp = int(is_found.sum()), int(is_false.sum())
+    return tp / (tp + fp) if tp + fp else math.nan
+
+
+def _share(values: NDArray[np.bool_]) -> float:
+    return float(values.mean()) if len(values) else math.nan
+
+
+def _positions(lights: Iterable[Light | Instance]) -> NDArray[np.float64]:
+    """Their positions, shape (K, 2)."""
+    return np.array([one.position_px for one in lights], np.float64).reshape(-1, 2)

@@ -1,0 +1,232 @@
+"""Direct or indirect: how well lamps are told from their light on something, and which two lamps are one vehicle's."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.beam.vehicles import group_vehicles
+from foreglow.calibration import read_calibration
+from foreglow.datasets import PVDN
+from foreglow.geometry import Camera
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.lights import Light
+from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.runs.predictions import Predictions
+from foreglow.types import Tracks
+
+
+def balanced_accuracy(is_true: NDArray[np.bool_], is_called: NDArray[np.bool_]) -> float:
+    """The mean of the shares of both classes that are called what they are; NaN where one has no member.
+
+    >>> balanced_accuracy(np.array([True, True, False]), np.array([True, False, False]))
+    0.75
+    """
+    if is_true.all() or not is_true.any():
+        return math.nan
+    return float(is_called[is_true].mean() + (~is_called[~is_true]).mean()) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class DirectQuality:
+    """How well boxes with light are called direct or indirect, at a probability of 0.5.
+
+    A box is direct if it holds a lamp, whatever else it holds. Boxes without a labelled light do not count.
+
+    Attributes:
+        num_direct: Boxes with a lamp.
+        num_indirect: Boxes with other light alone.
+        recall_direct: Share of the former that are called direct; NaN of none.
+        recall_indirect: Share of the latter that are called indirect; NaN of none.
+    """
+
+    num_direct: int
+    num_indirect: int
+    recall_direct: float
+    recall_indirect: float
+
+    @property
+    def balanced_accuracy(self) -> float:
+        """The mean of the two recalls."""
+        return (self.recall_direct + self.recall_indirect) / 2
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields and the mean by name, for JSON: null instead of NaN."""
+        values = dataclasses.asdict(self) | {"balanced_accuracy": self.balanced_accuracy}
+        return {name: plain(value) for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleQuality:
+    """How well plausible tracks are grouped into vehicles, image by image.
+
+    Attributes:
+        num_pairs: Pairs that were made.
+        precision: Share of them in which both tracks hold a lamp of the same vehicle; NaN of none.
+        num_vehicles: Vehicles with two lamps in tracks of their own.
+        recall: Share of them of which such a pair was made; NaN of none.
+    """
+
+    num_pairs: int
+    precision: float
+    num_vehicles: int
+    recall: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Directness:
+    """How well direct and indirect light are told apart in a run.
+
+    Attributes:
+        boxes: Of the accepted boxes; None where they do not say.
+        tracks: Of the plausible tracks of every image; None without tracks, or where they do not say.
+        vehicles: Of the same tracks; None without tracks or without calibrations.
+    """
+
+    boxes: DirectQuality | None = None
+    tracks: DirectQuality | None = None
+    vehicles: VehicleQuality | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything by name, for JSON."""
+        parts = {"boxes": self.boxes, "tracks": self.tracks, "vehicles": self.vehicles}
+        return {name: None if one is None else one.to_json() for name, one in parts.items()}
+
+
+def directness(
+    labels: SplitLabels,
+    predictions: Predictions,
+    threshold: float,
+    tracks: Mapping[int, Tracks] | None = None,
+    cameras: Mapping[int, Camera] | None = None,
+) -> Directness:
+    """All figures of a run.
+
+    Args:
+        labels: Of the split.
+        predictions: The run's boxes.
+        threshold: A box is accepted if its score is above.
+        tracks: By image id, where the run has any.
+        cameras: By sequence id, where they are known.
+    """
+    return Directness(
+        boxes=directness_of_boxes(labels, predictions, threshold),
+        tracks=None if tracks is None else directness_of_tracks(labels, tracks),
+        vehicles=None if tracks is None else vehicles_of_tracks(labels, tracks, cameras or {}),
+    )
+
+
+def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold: float) -> DirectQuality | None:
+    """How well the accepted boxes are told apart; None where the predictions do not say."""
+    truth, calls = [], []
+    for image_id, probabilities in predictions.direct_probabilities.items():
+        if image_id not in labels.lights:
+            continue
+        is_rated = (predictions.scores[image_id] > threshold) & ~np.isnan(probabilities)
+        truth.append(_sources(labels.lights[image_id], predictions.boxes_xyxy_px[image_id][is_rated]))
+        calls.append(probabilities[is_rated])
+    return _quality(truth, calls)
+
+
+def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> DirectQuality | None:
+    """How well plausible tracks are told apart, each once an image, by what lies in their boxes; None: do not say."""
+    truth, calls = [], []
+    for image_id, its in tracks.items():
+        if image_id not in labels.lights:
+            continue
+        is_rated = its.is_plausible & ~np.isnan(its.direct_probabilities)
+        truth.append(_sources(labels.lights[image_id], its.boxes_xyxy_px[is_rated]))
+        calls.append(its.direct_probabilities[is_rated])
+    return _quality(truth, calls)
+
+
+def vehicles_of_tracks(
+    labels: SplitLabels, tracks: Mapping[int, Tracks], cameras: Mapping[int, Camera]
+) -> VehicleQuality | None:
+    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's.
+
+    Args:
+        labels: Of the split.
+        tracks: By image id.
+        cameras: By sequence id; images of other sequences are left out.
+    """
+    num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
+    for image_id, its in tracks.items():
+        camera = cameras.get(labels.sequence_of.get(image_id, -1))
+        if camera is None:
+            continue
+        held = _lamps_held(labels.lights[image_id], its)
+        vehicles = {one for one in set().union(*(lamps.keys() for lamps in held)) if _is_apart(held, one)}
+        pairs = [group for group in group_vehicles(its, camera) if len(group) == 2]
+        right = [held[one].keys() & held[other].keys() for one, other in pairs]
+        num_pairs += len(pairs)
+        num_right += sum(bool(one) for one in right)
+        num_vehicles += len(vehicles)
+        num_found += len(vehicles & set().union(*right))
+    if not cameras:
+        return None
+    return VehicleQuality(
+        num_pairs,
+        num_right / num_pairs if num_pairs else math.nan,
+        num_vehicles,
+        num_found / num_vehicles if num_vehicles else math.nan,
+    )
+
+
+def read_cameras(dataset: PVDN) -> dict[int, Camera]:
+    """The calibrations of a simulated split, by sequence id; none where it has none.
+
+    Raises:
+        ValueError: If one is broken.
+    """
+    paths = {one.id: dataset.root / "simulation" / one.directory / "camera.toml" for one in dataset.sequences}
+    return {sequence_id: read_calibration(path) for sequence_id, path in paths.items() if path.is_file()}
+
+
+def _lamps_held(lights: tuple[Light, ...], tracks: Tracks) -> list[dict[int, set[int]]]:
+    """For each track the lamps in its box, by vehicle, as places in `lights`; nothing for tracks not plausible."""
+    held: list[dict[int, set[int]]] = [{} for _ in range(len(tracks))]
+    for place, light in enumerate(lights):
+        if light.is_direct:
+            is_in = lies_in(np.array(light.position_px), tracks.boxes_xyxy_px) & tracks.is_plausible
+            for track in np.flatnonzero(is_in):
+                held[track].setdefault(light.vehicle_id, set()).add(place)
+    return held
+
+
+def _is_apart(held: list[dict[int, set[int]]], vehicle_id: int) -> bool:
+    """Whether two tracks hold different lamps of the vehicle."""
+    sets = {frozenset(its[vehicle_id]) for its in held if vehicle_id in its}
+    return len(sets) > 1
+
+
+def _sources(lights: tuple[Light, ...], boxes_xyxy_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shape (N,): 1 for a box with a lamp, 0 for one with other light alone, NaN without a light."""
+    sources = np.full(len(boxes_xyxy_px), np.nan)
+    for light in sorted(lights, key=lambda one: one.is_direct):
+        sources[lies_in(np.array(light.position_px), boxes_xyxy_px)] = light.is_direct
+    return sources
+
+
+def _quality(truth: list[NDArray[np.float64]], calls: list[NDArray[np.float64]]) -> DirectQuality | None:
+    """Of sources and probabilities, image by image; None without any box."""
+    is_direct, called = np.concatenate([*truth, []]), np.concatenate([*calls, []]) > 0.5
+    if not len(called):
+        return None
+    direct, indirect = called[is_direct == 1], called[is_direct == 0]
+    return DirectQuality(
+        len(direct),
+        len(indirect),
+        float(direct.mean()) if len(direct) else math.nan,
+        float((~indirect).mean()) if len(indirect) else math.nan,
+    )

@@ -1,0 +1,201 @@
+"""Everything that a split says of one set of predictions, in one place; what `foreglow evaluate` reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from foreglow.lab.evaluation.boxes.box_quality import BoxQuality, evaluate_boxes
+from foreglow.lab.evaluation.boxes.breakdown import (
+    Breakdown,
+    SplitLabels,
+    break_down,
+    hidden_curve,
+    match_lights,
+    plain,
+    threshold_for_empty_images,
+)
+from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
+from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
+from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found, share_found_ahead
+from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
+from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
+from foreglow.runs.predictions import Predictions
+
+RunTime: TypeAlias = Mapping[str, float | None]
+"""`median`, `p95` and `p99` of one stage, milliseconds."""
+
+CURVE_THRESHOLDS = np.round(np.arange(0.0, 1.0, 0.01), 2)
+FALSE_BOX_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""False boxes a frame in images without any vehicle's light, at which hidden vehicles' recall is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """What a limit on the false boxes in images without any vehicle's light leaves.
+
+    Attributes:
+        limit: False boxes a frame.
+        threshold: The lowest one that keeps to it.
+        recall_hidden: Recall of hidden vehicles' light there.
+        recall: Recall of all lights there.
+        precision: Of all boxes there.
+        f1: F there.
+    """
+
+    limit: float
+    threshold: float
+    recall_hidden: float
+    recall: float
+    precision: float
+    f1: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {name: plain(getattr(self, name)) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranking:
+    """What scores add: figures over all thresholds.
+
+    Attributes:
+        average_precision: Area under precision over recall.
+        best_threshold: The lowest threshold with the highest F.
+        best_f1: That F.
+        curve: The metrics at hundredths.
+        hidden: Hidden vehicles' recall over false boxes in images without any vehicle's light.
+        operating_points: At `FALSE_BOX_LIMITS`; empty without such images.
+        calibration: Whether scores are probabilities; None where all boxes are of one class.
+    """
+
+    average_precision: float
+    best_threshold: float
+    best_f1: float
+    curve: QualityCurve
+    hidden: RecallCurve
+    operating_points: tuple[OperatingPoint, ...]
+    calibration: Calibration | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything by name, for JSON: null instead of NaN."""
+        return {
+            "average_precision": plain(self.average_precision),
+            "best_threshold": plain(self.best_threshold),
+            "best_f1": plain(self.best_f1),
+            "curve": self.curve.to_json(),
+            "hidden": self.hidden.to_json(),
+            "operating_points": [one.to_json() for one in self.operating_points],
+            "calibration": None if self.calibration is None else self.calibration.to_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination:
+    """All figures of one set of predictions on one split.
+
+    Attributes:
+        name: The split.
+        detector: What predicted.
+        rate_hz: The split's frames a second.
+        quality: The paper's metrics at the threshold.
+        breakdown: Recall by groups of lights, and false boxes.
+        vehicles: When each vehicle is found.
+        ranking: Figures over all thresholds; None for boxes without scores.
+        run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
+        robustness: Figures under disturbances; empty where not asked for.
+        directness: How well lamps are told from their light on something, and grouped into vehicles.
+    """
+
+    name: str
+    detector: str
+    rate_hz: float
+    quality: BoxQuality
+    breakdown: Breakdown
+    vehicles: tuple[FirstFound, ...]
+    ranking: Ranking | None
+    run_time_ms: Mapping[str, RunTime]
+    robustness: tuple[RobustnessRow, ...] = ()
+    directness: Directness = field(default_factory=Directness)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything by name, for JSON: null instead of NaN."""
+        return {
+            "name": self.name,
+            "detector": self.detector,
+            "rate_hz": self.rate_hz,
+            "quality": self.quality.to_json(),
+            "breakdown": self.breakdown.to_json(),
+            "share_found_ahead": plain(share_found_ahead(self.vehicles)),
+            "vehicles": [one.to_json() for one in self.vehicles],
+            "ranking": None if self.ranking is None else self.ranking.to_json(),
+            "run_time_ms": {stage: dict(times) for stage, times in self.run_time_ms.items()},
+            "robustness": [row.to_json() for row in self.robustness],
+            "directness": self.directness.to_json(),
+        }
+
+
+def rank(labels: SplitLabels, predictions: Predictions) -> Ranking:
+    """Figures of scored `predictions` over all thresholds.
+
+    Raises:
+        ValueError: If the boxes have no scores.
+    """
+    matched = match_lights(labels, predictions)
+    matches = matched.matches
+    every = quality_curve(matches)
+    best_threshold, best_f1 = every.best
+    is_true = matches.has_point
+    is_certain = is_true | ~matched.has_doubtful
+    has_both = 0 < is_true[is_certain].sum() < is_certain.sum()
+    points = []
+    for limit in FALSE_BOX_LIMITS if matched.num_empty_images else ():
+        threshold = threshold_for_empty_images(matched, limit)
+        at_limit = break_down(matched, threshold)
+        hidden = at_limit.group("sight", "hidden")
+        recall_hidden = math.nan if hidden is None else hidden.recall
+        whole = at_limit.whole
+        points.append(OperatingPoint(limit, threshold, recall_hidden, whole.recall, at_limit.precision, whole.f1))
+    return Ranking(
+        average_precision=every.average_precision,
+        best_threshold=best_threshold,
+        best_f1=best_f1,
+        curve=quality_curve(matches, CURVE_THRESHOLDS),
+        hidden=hidden_curve(matched).corners(),
+        operating_points=tuple(points),
+        calibration=calibration(matches.scores[is_certain], is_true[is_certain]) if has_both else None,
+    )
+
+
+def examine(
+    labels: SplitLabels,
+    predictions: Predictions,
+    threshold: float,
+    detector: str,
+    run_time_ms: Mapping[str, RunTime] | None = None,
+) -> Examination:
+    """All figures of `predictions` on a split, but for those of robustness and of tracks.
+
+    Args:
+        labels: Of the split.
+        predictions: Boxes, with or without scores.
+        threshold: A box is accepted if its score is above.
+        detector: What predicted, for the title.
+        run_time_ms: By stage and `total`, where it was measured.
+    """
+    matched = match_lights(labels, predictions)
+    return Examination(
+        name=labels.name,
+        detector=detector,
+        rate_hz=labels.rate_hz,
+        quality=evaluate_boxes(labels.keypoints_px, predictions, threshold),
+        breakdown=break_down(matched, threshold, labels.weather_of),
+        vehicles=first_found(labels, matched, threshold),
+        ranking=rank(labels, predictions) if matched.matches.is_scored else None,
+        run_time_ms=run_time_ms or {},
+        directness=Directness(directness_of_boxes(labels, predictions, threshold)),
+    )

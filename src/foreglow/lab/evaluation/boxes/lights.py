@@ -1,0 +1,154 @@
+"""The labelled lights of a data set, one record each, in groups that a detector's recall is told apart by."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from foreglow.datasets import PVDN, Instance, Vehicle
+from foreglow.lab.simulation import Artifact, read_truth
+
+LAMP, INDIRECT = "lamp", "indirect"
+"""Kinds that the labels alone can tell; simulated sets say what indirect light is seen on."""
+
+LIGHT_KINDS = (LAMP, "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze", INDIRECT)
+"""All kinds, in the order of tables."""
+
+NUM_STRONGEST = 3
+"""Indirect lights of an image that count as its strongest."""
+
+DIRECT_RANK = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """One light artifact in one image: a keypoint of the labels, with what else is known of it.
+
+    Attributes:
+        image_id: The image.
+        sequence_id: Its sequence.
+        vehicle_id: The vehicle whose light it is (PVDN: oid).
+        position_px: Full-frame pixels x, y.
+        kind: `lamp` for the lamp itself; else what the light is seen on: rail, road, verge, foliage, wall, sign,
+            vehicle or haze where the set is simulated, `indirect` where it is not.
+        is_direct: Whether it is the lamp itself.
+        is_rear: Whether it comes from rear lamps.
+        is_hidden: Whether none of its vehicle's lamps has been labelled in this or an earlier image of the sequence.
+        range_m: From the camera to the vehicle; NaN where unknown.
+        grey: Grey levels that the light adds at its peak; NaN where unknown.
+        rank: Place among the indirect lights of its image, 0 for the strongest; in the file's order where strengths
+            are unknown; -1 for direct light.
+    """
+
+    image_id: int
+    sequence_id: int
+    vehicle_id: int
+    position_px: tuple[float, float]
+    kind: str
+    is_direct: bool
+    is_rear: bool
+    is_hidden: bool
+    range_m: float = math.nan
+    grey: float = math.nan
+    rank: int = DIRECT_RANK
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What the simulator adds to a vehicle's labels in one image."""
+
+    range_m: float
+    artifacts: dict[int, Artifact]
+
+
+def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
+    """The lights of every selected image of `dataset`, by image id; doubtful ones are left out.
+
+    Where the split has the simulator's truth beside its labels, kinds, ranges and strengths are filled in.
+
+    Raises:
+        FileNotFoundError: If a label file, or one of the truth, is missing.
+        ValueError: If one is broken, or the truth does not know an instance of the labels.
+    """
+    selected = set(dataset.frame_ids)
+    lights: dict[int, tuple[Light, ...]] = {}
+    for sequence in dataset.sequences:
+        known = _known(dataset, sequence.id)
+        seen: set[int] = set()  # vehicles with a direct instance so far
+        for image_id in sorted(sequence.image_ids):
+            vehicles = dataset.annotations(image_id)
+            seen |= {one.oid for one in vehicles if any(instance.is_direct for instance in one.instances)}
+            if image_id in selected:
+                found = [
+                    _light(image_id, sequence.id, vehicle, instance, vehicle.oid not in seen, known)
+                    for vehicle in vehicles
+                    for instance in vehicle.instances
+                ]
+                lights[image_id] = tuple(_ranked(found))
+    return {image_id: lights[image_id] for image_id in dataset.frame_ids}
+
+
+def empty_images(dataset: PVDN) -> tuple[int, ...]:
+    """Ids of the selected images in which no vehicle's light is to be seen, not even doubtful light."""
+    return tuple(
+        image_id
+        for image_id in dataset.frame_ids
+        if not dataset.annotations(image_id) and not dataset.doubtful(image_id)
+    )
+
+
+def _known(dataset: PVDN, sequence_id: int) -> dict[tuple[int, int], _Known]:
+    """What the simulator knows, by image and vehicle; nothing of a set that is not simulated."""
+    if not (dataset.root / "simulation" / "info.json").exists():
+        return {}
+    return {
+        (frame.image_id, vehicle.vehicle_id): _Known(
+            vehicle.range_m, {artifact.instance_id: artifact for artifact in vehicle.artifacts}
+        )
+        for frame in read_truth(dataset.root).sequence(sequence_id).frames
+        for vehicle in frame.vehicles
+    }
+
+
+def _light(
+    image_id: int,
+    sequence_id: int,
+    vehicle: Vehicle,
+    instance: Instance,
+    is_hidden: bool,
+    known: dict[tuple[int, int], _Known],
+) -> Light:
+    x, y = instance.position_px
+    light = Light(
+        image_id=image_id,
+        sequence_id=sequence_id,
+        vehicle_id=vehicle.oid,
+        position_px=(float(x), float(y)),
+        kind=LAMP if instance.is_direct else INDIRECT,
+        is_direct=instance.is_direct,
+        is_rear=instance.is_rear,
+        is_hidden=is_hidden,
+    )
+    if not known:
+        return light
+    its = known.get((image_id, vehicle.oid))
+    artifact = None if its is None else its.artifacts.get(instance.iid)
+    if its is None or artifact is None:
+        raise ValueError(
+            f"image {image_id}: expected instance {instance.iid} of vehicle {vehicle.oid} in the simulator's truth"
+        )
+    return dataclasses.replace(light, kind=artifact.kind, range_m=its.range_m, grey=artifact.grey)
+
+
+def _ranked(lights: Sequence[Light]) -> Iterator[Light]:
+    """`lights` with their ranks, in their order."""
+    indirect = sorted((one for one in lights if not one.is_direct), key=lambda one: -_strength(one))
+    rank_of = {id(one): rank for rank, one in enumerate(indirect)}
+    for one in lights:
+        yield dataclasses.replace(one, rank=rank_of.get(id(one), DIRECT_RANK))
+
+
+def _strength(light: Light) -> float:
+    return 0.0 if math.isnan(light.grey) else light.grey

@@ -1,0 +1,121 @@
+"""The first vehicle of each sequence: when its light is annotated, when it is in sight, when others report it.
+
+All times of a sequence count from its first image. Its first vehicle is the one whose light is annotated first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.simulation import read_truth
+
+HUMAN_DELAY_S = 0.8
+"""From the first annotated artifact to a human's report of the vehicle, on average (paper)."""
+
+UNKNOWN_VEHICLE = "vehicle"
+"""What a vehicle is called where nothing more is known of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """The first vehicle of one sequence. Times are seconds from the sequence's first image; NaN for never.
+
+    Attributes:
+        sequence_id: The sequence.
+        sequence: Its folder.
+        scenario: What the simulator drew, such as `crest`; empty where unknown.
+        vehicle_id: The vehicle (PVDN: oid).
+        vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
+        light_s: Its first annotated artifact.
+        sight_s: Its first annotated lamp.
+        production_s: First report of the production system.
+        duration_s: The sequence's last image.
+    """
+
+    sequence_id: int
+    sequence: str
+    scenario: str
+    vehicle_id: int
+    vehicle: str
+    light_s: float
+    sight_s: float
+    production_s: float
+    duration_s: float
+
+    @property
+    def is_occluded(self) -> bool:
+        """Whether its light is annotated before its lamps are, or these never are."""
+        return not self.light_s >= self.sight_s
+
+    @property
+    def human_s(self) -> float:
+        """When a human would report it, on average."""
+        return self.light_s + HUMAN_DELAY_S
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON: null instead of NaN."""
+        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
+
+
+def read_encounters(
+    dataset: PVDN, labels: SplitLabels, categories: CategoryConfig | None = None
+) -> tuple[Encounter, ...]:
+    """The first vehicle of every sequence of `dataset` in which one's light is annotated, in the order of sequences.
+
+    Args:
+        dataset: Images with labels.
+        labels: Its labels, as `read_split_labels` gives them.
+        categories: Which image category marks the production system's report, where the set is not simulated.
+
+    Raises:
+        ValueError: If the simulator's truth beside the labels is broken.
+    """
+    encounters = []
+    for sequence in dataset.sequences:
+        lights = sorted(
+            (labels.time_s[image_id], light.vehicle_id, light.is_direct)
+            for image_id in sequence.image_ids
+            for light in labels.lights.get(image_id, ())
+            if not light.is_rear
+        )
+        if not lights:
+            continue
+        light_s, vehicle_id, _ = lights[0]
+        sights = (time_s for time_s, its_id, is_direct in lights if its_id == vehicle_id and is_direct)
+        scenario, vehicle, production_s = vehicle_facts(dataset, sequence.id, vehicle_id, categories)
+        encounters.append(
+            Encounter(
+                sequence_id=sequence.id,
+                sequence=sequence.directory,
+                scenario=scenario,
+                vehicle_id=vehicle_id,
+                vehicle=vehicle,
+                light_s=light_s,
+                sight_s=next(sights, math.nan),
+                production_s=production_s,
+                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+            )
+        )
+    return tuple(encounters)
+
+
+def vehicle_facts(
+    dataset: PVDN, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
+) -> tuple[str, str, float]:
+    """Scenario, what the vehicle is, and when the production system first reports one; see `Encounter`."""
+    place_of, rate_hz = dataset.labels.place_of, dataset.rate_hz
+    scenario, kind = "", UNKNOWN_VEHICLE
+    if (dataset.root / "simulation" / "info.json").exists():
+        truth = read_truth(dataset.root).sequence(sequence_id)
+        kinds = (one.kind for frame in truth.frames for one in frame.vehicles if one.vehicle_id == vehicle_id)
+        reported = next((one.image_id for one in truth.frames if one.is_production_detected), None)
+        scenario, kind = truth.scene.name, next(kinds, UNKNOWN_VEHICLE)
+    else:
+        sequence = next(one for one in dataset.sequences if one.id == sequence_id)
+        reported = dataset.first_with(sequence, (categories or CategoryConfig()).low_beam_trigger)
+    return scenario, kind, math.nan if reported is None else place_of[reported] / rate_hz

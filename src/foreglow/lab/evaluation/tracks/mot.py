@@ -1,0 +1,196 @@
+"""Tracks and labelled lights as MOTChallenge files, and HOTA, IDF1 and CLEAR of them by TrackEval.
+
+    DIR/gt/S00001/gt/gt.txt           the labelled lights: frame, id, x, y, width, height, 1, 1, 1
+    DIR/gt/S00001/seqinfo.ini         name, length, rate and size of the sequence
+    DIR/trackers/NAME/data/S00001.txt the plausible tracks: frame, id, x, y, width, height, confidence, -1, -1, -1
+
+Labels are points, and these measures want boxes. As in the paper's own annotations the box of a light is a proposal
+that contains its key point: here the smallest one. Lights in the same box are one object, with the number of the one
+that came first; a light that no proposal contains gets a square around it. A track in an image whose box holds no light
+but a doubtful one is left out, since nobody is to be blamed for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN, Sequence
+from foreglow.files import write_atomic
+from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
+from foreglow.runs.predictions import Predictions
+from foreglow.types import Tracks
+
+FALLBACK_SIDE_PX = 16.0
+"""Side of the square around a light that no proposal contains, full-frame pixels."""
+
+_Boxes: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MotScores:
+    """What TrackEval makes of the tracks of all sequences together.
+
+    Attributes:
+        hota: Higher order tracking accuracy, mean over the overlaps .05 to .95.
+        det_a: Its detection part.
+        ass_a: Its association part.
+        idf1: F of identities, at an overlap of .5.
+        mota: CLEAR's accuracy, at an overlap of .5.
+        num_switches: How often an object's track changes.
+        num_fragments: How often an object's track is interrupted.
+    """
+
+    hota: float
+    det_a: float
+    ass_a: float
+    idf1: float
+    mota: float
+    num_switches: int
+    num_fragments: int
+
+
+def export_mot(
+    dataset: PVDN, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
+) -> None:
+    """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
+
+    Args:
+        dataset: Images with labels; a sequence without a light is left out, as the measures ask.
+        proposals: All boxes of a run, accepted or not.
+        tracks: By image id, the same run's tracks.
+        folder: Where the files go.
+        name: What the tracker is called.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If a label file is broken, the run lacks an image, or no sequence has a light.
+        OSError: If a file cannot be written.
+    """
+    written = 0
+    for sequence in dataset.sequences:
+        image_ids = sorted(sequence.image_ids)
+        for image_id in image_ids:
+            if image_id not in tracks or image_id not in proposals.boxes_xyxy_px:
+                raise ValueError(f"tracks: expected image {image_id} of {sequence.directory}, the run does not have it")
+        lights = list(_light_rows(dataset, image_ids, proposals))
+        if not lights:
+            continue
+        its = folder / "gt" / sequence.directory
+        (its / "gt").mkdir(parents=True, exist_ok=True)
+        write_atomic(its / "gt" / "gt.txt", "".join(lights).encode())
+        write_atomic(its / "seqinfo.ini", _sequence_info(dataset, sequence).encode())
+        followed = folder / "trackers" / name / "data"
+        followed.mkdir(parents=True, exist_ok=True)
+        rows = "".join(_track_rows(dataset, image_ids, tracks))
+        write_atomic(followed / f"{sequence.directory}.txt", rows.encode())
+        written += 1
+    if not written:
+        raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
+
+
+def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
+    """The measures of the tracker `name` in the folder that `export_mot` wrote, by TrackEval.
+
+    Raises:
+        ModuleNotFoundError: If TrackEval is not installed.
+        ValueError: If the folder has no such tracker.
+
+    Source: Luiten et al., HOTA, IJCV 2021; Ristani et al., 2016; Bernardin and Stiefelhagen, 2008.
+    """
+    import trackeval
+
+    lengths = {one.parent.name: _length(one) for one in sorted((folder / "gt").glob("*/seqinfo.ini"))}
+    if not lengths or not (folder / "trackers" / name / "data").is_dir():
+        raise ValueError(f"{folder}: expected the files of export-mot with a tracker {name}, found none")
+    settings = {
+        "GT_FOLDER": str(folder / "gt"),
+        "TRACKERS_FOLDER": str(folder / "trackers"),
+        "TRACKERS_TO_EVAL": [name],
+        "SEQ_INFO": lengths,
+        "SKIP_SPLIT_FOL": True,
+        "DO_PREPROC": False,
+        "PRINT_CONFIG": False,
+    }
+    quiet = dict.fromkeys(
+        ("PRINT_RESULTS", "PRINT_CONFIG", "TIME_PROGRESS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED"), False
+    )
+    evaluator = trackeval.Evaluator(quiet | {"PLOT_CURVES": False, "RETURN_ON_ERROR": False, "LOG_ON_ERROR": None})
+    metrics = [trackeval.metrics.HOTA(), trackeval.metrics.CLEAR({"PRINT_CONFIG": False})]
+    metrics.append(trackeval.metrics.Identity({"PRINT_CONFIG": False}))
+    with contextlib.redirect_stdout(io.StringIO()):
+        results, _ = evaluator.evaluate([trackeval.datasets.MotChallenge2DBox(settings)], metrics)
+    its = results["MotChallenge2DBox"][name]["COMBINED_SEQ"]["pedestrian"]  # the name that the format has for class 1
+    return MotScores(
+        hota=float(np.mean(its["HOTA"]["HOTA"])),
+        det_a=float(np.mean(its["HOTA"]["DetA"])),
+        ass_a=float(np.mean(its["HOTA"]["AssA"])),
+        idf1=float(its["Identity"]["IDF1"]),
+        mota=float(its["CLEAR"]["MOTA"]),
+        num_switches=int(its["CLEAR"]["IDSW"]),
+        num_fragments=int(its["CLEAR"]["Frag"]),
+    )
+
+
+def _light_rows(dataset: PVDN, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
+    numbers: dict[tuple[int, int], int] = {}
+    for place, image_id in enumerate(image_ids, start=1):
+        objects: dict[tuple[float, ...], int] = {}
+        for vehicle in dataset.annotations(image_id):
+            for light in vehicle.instances:
+                number = numbers.setdefault((vehicle.oid, light.iid), len(numbers) + 1)
+                box = _box_around(np.array(light.position_px, np.float64), proposals.boxes_xyxy_px[image_id])
+                objects[box] = min(number, objects.get(box, number))
+        for box, number in objects.items():
+            yield f"{place},{number},{_extent(box)},1,1,1\n"
+
+
+def _track_rows(dataset: PVDN, image_ids: Iterable[int], tracks: Mapping[int, Tracks]) -> Iterable[str]:
+    for place, image_id in enumerate(image_ids, start=1):
+        its = tracks[image_id]
+        boxes = its.boxes_xyxy_px
+        is_doubtful = _holds(boxes, [one.position_px for one in dataset.doubtful(image_id)])
+        is_doubtful &= ~_holds(boxes, dataset.keypoints_px(image_id))
+        for index in np.flatnonzero(its.is_plausible & ~is_doubtful):
+            yield f"{place},{its.ids[index] + 1},{_extent(boxes[index])},{its.confidences[index]:.4f},-1,-1,-1\n"
+
+
+def _box_around(point_px: _Boxes, boxes: _Boxes) -> tuple[float, ...]:
+    """The smallest box that contains the point; a square around it where there is none."""
+    place = smallest_box(point_px, boxes)
+    if place is not None:
+        return tuple(boxes[place].tolist())
+    half = FALLBACK_SIDE_PX / 2
+    return tuple(np.concatenate([point_px - half, point_px + half]).tolist())
+
+
+def _holds(boxes: _Boxes, points_px: NDArray[np.int32] | list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which boxes contain at least one of the points."""
+    points = np.array(points_px, np.float64).reshape(1, -1, 2)
+    return np.asarray(lies_in(points, boxes[:, None]).any(axis=1))
+
+
+def _extent(box: Iterable[float]) -> str:
+    x1, y1, x2, y2 = box
+    return f"{x1:.3f},{y1:.3f},{x2 - x1:.3f},{y2 - y1:.3f}"
+
+
+def _sequence_info(dataset: PVDN, sequence: Sequence) -> str:
+    image = dataset.image(min(sequence.image_ids))
+    return (
+        f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"
+        f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
+    )
+
+
+def _length(info: Path) -> int:
+    """The sequence's number of frames."""
+    fields = dict(line.split("=", 1) for line in info.read_text(encoding="utf-8").splitlines() if "=" in line)
+    return int(fields["seqLength"])

@@ -1,0 +1,102 @@
+"""Augmentation of a batch of crops in torch. Importing this module needs the `train` extra."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from foreglow.classifier.inputs import FEATURES
+from foreglow.lab.learning.recipes import Augmentation
+
+HAS_EARLIER = FEATURES.index("has_earlier")
+
+# Below this a crop counts as constant: a hundredth of a grey level, which no camera sees.
+_MIN_RANGE = 1e-4
+
+
+def augment(
+    crops: Tensor, features: Tensor, augmentation: Augmentation, feature_scale: Tensor, random: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Altered copies of `crops` and `features`, drawn from `random`, sample by sample.
+
+    Reflection, rotation and the cut-out are one affine map with one bilinear interpolation, the same for all channels
+    of a sample. Every channel keeps to [0, 1], and a second one that is black, for want of an earlier image, stays so.
+
+    Args:
+        crops: Shape (N, C, S, S), float32 in [0, 1].
+        features: Shape (N, F), float32.
+        augmentation: What to do.
+        feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
+        random: A generator on the CPU, whatever the device of the crops: the same seed draws the same.
+    """
+    has_earlier = crops[:, 1:].amax(dim=(2, 3), keepdim=True) > 0
+    crops = _moved(crops, augmentation, random)
+    if augmentation.gamma:
+        gamma = _uniform(len(crops), 1 - augmentation.gamma, 1 + augmentation.gamma, random)
+        crops = crops.clamp_min(0) ** (1 / gamma).to(crops.device)[:, None, None, None]
+    if augmentation.noise:
+        strength = _uniform(len(crops), 0, augmentation.noise, random).to(crops.device)
+        noise = torch.empty(crops.shape).normal_(generator=random).to(crops.device)
+        crops = (crops + strength[:, None, None, None] * noise).clamp(0, 1)
+    if augmentation.normalise:
+        crops = stretched(crops)
+    crops = torch.cat([crops[:, :1], crops[:, 1:] * has_earlier], dim=1) if crops.shape[1] > 1 else crops
+    if augmentation.history_dropout and crops.shape[1] > 1:
+        is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
+        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
+        if features.shape[1]:  # one of them says whether there is an earlier image
+            features = features.clone()
+            features[:, HAS_EARLIER] *= is_kept
+    if augmentation.feature_noise and features.shape[1]:
+        noise = torch.empty(features.shape).normal_(generator=random).to(features.device)
+        features = features + augmentation.feature_noise * feature_scale * noise
+    return crops, features
+
+
+def stretched(crops: Tensor) -> Tensor:
+    """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant ones are zero.
+
+    A second channel is stretched alike and cut at 0 and 1, as `classifier.inputs` does.
+    """
+    low = crops[:, :1].amin(dim=(2, 3), keepdim=True)
+    width = crops[:, :1].amax(dim=(2, 3), keepdim=True) - low
+    return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0).clamp(0, 1)
+
+
+def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
+    """Where each pixel of the altered crop is read: shape (N, 2, 3), from and to [-1, 1] as `affine_grid` has it.
+
+    Read backwards, from the result to the crop: the cut-out of size (w, h) around a centre such that it stays inside,
+    turned about the crop's own centre, reflected. Area and ratio are drawn as in torchvision's RandomResizedCrop; a
+    side that would be longer than the crop is cut to it, where torchvision draws again.
+    """
+    angle = torch.deg2rad(_uniform(num_maps, -augmentation.rotation_deg, augmentation.rotation_deg, random))
+    area = _uniform(num_maps, augmentation.min_area, 1, random)
+    limit = math.log(augmentation.max_ratio)
+    ratio = torch.exp(_uniform(num_maps, -limit, limit, random))
+    width, height = (area * ratio).sqrt().clamp_max(1), (area / ratio).sqrt().clamp_max(1)
+    x = (1 - width) * _uniform(num_maps, -1, 1, random)
+    y = (1 - height) * _uniform(num_maps, -1, 1, random)
+    sign = torch.where(_uniform(num_maps, 0, 1, random) < augmentation.flip, -1.0, 1.0)
+    cos, sin = angle.cos(), angle.sin()
+    rows = (sign * cos * width, -sign * sin * height, sign * (cos * x - sin * y), sin * width, cos * height)
+    return torch.stack([*rows, sin * x + cos * y], dim=1).view(num_maps, 2, 3)
+
+
+def _moved(crops: Tensor, augmentation: Augmentation, random: torch.Generator) -> Tensor:
+    is_turned = augmentation.rotation_deg or augmentation.min_area < 1 or augmentation.max_ratio > 1
+    if not is_turned:  # no interpolation where it is not needed
+        if not augmentation.flip:
+            return crops
+        is_flipped = (_uniform(len(crops), 0, 1, random) < augmentation.flip).to(crops.device)
+        return torch.where(is_flipped[:, None, None, None], crops.flip(3), crops)
+    maps = affine_maps(len(crops), augmentation, random).to(crops.device)
+    grid = functional.affine_grid(maps, list(crops.shape), align_corners=False)
+    return functional.grid_sample(crops, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+
+
+def _uniform(num_values: int, low: float, high: float, random: torch.Generator) -> Tensor:
+    return torch.rand(num_values, generator=random) * (high - low) + low

@@ -1,0 +1,59 @@
+"""Which samples an epoch learns from, in which order, and how much each counts."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.lab.evaluation.boxes.lights import LAMP, LIGHT_KINDS
+from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
+from foreglow.lab.learning.recipes import Recipe
+from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples
+
+
+def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
+    """The samples of an epoch in the order in which they are learnt from: shape (M,), without ignored ones.
+
+    All positives are among them, and as many negatives as the recipe allows, chosen anew in every epoch.
+    """
+    random = np.random.default_rng([recipe.seed, epoch])
+    positives, negatives = np.flatnonzero(labels == POSITIVE), np.flatnonzero(labels == NEGATIVE)
+    if recipe.max_negatives_per_positive is not None:
+        num_kept = min(len(negatives), math.ceil(recipe.max_negatives_per_positive * len(positives)))
+        negatives = random.choice(negatives, num_kept, replace=False)
+    return random.permutation(np.concatenate([positives, negatives]))
+
+
+def batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.intp]]:
+    """All indices, batch by batch; the last is left out where it is a single one, which has no batch statistics."""
+    for start in range(0, len(indices), batch_size):
+        if len(indices) - start > 1 or len(indices) == 1:
+            yield indices[start : start + batch_size]
+
+
+def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32]:
+    """Weight of each sample, shape (N,): 1 for negatives, and on average over the positives."""
+    is_positive = samples.labels == POSITIVE
+    _, group, counts = np.unique(samples.groups[is_positive], return_inverse=True, return_counts=True)
+    weights = np.ones(len(samples))
+    found = counts[group] ** -float(group_balance)
+    weights[is_positive] = found / found.mean()
+    return weights.astype(np.float32)
+
+
+def is_direct(samples: Samples) -> NDArray[np.float32]:
+    """Shape (N,): 1 for a lamp itself, 0 for light on something, NaN without light or where that is not known."""
+    is_known = (samples.labels == POSITIVE) & (samples.groups != NO_GROUP)
+    return np.where(is_known, samples.groups // 2 == LIGHT_KINDS.index(LAMP), np.nan).astype(np.float32)
+
+
+def content_digest(samples: Samples) -> str:
+    """SHA-256 of the samples themselves."""
+    digest = hashlib.sha256()
+    for name in ARRAYS:
+        digest.update(np.ascontiguousarray(getattr(samples, name)).data)
+    return digest.hexdigest()

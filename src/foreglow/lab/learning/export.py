@@ -1,0 +1,196 @@
+"""Writing the classifier as ONNX, laid out so that ONNX Runtime's blocked convolutions run well.
+
+The graph computes what `Layers` says, in an arrangement of its own. All of it is exact:
+
+- The last row and column of conv4 are never pooled (23 is odd), so the last two rows and columns of the crop are
+  read by nothing that counts: they are cut off, which saves 7 % of everything.
+- A narrow convolution followed by the largest of 2x2 is written as one convolution of stride 2 with four times the
+  channels, one for each place in the 2x2, and the largest over these four ("phases"). ONNX Runtime computes 8 or 16
+  channels at the price of one, and a narrow layer leaves most of them idle.
+- conv1, when it precedes such a layer, is written in phases too: its block is fuller, and conv2 has small filters.
+- Channel counts above 8 are filled up to multiples of four with zeros, without which a slower convolution is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.files import write_atomic
+from foreglow.lab.learning.layers import NUM_CONVOLUTIONS, POOLED, SIZE_PX, Layers
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
+
+# ReduceMax still has its axes as an attribute; read by every ONNX Runtime since 1.12.
+OPSET, IR_VERSION = 17, 8
+_READ_PX = SIZE_PX - 2
+_MAX_CHANNELS_IN_PHASES = 12
+_MAX_UNFILLED_CHANNELS = 8
+# Channels that ONNX Runtime computes at a time with AVX-512; fewer inputs than these are read as they are.
+_BLOCK = 16
+
+
+def write_onnx(layers: Layers, path: Path, metadata: Mapping[str, str]) -> None:
+    """Writes the network to `path`, replacing what is there only once the new file is complete.
+
+    The model reads `crops`, float32 (N, 1, 64, 64), and writes `logits`, float32 (N, 1). Equal layers and metadata
+    give equal bytes.
+
+    Raises:
+        OSError: If the file cannot be written; nothing is left behind then.
+    """
+    write_atomic(path, build_onnx(layers, metadata).SerializeToString(deterministic=True))
+
+
+def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
+    """The network as an ONNX model."""
+    from onnx import TensorProto, checker, helper
+
+    graph = Graph()
+    layers = _filled_up(layers)
+    name, size_px = graph.cut("crops", _READ_PX), _READ_PX
+    phases = (1, 1)  # of the image called `name`
+    for index in range(NUM_CONVOLUTIONS):
+        weight, bias = layers.weights[index], layers.biases[index]
+        size_px -= weight.shape[2] - 1
+        is_pooled_next = index == 0 and _is_narrow(layers, 0) and _is_narrow(layers, 1)
+        if index in POOLED and _is_narrow(layers, index):
+            name, phases = graph.convolution(name, weight, bias, phases, (2, 2)), (1, 1)
+            size_px //= 2
+            name = graph.largest_phase(name, len(bias), size_px)
+        else:
+            wanted = _phases_of_first(len(bias)) if is_pooled_next else (1, 1)
+            name, phases = graph.convolution(name, weight, bias, phases, wanted), wanted
+            if index in POOLED:
+                size_px //= 2
+                name = graph.node("MaxPool", name, kernel_shape=[2, 2], strides=[2, 2])
+    name = graph.node("Flatten", graph.node("AveragePool", name, kernel_shape=[size_px, size_px]))
+    for weight, bias in zip(layers.weights[NUM_CONVOLUTIONS:-1], layers.biases[NUM_CONVOLUTIONS:-1], strict=True):
+        name = graph.node("Relu", graph.linear(name, weight, bias))
+    graph.linear(name, layers.weights[-1], layers.biases[-1], output="logits")
+
+    model = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "foreglow_classifier",
+            [helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", 1, SIZE_PX, SIZE_PX])],
+            [helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N", 1])],
+            graph.constants,
+        ),
+        producer_name="foreglow",
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+    )
+    helper.set_model_props(model, dict(sorted(metadata.items())))
+    checker.check_model(model)
+    return model
+
+
+def phase_filters(
+    weight: NDArray[np.float64], reads: tuple[int, int] = (1, 1), writes: tuple[int, int] = (1, 1)
+) -> NDArray[np.float64]:
+    """Filters that compute the same convolution from an input in phases, to an output in phases.
+
+    An image in phases of (R, C) has the pixel (r, c) of each block of R x C pixels as channels of their own: channel
+    (r C + c) x channels + channel. The stride that belongs to the filters is `writes` over `reads`, axis by axis.
+
+    Args:
+        weight: Shape (outputs, inputs, rows, columns).
+        reads: Phases (rows, columns) of the input.
+        writes: Phases of the output, whole multiples of those of the input.
+
+    Returns:
+        Shape (outputs x phases written, inputs x phases read, rows, columns), rows and columns in blocks read.
+    """
+    outputs, inputs, *sides = weight.shape
+    cells = [-(-(write - 1 + side) // read) for side, read, write in zip(sides, reads, writes, strict=True)]
+    result = np.zeros((*writes, outputs, *reads, inputs, *cells))
+    for place in np.ndindex(*writes):
+        for tap in np.ndindex(*sides):
+            (row, row_phase), (column, column_phase) = (
+                divmod(at + shift, read) for at, shift, read in zip(place, tap, reads, strict=True)
+            )
+            result[(*place, slice(None), row_phase, column_phase, slice(None), row, column)] = weight[(..., *tap)]
+    return result.reshape(outputs * writes[0] * writes[1], inputs * reads[0] * reads[1], *cells)
+
+
+def _is_narrow(layers: Layers, index: int) -> bool:
+    return len(layers.biases[index]) <= _MAX_CHANNELS_IN_PHASES
+
+
+def _phases_of_first(num_channels: int) -> tuple[int, int]:
+    """Phases in which conv1 is written for a narrow conv2: side by side while that stays below one block of 16."""
+    return (1, 2) if 2 * num_channels < _BLOCK else (2, 2)
+
+
+def _filled_up(layers: Layers) -> Layers:
+    """`layers` with dead channels, so that every convolution but the last has up to 8 or a multiple of four."""
+    weights, biases = list(layers.weights), list(layers.biases)
+    for index in range(NUM_CONVOLUTIONS - 1):
+        num_channels = len(biases[index])
+        if num_channels <= _MAX_UNFILLED_CHANNELS:
+            continue
+        num_added = -num_channels % 4
+        biases[index] = np.pad(biases[index], (0, num_added))
+        weights[index] = np.pad(weights[index], ((0, num_added), (0, 0), (0, 0), (0, 0)))
+        weights[index + 1] = np.pad(weights[index + 1], ((0, 0), (0, num_added), (0, 0), (0, 0)))
+    return Layers(tuple(weights), tuple(biases))
+
+
+class Graph:
+    """Nodes and constants of an ONNX graph under construction; every method returns the name of a result."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def node(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
+        """A node of the graph."""
+        from onnx import helper
+
+        output = output or f"{operator.lower()}{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [output], name=output, **attributes))
+        return output
+
+    def constant(self, values: NDArray[Any] | list[int]) -> str:
+        """A constant of the graph, float32, or int64 for a list."""
+        from onnx import numpy_helper
+
+        array = np.array(values, np.int64) if isinstance(values, list) else np.ascontiguousarray(values, np.float32)
+        name = f"constant{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+    def cut(self, name: str, size_px: int) -> str:
+        """The first `size_px` rows and columns."""
+        bounds = (self.constant(values) for values in ([0, 0], [size_px, size_px], [2, 3]))
+        return self.node("Slice", name, *bounds)
+
+    def convolution(
+        self, name: str, weight: NDArray[Any], bias: NDArray[Any], reads: tuple[int, int], writes: tuple[int, int]
+    ) -> str:
+        """A convolution and ReLU, from an image in phases `reads` to one in phases `writes`."""
+        filters = phase_filters(weight, reads, writes)
+        result = self.node(
+            "Conv",
+            name,
+            self.constant(filters),
+            self.constant(np.tile(bias, writes[0] * writes[1])),
+            kernel_shape=list(filters.shape[2:]),
+            strides=[write // read for read, write in zip(reads, writes, strict=True)],
+        )
+        return self.node("Relu", result)
+
+    def largest_phase(self, name: str, num_channels: int, size_px: int) -> str:
+        """The largest over the four phases."""
+        shape = self.constant([0, 4, num_channels, size_px, size_px])
+        return self.node("ReduceMax", self.node("Reshape", name, shape), axes=[1], keepdims=0)
+
+    def linear(self, name: str, weight: NDArray[Any], bias: NDArray[Any], output: str = "") -> str:
+        """A fully connected layer."""
+        return self.node("Gemm", name, self.constant(weight), self.constant(bias), output=output, transB=1)

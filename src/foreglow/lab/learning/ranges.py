@@ -1,0 +1,269 @@
+"""Fits the model of `road_surface` to lights whose ranges are known, such as those of simulated drives.
+
+What is lit need not be known: each light's range is explained by the mixture of all kinds, and the likelihood of the
+true ranges is maximised. Offsets and heights of the kinds stay as they are assumed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import tomli_w
+
+from foreglow.config import PipelineConfig
+from foreglow.datasets import PVDN, split_folder
+from foreglow.distance.hypotheses import (
+    Hypotheses,
+    Parameters,
+    cells_along,
+    log_weights,
+    parameters_of,
+    read_hypotheses,
+)
+from foreglow.distance.road_surface import RoadSurface, View
+from foreglow.distance.weighing import weighed_ranges
+from foreglow.files import write_atomic
+from foreglow.geometry import Floats
+from foreglow.lab.evaluation.boxes.matching import smallest_box
+from foreglow.lab.simulation import read_truth
+from foreglow.proposals import make_proposer
+from foreglow.types import Detections
+
+if TYPE_CHECKING:
+    import torch
+
+PRIOR = Path(__file__).with_name("road_surface_prior.toml")
+"""The kinds of light as they are assumed: what every fit starts from."""
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Told the step, how much of it is done, and of how much."""
+
+SIGNED_OF_KINDS = ("log_share", "log_range", "features", "pair_logit")
+SPREADS_OF_KINDS = ("offset_sigma_m", "height_sigma_m")
+SHARED_SPREADS = ("range_log_sigma", "feature_sigmas", "pixel_sigma_rad", "slope_sigma", "box_shares")
+POSITIVE = (*SPREADS_OF_KINDS, *SHARED_SPREADS)
+"""These are fitted by their logarithms."""
+
+FITTED = (*SIGNED_OF_KINDS, "feature_slopes", *POSITIVE)
+"""Fields of `Parameters` that are fitted."""
+
+PRIOR_SIGMAS = {"log_share": 2.0, "log_range": 1.0, "features": 3.0, "feature_slopes": 0.7, "pair_logit": 2.0}
+POSITIVE_PRIOR_SIGMA = 0.5
+"""How far the fit may move, as if one light spoke against it; in logarithms for the second."""
+
+TOLERANCE = 0.1
+"""A range explains the truth if their logarithms differ by so much, one sigma; places are 11 % apart."""
+
+FLOOR = math.exp(-12.0)
+"""Likelihood of a range that no hypothesis explains: no light may rule the fit."""
+
+BATCH = 64
+EPOCHS = 12
+LEARNING_RATE = 0.03
+NUM_RANGE_BINS = 8
+MAX_BALANCE = 4.0
+"""Lights of rare ranges count for up to so many: where encounters happen differs from drive to drive."""
+
+COVERAGES = (0.68, 0.94)
+"""Shares within one and two sigmas; tails are heavier than those of a Gaussian."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangedView:
+    """What one image offers to the model, and how far away the lights in its boxes are; shape (N,), metres."""
+
+    view: View
+    truth_m: Floats
+
+
+def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: Progress | None = None) -> Hypotheses:
+    """The model fitted on the train split of `data`, with sigmas scaled on its val split.
+
+    Args:
+        data: A data set of simulated drives.
+        config: Its proposals are the boxes, its distance says where pitch and our place come from.
+        seed: Of the order in which images are shown.
+        progress: Told how many images and epochs are done.
+
+    Raises:
+        FileNotFoundError: If a file of the data set is missing.
+        ValueError: If one is broken, or no light in it has a box and a known range.
+    """
+    train, val = (list(ranged_views(split_folder(data, name), config, progress)) for name in ("train", "val"))
+    if not train or not val:
+        raise ValueError(f"{data}: expected lights with a box and a known range in train and val, found none")
+    fitted = _fitted(read_hypotheses(PRIOR), train, seed, progress)
+    scaled = fitted.model_copy(update={"sigma_scale": _sigma_scale(fitted, val)})
+    return scaled.model_copy(update={"origin": f"{sum(len(one.truth_m) for one in train)} lights of {data.name}/train"})
+
+
+def write_hypotheses(path: Path, model: Hypotheses) -> None:
+    """Writes `model` as TOML that `read_hypotheses` reads back.
+
+    Raises:
+        OSError: If that fails.
+    """
+    write_atomic(path, tomli_w.dumps(model.model_dump()).encode())
+
+
+def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None = None) -> Iterator[RangedView]:
+    """The images of the split in `root` with lights whose ranges are known; a light's box is the smallest around it."""
+    dataset, truth = PVDN(root), read_truth(root)
+    proposer, estimator = make_proposer(config.proposals), RoadSurface(config.distance)
+    num_done = 0
+    for drive in truth:
+        estimator.reset()
+        for known in drive.frames:
+            frame = dataset.read(known.image_id)
+            proposals = proposer.propose(frame.image)
+            boxes = Detections(proposals, np.ones(len(proposals), np.float32), 0.0)
+            view = estimator.view(frame, boxes)
+            lights = [artifact for vehicle in known.vehicles for artifact in vehicle.artifacts]
+            found = [
+                (place, light.depth_m)
+                for light in lights
+                if not (light.is_doubtful or math.isnan(light.depth_m))
+                and (place := smallest_box(light.position_px, proposals.boxes_xyxy_px)) is not None
+            ]
+            if found:
+                places, truth_m = zip(*found, strict=True)
+                its_boxes = type(view.boxes)(*(one[list(places)] for one in view.boxes))
+                yield RangedView(view._replace(boxes=its_boxes), np.array(truth_m))
+            num_done += 1
+            if progress is not None:
+                progress(f"images of {root.name}", num_done, len(dataset))
+
+
+def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Progress | None) -> Hypotheses:
+    """`start` with the numbers of greatest likelihood, times the prior about `start`."""
+    import torch
+
+    rng = np.random.default_rng(seed)
+    initial = _as_tensors(parameters_of(start))
+    free = {name: _raw(name, getattr(initial, name)).clone().requires_grad_() for name in FITTED}
+    balance = _balance(views)
+    tensors = [_tensor_view(one.view) for one in views]
+    optimiser = torch.optim.Adam(free.values(), lr=LEARNING_RATE)
+    num_batches = math.ceil(len(views) / BATCH)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS * num_batches)
+    for epoch in range(EPOCHS):
+        for batch in np.array_split(rng.permutation(len(views)), num_batches):
+            parameters = _with_fitted(initial, free)
+            loss = _prior(initial, free) * (len(batch) / len(views))
+            for place in batch.tolist():
+                likelihoods = _log_likelihoods(parameters, tensors[place], torch.as_tensor(views[place].truth_m))
+                loss = loss - (torch.as_tensor(balance[place]) * likelihoods).sum()
+            optimiser.zero_grad()
+            (loss / len(batch)).backward()
+            optimiser.step()
+            schedule.step()
+        if progress is not None:
+            progress("epochs", epoch + 1, EPOCHS)
+    final = _with_fitted(initial, free)
+    return _model_of(start, Parameters(*(one.detach().numpy() for one in final)))
+
+
+def _log_likelihoods(parameters: Parameters, view: View, truth_m: torch.Tensor) -> torch.Tensor:
+    """Log density of the true log ranges under the mixture of all hypotheses, shape (N,)."""
+    import torch
+
+    cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad, torch)
+    weights = torch.log_softmax(log_weights(parameters, cells, view.boxes, torch), dim=1)
+    offs = (cells.log_ranges - truth_m.log()[:, None]) / TOLERANCE
+    kernel = -0.5 * offs * offs - math.log(TOLERANCE * math.sqrt(2.0 * math.pi))
+    return torch.log(torch.exp(torch.logsumexp(weights + kernel, dim=1)) + FLOOR)
+
+
+def _balance(views: list[RangedView]) -> list[Floats]:
+    """Weight of each light: lights of all ranges count alike, as far as `MAX_BALANCE` allows."""
+    logs = np.log(np.concatenate([one.truth_m for one in views]))
+    edges = np.quantile(logs, (0.01, 0.99))
+    bins = np.clip(((logs - edges[0]) / (edges[1] - edges[0]) * NUM_RANGE_BINS).astype(int), 0, NUM_RANGE_BINS - 1)
+    counts = np.bincount(bins, minlength=NUM_RANGE_BINS)
+    weights = np.minimum(counts.max() / counts[bins], MAX_BALANCE)
+    ends = np.cumsum([len(one.truth_m) for one in views])[:-1]
+    return np.split(weights / weights.mean(), ends)
+
+
+def _prior(initial: Parameters, free: dict[str, torch.Tensor]) -> Any:
+    """Minus the log prior of the fitted numbers."""
+    total: Any = 0.0
+    for name, raw in free.items():
+        offs = raw - _raw(name, getattr(initial, name))
+        total = total + 0.5 * ((offs / PRIOR_SIGMAS.get(name, POSITIVE_PRIOR_SIGMA)) ** 2).sum()
+    return total
+
+
+def _raw(name: str, value: torch.Tensor) -> torch.Tensor:
+    return value.log() if name in POSITIVE else value
+
+
+def _with_fitted(initial: Parameters, free: dict[str, torch.Tensor]) -> Parameters:
+    """`initial` with the fitted numbers; the slopes of shape and contrast are the same for all kinds."""
+    import torch
+
+    values = {name: raw.exp() if name in POSITIVE else raw for name, raw in free.items()}
+    slopes = values["feature_slopes"]
+    shared = slopes[:, 1:].mean(dim=0, keepdim=True).expand(len(slopes), -1)
+    values["feature_slopes"] = torch.cat([slopes[:, :1], shared], dim=1)
+    return initial._replace(**values)
+
+
+def _as_tensors(numbers: Parameters) -> Parameters:
+    import torch
+
+    return Parameters(*(torch.as_tensor(one if one.dtype == np.bool_ else one.astype(np.float64)) for one in numbers))
+
+
+def _tensor_view(view: View) -> View:
+    """The view with arrays as tensors."""
+    import torch
+
+    boxes = type(view.boxes)(*(torch.as_tensor(one) for one in view.boxes))
+    road = view.road
+    if road is not None:
+        arrays: dict[str, Any] = {
+            field.name: torch.as_tensor(value)
+            for field in dataclasses.fields(road)
+            if isinstance(value := getattr(road, field.name), np.ndarray)
+        }
+        road = dataclasses.replace(road, **arrays)
+    return view._replace(road=road, boxes=boxes)
+
+
+def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
+    """`start` with the fitted `numbers`, rounded to what matters."""
+
+    def plain(value: Any) -> Any:
+        return float(f"{float(value):.4g}") if np.ndim(value) == 0 else tuple(plain(one) for one in value)
+
+    kinds = [
+        {
+            **kind.model_dump(),
+            **{name: plain(getattr(numbers, name)[place]) for name in SIGNED_OF_KINDS + SPREADS_OF_KINDS},
+            "size_slope": plain(numbers.feature_slopes[place, 0]),
+        }
+        for place, kind in enumerate(start.kinds)
+    ]
+    shared = {name: plain(getattr(numbers, name)) for name in SHARED_SPREADS}
+    fields = {**shared, "feature_slopes": plain(numbers.feature_slopes[0, 1:]), "kinds": kinds}
+    return Hypotheses.model_validate({**start.model_dump(), **fields})
+
+
+def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
+    """The factor on the sigmas: between those with which one, and two, hold `COVERAGES`."""
+    parameters = parameters_of(model)
+    ratios = []
+    for one in views:
+        view = one.view
+        cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad)
+        near_m, range_m, far_m = weighed_ranges(parameters, cells, view.boxes)
+        ratios.append(np.abs(range_m - one.truth_m) / (0.5 * (far_m - near_m)))
+    one_sigma, two_sigmas = np.quantile(np.concatenate(ratios), COVERAGES)
+    return round(math.sqrt(one_sigma * two_sigmas / 2.0), 3)

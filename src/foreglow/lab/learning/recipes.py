@@ -1,0 +1,229 @@
+"""Recipes: everything but the data that decides a training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import tomli_w
+from pydantic import Field, model_validator
+
+from foreglow.classifier.inputs import FEATURES, InputSpec
+from foreglow.config import FrozenModel, read_toml, validated
+from foreglow.lab.learning.samples import Inputs, Jitter
+
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+
+
+class Augmentation(FrozenModel):
+    """What is done to a crop before it is learnt from; the defaults do nothing.
+
+    Attributes:
+        flip: Probability of a reflection left to right.
+        rotation_deg: The crop turns by up to this to either side; what comes in from outside is black.
+        min_area: The part that is cut out and stretched back to the crop's size has at least this share of its area.
+        max_ratio: That part is up to this many times wider than high, or higher than wide; even in the logarithm.
+        gamma: The exponent is 1 / g with g in 1 - gamma .. 1 + gamma.
+        noise: Standard deviation of the noise on every pixel, drawn for each crop between 0 and this; white is 1.
+        normalise: Stretch every crop to [0, 1] afterwards by its own range, a second channel by that of the first.
+        history_dropout: Probability that the second channel, the earlier image, is black, as at a sequence's start.
+        feature_noise: Standard deviation of the noise on the features, in standard deviations of each over the
+            training samples.
+    """
+
+    flip: Share = 0.0
+    rotation_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    min_area: Annotated[float, Field(gt=0, le=1)] = 1.0
+    max_ratio: Annotated[float, Field(ge=1, le=10)] = 1.0
+    gamma: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    noise: Share = 0.0
+    normalise: bool = False
+    history_dropout: Share = 0.0
+    feature_noise: Annotated[float, Field(ge=0, le=10)] = 0.0
+
+
+class Recipe(FrozenModel):
+    """How a network is trained.
+
+    Attributes:
+        network: Name of the network, a key of `networks.NETWORKS`.
+        inputs: What the network reads.
+        jitter: Moved and resized copies of the training boxes.
+        epochs: Passes over the training samples, at most.
+        patience: Epochs without a better one after which training ends; None trains all epochs.
+        batch_size: Samples of one step.
+        optimiser: `adam` adds the weight decay to the gradient (L2, as published), `adamw` takes it off the weights.
+        learning_rate: At the start, or after the warm-up.
+        weight_decay: Strength of the optimiser's decay; `adamw` leaves biases and normalisation without.
+        schedule: `plateau` multiplies the rate by `plateau_factor` once the validation loss has not fallen for more
+            than `plateau_patience` epochs; `cosine` falls from step to step to zero at the last epoch; `constant`.
+        plateau_factor: See `schedule`.
+        plateau_patience: See `schedule`.
+        warmup_epochs: The rate rises from zero over this many epochs, fractions allowed; not with `plateau`.
+        max_gradient: The gradient's norm is cut to this; None leaves it.
+        ema_decay: The weights that are validated and kept are a running mean, of which each step keeps this share;
+            0 keeps the weights themselves.
+        positive_weight: Weight of a positive sample against a negative one in the loss: `balanced` is negatives over
+            positives (as published), `equal` is 1.
+        group_balance: How evenly groups of light artifacts (what the light is seen on, vehicle hidden or in sight)
+            count among the positives: 0 each sample alike, 1 each group alike; weights go with 1 / number to this
+            power, and are 1 on average.
+        label_smoothing: Labels are drawn by this share towards 1/2.
+        direct_weight: Weight of a second loss, of lamps against their light on something, which count alike; 0 for
+            networks that only say whether there is light.
+        max_negatives_per_positive: Each epoch sees at most this many negatives for each positive, others each time;
+            None for all.
+        augmentation: What is done to crops; validation samples are never touched.
+        best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5.
+        calibration: `temperature` divides the logits so that the scores of the validation samples say how often they
+            are right, `platt` also shifts them (which moves the threshold); `none` leaves them.
+        precision: `bf16` computes with bfloat16 where that is safe: faster on processors and GPUs that have it.
+        seed: Of everything that is drawn.
+
+    Source: Ewecker et al., arXiv 2107.11302, and the published code, for what `RECIPES["paper"]` sets.
+    """
+
+    network: str
+    inputs: Inputs = InputSpec()
+    jitter: Jitter = Jitter()
+    epochs: Annotated[int, Field(ge=1, le=100_000)]
+    patience: Annotated[int, Field(ge=1)] | None = None
+    batch_size: Annotated[int, Field(ge=2, le=65536)]
+    optimiser: Literal["adam", "adamw"]
+    learning_rate: Annotated[float, Field(gt=0, le=10)]
+    weight_decay: Annotated[float, Field(ge=0, le=10)]
+    schedule: Literal["plateau", "cosine", "constant"]
+    plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    plateau_patience: Annotated[int, Field(ge=0)] = 5
+    warmup_epochs: Annotated[float, Field(ge=0)] = 0.0
+    max_gradient: Annotated[float, Field(gt=0)] | None = None
+    ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    positive_weight: Literal["balanced", "equal"] = "balanced"
+    group_balance: Share = 0.0
+    label_smoothing: Share = 0.0
+    direct_weight: Annotated[float, Field(ge=0, le=10)] = 0.0
+    max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
+    augmentation: Augmentation = Augmentation()
+    best_by: Literal["loss", "f1"] = "loss"
+    calibration: Literal["none", "temperature", "platt"] = "temperature"
+    precision: Literal["fp32", "bf16"] = "fp32"
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+
+    @model_validator(mode="after")
+    def _check(self) -> Recipe:
+        if self.schedule == "plateau" and self.warmup_epochs:
+            raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
+        if self.warmup_epochs > self.epochs:
+            raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
+        return self
+
+    @property
+    def num_outputs(self) -> int:
+        """Logits of a sample: of light, and of a lamp itself where that is learnt."""
+        return 2 if self.direct_weight else 1
+
+
+RECIPES: dict[str, Recipe] = {
+    # Paper: 300 epochs, Adam 1e-3, batch 64, weight decay 0.01, BCE. Published code: the rest.
+    "paper": Recipe(
+        network="paper",
+        epochs=300,
+        batch_size=64,
+        optimiser="adam",
+        learning_rate=1e-3,
+        weight_decay=0.01,
+        schedule="plateau",
+        augmentation=Augmentation(flip=0.5, rotation_deg=20.0, min_area=0.8, max_ratio=1.5, gamma=0.2, normalise=True),
+    ),
+    "foreglow": Recipe(
+        network="compact",
+        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES)),
+        jitter=Jitter(num_copies=2),
+        epochs=36,
+        batch_size=256,
+        optimiser="adamw",
+        learning_rate=2e-3,
+        weight_decay=0.01,
+        schedule="cosine",
+        warmup_epochs=1.0,
+        max_gradient=5.0,
+        ema_decay=0.998,
+        max_negatives_per_positive=4.0,
+        group_balance=0.25,
+        direct_weight=0.5,
+        augmentation=Augmentation(
+            flip=0.5,
+            rotation_deg=8.0,
+            min_area=0.8,
+            max_ratio=1.2,
+            gamma=0.3,
+            noise=0.03,
+            normalise=True,
+            history_dropout=0.15,
+            feature_noise=0.2,
+        ),
+        best_by="f1",
+        calibration="platt",
+    ),
+}
+"""Recipes by name."""
+
+
+_NONE = "none"
+_OPTIONAL = ("patience", "max_gradient", "max_negatives_per_positive")
+
+
+def recipe(name: str) -> Recipe:
+    """The recipe called `name`.
+
+    Raises:
+        ValueError: If there is no such recipe; the message lists those that exist.
+
+    >>> recipe("paper").epochs
+    300
+    """
+    if name not in RECIPES:
+        raise ValueError(f"recipe: expected one of {', '.join(RECIPES)}, got {name!r}")
+    return RECIPES[name]
+
+
+def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Recipe:
+    """`base` with some fields changed; a table, such as `augmentation`, changes only the fields that it names.
+
+    Raises:
+        ValueError: If a field is unknown or out of range; the message names `origin` and the field.
+    """
+    merged: dict[str, Any] = base.model_dump()
+    for name, value in fields.items():
+        known = merged.get(name)
+        merged[name] = known | value if isinstance(known, dict) and isinstance(value, dict) else value
+    return validated(Recipe, merged, origin)
+
+
+def read_recipe(path: Path, base: Recipe) -> Recipe:
+    """The recipe in the TOML file `path`; what it does not mention comes from `base`.
+
+    TOML knows no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive` and
+    `inputs.lag_s`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
+    """
+    fields = _mapped(read_toml(path), lambda value: None if value == _NONE else value)
+    return changed(base, fields, str(path))
+
+
+def recipe_to_toml(recipe: Recipe) -> str:
+    """`recipe` as TOML text that `read_recipe` reads back equal, over any base."""
+    return tomli_w.dumps(_mapped(recipe.model_dump(mode="json"), lambda value: _NONE if value is None else value))
+
+
+def _mapped(fields: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    """`fields` with the values that may be None changed."""
+    inputs = fields.get("inputs")
+    optional = {name: change(value) for name, value in fields.items() if name in _OPTIONAL}
+    if isinstance(inputs, dict) and "lag_s" in inputs:
+        optional["inputs"] = inputs | {"lag_s": change(inputs["lag_s"])}
+    return fields | optional

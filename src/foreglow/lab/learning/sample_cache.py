@@ -1,0 +1,126 @@
+"""Samples on disk, so that a second training does not decode, propose and crop again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from foreglow import _native, classifier, proposals
+from foreglow.datasets import PVDN
+from foreglow.datasets.images import NPY_ERRORS
+from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
+
+FORMAT = 1
+"""Counts up when samples made from the same images and configuration change."""
+
+_DONE = "samples.json"
+_HEADER_BYTES = 128
+
+
+def cached_samples(dataset: PVDN, config: SampleConfig, cache: Path, progress: Progress | None = None) -> Samples:
+    """The samples of the selected images of `dataset`, memory-mapped from a folder in `cache`.
+
+    They are collected if they are not there for these images, labels and this configuration, and written image by
+    image: 0.35 GB for 86,000 crops of 64x64. When that is interrupted nothing is left behind.
+
+    Raises:
+        FileNotFoundError: If an image or a label file is missing.
+        ValueError: If one of them is broken.
+        OSError: If the samples cannot be written.
+    """
+    digest = samples_digest(dataset, config)
+    folder = cache / digest[:16]
+    found = _read(folder, digest)
+    if found is not None:
+        return found
+    cache.mkdir(parents=True, exist_ok=True)
+    partial = cache / f".{digest[:16]}.{os.getpid()}.partial"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    try:
+        num_samples = _write(partial, samples_by_image(dataset, config, progress), no_samples(config.inputs))
+        about = {"digest": digest, "data": str(dataset.root), "num_samples": num_samples, "format": FORMAT}
+        (partial / _DONE).write_text(json.dumps(about | {"config": config.model_dump(mode="json")}, indent=2) + "\n")
+        shutil.rmtree(folder, ignore_errors=True)
+        partial.rename(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    written = _read(folder, digest)
+    if written is None:
+        raise ValueError(f"{folder}: expected the samples just written, found them broken")
+    return written
+
+
+def samples_digest(dataset: PVDN, config: SampleConfig) -> str:
+    """SHA-256 of all that decides the samples.
+
+    That is: images (path, size, time of change), labels, configuration, and the code of the two stages.
+    """
+    digest = hashlib.sha256()
+
+    def add(*values: Any) -> None:
+        digest.update(json.dumps(values).encode() + b"\n")
+
+    add(FORMAT, _code_digest(), config.model_dump(mode="json"), dataset.rate_hz)
+    for image_id in dataset.frame_ids:
+        path = dataset.image_path(image_id)
+        state = path.stat()
+        sequence = dataset.sequence(image_id)
+        add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, sequence.id, sequence.start_time_ms)
+        digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
+    return digest.hexdigest()
+
+
+def _code_digest() -> str:
+    """SHA-256 of the files that make boxes and crops, so that no change of theirs meets old samples."""
+    folders = (Path(proposals.__file__).parent, Path(classifier.__file__).parent)
+    files = [Path(_native.__file__), *(path for folder in folders for path in sorted(folder.glob("*.py")))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
+    """Writes all parts as one array a file; returns the number of samples."""
+    files = {name: (folder / f"{name}.npy").open("wb") for name in ARRAYS}
+    try:
+        for name, file in files.items():
+            _write_header(file, getattr(empty, name), 0)
+        num_samples = 0
+        for part in parts:
+            num_samples += len(part)
+            for name, file in files.items():
+                file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
+        for name, file in files.items():
+            _write_header(file, getattr(empty, name), num_samples)
+    finally:
+        for file in files.values():
+            file.close()
+    return num_samples
+
+
+def _write_header(file: BinaryIO, empty: np.ndarray[Any, Any], num_samples: int) -> None:
+    """The header of a .npy file of `num_samples` rows; NumPy leaves room in it for the first axis to grow."""
+    file.seek(0)
+    header = {"descr": empty.dtype.str, "fortran_order": False, "shape": (num_samples, *empty.shape[1:])}
+    np.lib.format.write_array_header_1_0(file, header)
+
+
+def _read(folder: Path, digest: str) -> Samples | None:
+    """The samples in `folder` if they are whole and those of `digest`."""
+    try:
+        if json.loads((folder / _DONE).read_text(encoding="utf-8"))["digest"] != digest:
+            return None
+        # Mapped are the crops alone; NumPy maps no empty array.
+        has_crops = (folder / "crops.npy").stat().st_size > _HEADER_BYTES
+        modes = dict.fromkeys(ARRAYS) | {"crops": "r" if has_crops else None}
+        arrays = {name: np.load(folder / f"{name}.npy", mode, allow_pickle=False) for name, mode in modes.items()}
+        return Samples(**arrays, digest=digest)
+    except (FileNotFoundError, KeyError, *NPY_ERRORS):
+        return None

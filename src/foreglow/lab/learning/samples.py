@@ -1,0 +1,259 @@
+"""Training samples: the classifier's inputs for every proposal of a split, with their labels."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from foreglow.classifier.inputs import InputMaker, InputSpec
+from foreglow.config import FrozenModel, ProposalConfig
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, read_lights
+from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes
+from foreglow.proposals import make_proposer
+from foreglow.types import Boxes, Frame, Proposals
+
+NO_GROUP = -1
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with how many are done and how many there are."""
+
+
+def input_spec(fields: Any) -> Any:
+    """An `InputSpec` of a dict of fields by name, such as a table of a TOML file; anything else as it is.
+
+    Raises:
+        ValueError: If a field is unknown or of another type.
+    """
+    if not isinstance(fields, dict):
+        return fields
+    known = {field.name: field.default for field in dataclasses.fields(InputSpec)}
+    for name, value in fields.items():
+        if name not in known:
+            raise ValueError(f"{name}: unknown, expected one of {', '.join(known)}")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if name == "lag_s" and not (value is None or is_number):
+            raise ValueError(f"{name}: expected a number or none, got {value!r}")
+        if name != "lag_s" and type(value) is not int:
+            raise ValueError(f"{name}: expected a whole number, got {value!r}")
+    return InputSpec(**fields)
+
+
+Inputs: TypeAlias = Annotated[InputSpec, BeforeValidator(input_spec)]
+"""What a model reads, as a field of a configuration."""
+
+
+class Jitter(FrozenModel):
+    """Copies of every box, moved and resized a little before they are cropped.
+
+    They show the network what a box a few pixels beside looks like. A copy keeps the label of its box.
+
+    Attributes:
+        num_copies: Copies of each box, besides the box itself.
+        centre: The centre moves by up to this share of the box's width and height, to either side.
+        min_scale: Width and height shrink to no less than this share, each by itself.
+        max_scale: They grow to no more than this share.
+        seed: Of what is drawn.
+    """
+
+    num_copies: Annotated[int, Field(ge=0, le=16)] = 0
+    centre: Annotated[float, Field(ge=0, le=1)] = 0.15
+    min_scale: Annotated[float, Field(gt=0, le=1)] = 0.85
+    max_scale: Annotated[float, Field(ge=1, le=4)] = 1.2
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class SampleConfig(FrozenModel):
+    """Everything but the data that decides what the samples are."""
+
+    proposals: ProposalConfig = ProposalConfig()
+    inputs: Inputs = InputSpec()
+    jitter: Jitter = Jitter()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """N labelled inputs of a classifier; arrays may be memory-mapped and are not to be written to.
+
+    Attributes:
+        crops: Shape (N, C, S, S), uint8: 255 times the crop, rounded; a second channel is clipped to [0, 1] first.
+        features: Shape (N, F), float32.
+        labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not to be learnt from.
+        groups: Shape (N,), int8: of the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
+            plus 1 where its vehicle is hidden; -1 without light.
+        boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
+        image_ids: Shape (N,), int64; each data set counts its own.
+        sequence_ids: Shape (N,), int32; likewise.
+        digest: Of the data and the configuration that they were made from; empty where unknown.
+
+    Raises:
+        ValueError: If a dtype or a shape is wrong, or a label is none of the three.
+    """
+
+    crops: NDArray[np.uint8]
+    features: NDArray[np.float32]
+    labels: NDArray[np.int8]
+    groups: NDArray[np.int8]
+    boxes_xyxy_px: Boxes
+    image_ids: NDArray[np.int64]
+    sequence_ids: NDArray[np.int32]
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        for name, (dtype, shape) in ARRAYS.items():
+            array = getattr(self, name)
+            is_fitting = len(array) == len(self.labels) and array.ndim == 1 + len(shape)
+            if (
+                array.dtype != dtype
+                or not is_fitting
+                or any(wanted not in (None, found) for wanted, found in zip(shape, array.shape[1:], strict=True))
+            ):
+                wanted_shape = (len(self.labels), *("any" if one is None else one for one in shape))
+                raise ValueError(
+                    f"Samples.{name}: expected {np.dtype(dtype)} of shape {wanted_shape}, "
+                    f"got {array.dtype} of shape {array.shape}"
+                )
+        if not np.isin(self.labels, (POSITIVE, NEGATIVE, IGNORED)).all():
+            raise ValueError("Samples.labels: expected 1, 0 or -1")
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def __getitem__(self, chosen: Any) -> Samples:
+        """Some of the samples: by slice, indices or mask."""
+        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in ARRAYS})
+
+    def num_labelled(self, label: int) -> int:
+        """How many samples have this label."""
+        return int(np.count_nonzero(self.labels == label))
+
+
+# By field of `Samples`: dtype, and shape after the first axis, None where it is free.
+ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
+    "crops": (np.uint8, (None, None, None)),
+    "features": (np.float32, (None,)),
+    "labels": (np.int8, ()),
+    "groups": (np.int8, ()),
+    "boxes_xyxy_px": (np.int32, (4,)),
+    "image_ids": (np.int64, ()),
+    "sequence_ids": (np.int32, ()),
+}
+assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """The samples of several data sets, one or more, in one; in memory, unless it is a single one.
+
+    Raises:
+        ValueError: If they were not made for the same inputs.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
+    has_digests = all(part.digest for part in parts)
+    digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
+    return Samples(**arrays, digest=digest)
+
+
+def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Samples:
+    """All samples of the selected images of `dataset`, in memory.
+
+    For the samples of a large split, which shall be kept between runs, see `sample_cache.cached_samples`.
+
+    Raises:
+        FileNotFoundError: If an image or a keypoint file is missing.
+        ValueError: If one of them is broken.
+    """
+    parts = list(samples_by_image(dataset, config, progress))
+    if not parts:
+        return no_samples(config.inputs)
+    return joined(parts)
+
+
+def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Iterator[Samples]:
+    """The samples of one image after another, in the order of sequences and time; jittered copies follow their boxes.
+
+    The inputs are made as the pipeline makes them: every image of a sequence is shown in order, and what is kept
+    between images is forgotten at a new sequence.
+    """
+    proposer = make_proposer(config.proposals)
+    # What a maker keeps of earlier boxes must not mix a box with its copies.
+    makers = [InputMaker(config.inputs) for _ in range(1 + config.jitter.num_copies)]
+    lights = read_lights(dataset)
+    sequence_id = -1
+    for num_done, image_id in enumerate(dataset.frame_ids):
+        if progress is not None:
+            progress(num_done, len(dataset.frame_ids))
+        if dataset.sequence(image_id).id != sequence_id:
+            sequence_id = dataset.sequence(image_id).id
+            for maker in makers:
+                maker.reset()
+        frame = dataset.read(image_id)
+        boxes = proposer.propose(frame.image).boxes_xyxy_px
+        doubtful_px = np.array([one.position_px for one in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
+        labels = label_boxes(boxes, dataset.keypoints_px(image_id), doubtful_px)
+        groups = box_groups(boxes, lights[image_id])
+        random = np.random.default_rng([config.jitter.seed, image_id])
+        for number, maker in enumerate(makers):
+            shown = boxes if number == 0 else jittered(boxes, frame, config.jitter, random)
+            yield _samples(maker, frame, shown, (labels, groups), sequence_id)
+    if progress is not None:
+        progress(len(dataset.frame_ids), len(dataset.frame_ids))
+
+
+def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
+    """The group of each box as in `Samples.groups`, shape (N,); a lamp is stronger than any other light."""
+    groups = np.full(len(boxes_xyxy_px), NO_GROUP, np.int8)
+    for light in sorted(lights, key=lambda one: -one.rank):  # the strongest last, over all others
+        is_inside = label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE
+        groups[is_inside] = 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden
+    return groups
+
+
+def jittered(boxes_xyxy_px: Boxes, frame: Frame, jitter: Jitter, random: np.random.Generator) -> Boxes:
+    """The boxes moved and resized as `jitter` says, at least one pixel wide and high, cut at the frame's border."""
+    corners = boxes_xyxy_px.astype(np.float64)
+    sizes = corners[:, 2:] - corners[:, :2]
+    centres = (corners[:, :2] + corners[:, 2:]) / 2 + random.uniform(-jitter.centre, jitter.centre, sizes.shape) * sizes
+    sizes = sizes * random.uniform(jitter.min_scale, jitter.max_scale, sizes.shape)
+    limit = np.array([frame.width_px, frame.height_px])
+    lows = np.clip(np.round(centres - sizes / 2), 0, limit - 1)
+    highs = np.clip(np.round(centres + sizes / 2), lows + 1, limit)
+    return np.concatenate([lows, highs], axis=1).astype(np.int32)
+
+
+def no_samples(inputs: InputSpec) -> Samples:
+    """Empty samples of the right shapes."""
+    shapes = {"crops": (inputs.num_channels, inputs.size_px, inputs.size_px), "features": (inputs.num_features,)}
+    arrays: dict[str, Any] = {
+        name: np.empty((0, *shapes.get(name, tuple(one or 0 for one in shape))), dtype)
+        for name, (dtype, shape) in ARRAYS.items()
+    }
+    return Samples(**arrays)
+
+
+def _samples(
+    maker: InputMaker,
+    frame: Frame,
+    boxes_xyxy_px: Boxes,
+    truth: tuple[NDArray[np.int8], NDArray[np.int8]],
+    sequence_id: int,
+) -> Samples:
+    labels, groups = truth
+    inputs = maker.make(frame, Proposals(boxes_xyxy_px))
+    return Samples(
+        crops=np.round(255 * np.clip(inputs.crops, 0, 1)).astype(np.uint8),
+        features=np.asarray(inputs.features, np.float32),
+        labels=labels,
+        groups=groups,
+        boxes_xyxy_px=boxes_xyxy_px,
+        image_ids=np.full(len(labels), frame.frame, np.int64),
+        sequence_ids=np.full(len(labels), sequence_id, np.int32),
+    )

@@ -1,0 +1,222 @@
+"""The whole of `foreglow train`: from a data set and a recipe to a folder with a model and what it is worth."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import math
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from scipy.special import expit
+
+from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.datasets import PVDN, SplitName, split_folder
+from foreglow.files import write_atomic, write_json_results
+from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
+from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
+from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
+from foreglow.lab.learning.sample_cache import cached_samples
+from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
+from foreglow.lab.learning.score_calibrator import Calibrator, fit_calibrator
+from foreglow.lab.learning.scores import box_scores
+from foreglow.provenance import provenance
+
+if TYPE_CHECKING:
+    from foreglow.lab.learning.training import Epoch, TrainingResult
+
+MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
+"""What a training leaves in its folder, besides `training.CURVES` and the checkpoint."""
+
+_NUM_COMPARED = 400
+
+
+class RunProgress(Protocol):
+    """Is told how far a run is: first the samples of both splits, then the training (as `TrainingProgress`)."""
+
+    def samples(self, split: str, num_done: int, num_images: int) -> None:
+        """The samples of `num_done` images of a split are there."""
+        ...
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
+        """As `TrainingProgress.step`."""
+        ...
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
+        """As `TrainingProgress.epoch`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedModel:
+    """What a run made.
+
+    Attributes:
+        folder: Everything is in here.
+        model: The ONNX model, calibrated.
+        summary: The content of `summary.json`.
+        result: Network, epochs and validation logits before calibration.
+    """
+
+    folder: Path
+    model: Path
+    summary: dict[str, Any]
+    result: TrainingResult
+
+
+def train_model(
+    data: Sequence[Path],
+    recipe: Recipe,
+    config: PipelineConfig,
+    folder: Path,
+    *,
+    device: str = "auto",
+    cache: Path | None = None,
+    progress: RunProgress | None = None,
+) -> TrainedModel:
+    """Trains the recipe's network on the boxes that `config` proposes in every DATA/train, chosen on every DATA/val.
+
+    An interrupted run goes on when it is called again with the same arguments.
+
+    Args:
+        data: Data sets with the splits train and val, one or more.
+        recipe: How to train.
+        config: Its proposals are what the network learns to judge.
+        folder: Where everything goes; made if need be.
+        device: `cpu`, `cuda`, or `auto` for a GPU where there is one.
+        cache: Where samples are kept between runs; None keeps them in the folder.
+        progress: Is told how far it is.
+
+    Raises:
+        FileNotFoundError: If a split or one of its files is missing.
+        ValueError: If one is broken, or the folder holds another training.
+        ModuleNotFoundError: If the `train` extra is not installed.
+    """
+    import onnx  # noqa: F401  (asked for here, so that nothing is computed in vain)
+    import torch  # noqa: F401
+
+    from foreglow.lab.learning.event_files import WithEventFiles, event_files_wanted
+    from foreglow.lab.learning.training import train
+
+    started = time.perf_counter()
+    names: tuple[SplitName, ...] = ("train", "val")
+    splits = {name: [PVDN(split_folder(one, name)) for one in data] for name in names}
+    folder.mkdir(parents=True, exist_ok=True)
+    cache = cache or folder / "samples"
+    samples = {
+        name: joined([_samples(one, recipe, config, name, cache, progress) for one in splits[name]]) for name in names
+    }
+    told = WithEventFiles(folder, progress) if event_files_wanted() else progress
+    result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=told)
+    write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
+    summary = {
+        **provenance(),
+        "data": [str(one) for one in data],
+        **finish(recipe, result, samples["val"], folder),
+        "samples": {name: _counts(one) for name, one in samples.items()},
+        "seconds": round(time.perf_counter() - started, 1),
+        "recipe": recipe.model_dump(mode="json"),
+    }
+    model = folder / MODEL
+    used = config.classifier.model_copy(update={"model": model, "support": recipe.inputs.support})
+    write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
+    write_json_results(folder / SUMMARY, _without_nan(summary), indent=2)
+    return TrainedModel(folder, model, summary, result)
+
+
+def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
+    """Calibrates the network, writes it as weights and as ONNX model, compares the two, and says what it is worth.
+
+    Args:
+        recipe: It was trained by.
+        result: Of the training.
+        val: The validation samples, which calibrate it.
+        folder: Where both files go.
+
+    Returns:
+        Figures for `summary.json`, by name.
+
+    Raises:
+        ValueError: If the exported model does not compute what the network does.
+    """
+    import torch
+
+    from foreglow.lab.learning.model_export import calibrated, largest_difference, write_model
+    from foreglow.lab.learning.training import score_samples
+
+    is_labelled = val.labels != IGNORED
+    logits, labels = result.val_logits[is_labelled, 0], val.labels[is_labelled]
+    calibrator = fit_calibrator(logits, labels, recipe.calibration)
+    network = calibrated(result.network, calibrator)
+    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **_as_text(provenance())}
+    write_model(network, recipe.inputs, folder / MODEL, about)
+    chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
+    difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
+    weights = io.BytesIO()
+    torch.save(network.state_dict(), weights)
+    write_atomic(folder / WEIGHTS, weights.getvalue())
+    model_bytes = (folder / MODEL).read_bytes()
+    return {
+        "network": recipe.network,
+        "num_parameters": sum(one.numel() for one in network.parameters()),
+        "seed": recipe.seed,
+        "num_epochs": len(result.epochs),
+        "best_epoch": dataclasses.asdict(result.best),
+        "validation": _figures(logits, labels, calibrator),
+        "largest_difference_of_export": difference,
+        "model_bytes": len(model_bytes),
+        "model_sha256": hashlib.sha256(model_bytes).hexdigest(),
+        "training_seconds": round(sum(epoch.seconds for epoch in result.epochs), 1),
+        "device": result.device,
+        "machine": platform.machine(),
+        "num_threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+    }
+
+
+def _samples(
+    dataset: PVDN, recipe: Recipe, config: PipelineConfig, split: SplitName, cache: Path, progress: RunProgress | None
+) -> Samples:
+    jitter = recipe.jitter if split == "train" else Jitter()
+    sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter)
+
+    def told(num_done: int, num_images: int) -> None:
+        if progress is not None:
+            progress.samples(split, num_done, num_images)
+
+    return cached_samples(dataset, sample_config, cache, told)
+
+
+def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
+    """What the validation boxes say, before and after calibration; precision, recall and F after it."""
+    after = calibrator.applied(logits)
+    errors = [expected_calibration_error(expit(one), labels) for one in (logits, after)]
+    return {
+        **dataclasses.asdict(box_scores(after, labels)),
+        "temperature": calibrator.temperature,
+        "shift": calibrator.shift,
+        "log_loss": {"before": log_loss(logits, labels), "after": log_loss(after, labels)},
+        "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
+    }
+
+
+def _counts(samples: Samples) -> dict[str, int]:
+    kinds = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
+    return {name: samples.num_labelled(label) for name, label in kinds.items()}
+
+
+def _as_text(values: dict[str, Any]) -> dict[str, str]:
+    return {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in values.items()}
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with null instead of NaN."""
+    if isinstance(value, dict):
+        return {key: _without_nan(one) for key, one in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,244 @@
+"""What a proposer's boxes are worth on labelled frames: box quality, recall by kind of light, boxes an image."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.config import ProposalConfig
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
+from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
+from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.learning.annotate import Progress
+from foreglow.lab.learning.tuning.frames import FrameStack, stack_frames
+from foreglow.proposals import make_proposer
+from foreglow.types import Image
+
+NUM_CHUNKS = 8
+"""A trial's frames come in this many parts, each from all over the data set, and may end after any."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledLights:
+    """The lights of one image.
+
+    Attributes:
+        points_px: Shape (K, 2), columns x and y, full-frame pixels.
+        is_of_kind: By name of the kind, shape (K,): a light may be of several.
+    """
+
+    points_px: NDArray[np.float64]
+    is_of_kind: dict[str, NDArray[np.bool_]]
+
+    @classmethod
+    def of(cls, lights: Sequence[Light]) -> LabelledLights:
+        """The same lights, by the kinds that `Measurement` tells apart."""
+        points = np.array([one.position_px for one in lights], np.float64).reshape(-1, 2)
+        kinds = {
+            "lamps": [one.is_direct for one in lights],
+            "strongest": [0 <= one.rank < NUM_STRONGEST for one in lights],
+            "hidden": [one.is_hidden for one in lights],
+        }
+        return cls(points, {name: np.array(flags, np.bool_) for name, flags in kinds.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What the boxes of one proposer are worth. NaN where there is nothing to be rated.
+
+    Attributes:
+        num_images: Images that were looked at.
+        num_boxes: Boxes in them.
+        quality: Of all boxes as they are; its recall, q, q_K and q_B are those of the boxes with a key point, too.
+        recall_lamps: Share of the lamps in a box.
+        recall_strongest: Share of the `NUM_STRONGEST` strongest reflections of each image in a box.
+        recall_hidden: Share of the light of vehicles without a lamp in sight so far in a box.
+    """
+
+    num_images: int
+    num_boxes: int
+    quality: BoxQuality
+    recall_lamps: float
+    recall_strongest: float
+    recall_hidden: float
+
+    @property
+    def boxes_per_image(self) -> float:
+        """Mean number of boxes in an image."""
+        return self.num_boxes / self.num_images if self.num_images else math.nan
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """What tables show, by name."""
+        return {
+            "q": self.quality.q,
+            "q_k": self.quality.q_k,
+            "q_b": self.quality.q_b,
+            "recall": self.quality.recall,
+            "recall_lamps": self.recall_lamps,
+            "recall_strongest": self.recall_strongest,
+            "recall_hidden": self.recall_hidden,
+            "boxes_per_image": self.boxes_per_image,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The figures and counts, for JSON: null instead of NaN."""
+        figures = {name: None if math.isnan(value) else value for name, value in self.figures.items()}
+        return {"num_images": self.num_images, "num_boxes": self.num_boxes, **figures}
+
+
+@dataclass(slots=True)
+class Tally:
+    """Boxes and what they cover, image by image."""
+
+    boxes: dict[int, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
+    keypoints_px: dict[int, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
+    num_found: dict[str, int] = dataclasses.field(default_factory=dict)
+    num_lights: dict[str, int] = dataclasses.field(default_factory=dict)
+
+    def add(self, image_id: int, boxes_xyxy_px: NDArray[Any], lights: LabelledLights) -> None:
+        """Counts one image."""
+        boxes = boxes_xyxy_px.astype(np.float64)
+        self.boxes[image_id] = boxes
+        self.keypoints_px[image_id] = lights.points_px
+        is_found = lies_in(lights.points_px[:, None], boxes).any(axis=1)
+        for name, is_one in lights.is_of_kind.items():
+            self.num_lights[name] = self.num_lights.get(name, 0) + int(np.count_nonzero(is_one))
+            self.num_found[name] = self.num_found.get(name, 0) + int(np.count_nonzero(is_one & is_found))
+
+    def measurement(self) -> Measurement:
+        """What all images so far are worth together."""
+        scores = {image_id: np.ones(len(boxes)) for image_id, boxes in self.boxes.items()}
+        recall = {name: self.num_found[name] / num if num else math.nan for name, num in self.num_lights.items()}
+        return Measurement(
+            num_images=len(self.boxes),
+            num_boxes=sum(len(boxes) for boxes in self.boxes.values()),
+            quality=evaluate_boxes(self.keypoints_px, Predictions(self.boxes, scores, is_scored=False)),
+            recall_lamps=recall.get("lamps", math.nan),
+            recall_strongest=recall.get("strongest", math.nan),
+            recall_hidden=recall.get("hidden", math.nan),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Material:
+    """The frames that trials are measured on, with their labels; small, since pixels stay in a file.
+
+    Attributes:
+        image_ids: In the order in which trials take them: every part of `NUM_CHUNKS` is spread over all sequences.
+        lights: Of each image.
+        frames: Their pixels.
+    """
+
+    image_ids: tuple[int, ...]
+    lights: tuple[LabelledLights, ...]
+    frames: FrameStack
+
+    @property
+    def digest(self) -> str:
+        """Tells data apart, wherever they lie: by image ids and labels."""
+        state = hashlib.sha256(repr(self.image_ids).encode())
+        for one in self.lights:
+            state.update(one.points_px.tobytes())
+            for flags in one.is_of_kind.values():
+                state.update(flags.tobytes())
+        return state.hexdigest()[:8]
+
+
+class Bench:
+    """Measures proposers on the same frames, again and again."""
+
+    def __init__(self, material: Material) -> None:
+        self.material = material
+        self._images: list[Image] = material.frames.images()
+        edges = np.linspace(0, len(self._images), min(NUM_CHUNKS, len(self._images)) + 1).round().astype(int)
+        self._edges: tuple[int, ...] = tuple(edges.tolist())
+
+    @property
+    def num_chunks(self) -> int:
+        """How many measurements `measure` yields."""
+        return len(self._edges) - 1
+
+    def measure(self, config: ProposalConfig) -> Iterator[Measurement]:
+        """What `config` is worth on the first part of the frames, on the first two, ..., and at last on all."""
+        proposer = make_proposer(config)
+        tally = Tally()
+        for start, end in zip(self._edges, self._edges[1:], strict=False):
+            for place in range(start, end):
+                boxes = proposer.propose(self._images[place]).boxes_xyxy_px
+                tally.add(self.material.image_ids[place], boxes, self.material.lights[place])
+            yield tally.measurement()
+
+
+def read_material(
+    dataset: PVDN,
+    num_images: int,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Material:
+    """`num_images` of `dataset`, or all if it has fewer, evenly spread over its sequences, decoded into `folder`.
+
+    Raises:
+        FileNotFoundError: If an image or a label file is missing.
+        ValueError: If one is broken.
+        OSError: If the pixels cannot be written.
+    """
+    image_ids = interleaved(evenly_spread(dataset.frame_ids, num_images), NUM_CHUNKS)
+    lights = read_lights(dataset)
+    return Material(
+        image_ids,
+        tuple(LabelledLights.of(lights[image_id]) for image_id in image_ids),
+        stack_frames(dataset, image_ids, folder, jobs=jobs, progress=progress),
+    )
+
+
+def measure_split(
+    dataset: PVDN, configs: Sequence[ProposalConfig], progress: Progress | None = None
+) -> tuple[Measurement, ...]:
+    """What each of `configs` is worth on all images of `dataset`, each of which is decoded once.
+
+    Raises:
+        FileNotFoundError: If an image or a label file is missing.
+        ValueError: If one is broken.
+    """
+    lights = read_lights(dataset)
+    proposers = [make_proposer(config) for config in configs]
+    tallies = [Tally() for _ in configs]
+    for done, frame in enumerate(dataset, start=1):
+        its_lights = LabelledLights.of(lights[frame.frame])
+        for proposer, tally in zip(proposers, tallies, strict=True):
+            tally.add(frame.frame, proposer.propose(frame.image).boxes_xyxy_px, its_lights)
+        if progress is not None:
+            progress(dataset.name, done, len(dataset))
+    return tuple(tally.measurement() for tally in tallies)
+
+
+def evenly_spread(image_ids: Sequence[int], num_images: int) -> tuple[int, ...]:
+    """`num_images` of `image_ids` at even distances, or all of them.
+
+    >>> evenly_spread((1, 2, 3, 4, 5, 6), 3)
+    (1, 3, 5)
+    """
+    if num_images >= len(image_ids):
+        return tuple(image_ids)
+    return tuple(image_ids[place * len(image_ids) // num_images] for place in range(num_images))
+
+
+def interleaved(image_ids: Sequence[int], num_parts: int) -> tuple[int, ...]:
+    """`image_ids` in `num_parts` passes over all of them.
+
+    >>> interleaved((1, 2, 3, 4, 5), 2)
+    (1, 3, 5, 2, 4)
+    """
+    return tuple(image_id for part in range(num_parts) for image_id in image_ids[part::num_parts])

@@ -1,0 +1,271 @@
+"""A whole search: trials on train, the best few compared on val, the chosen one rated on test."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foreglow.config import ProposalConfig
+from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets.splits import SplitName
+from foreglow.lab.learning.annotate import Progress
+from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
+from foreglow.lab.learning.tuning.objectives import objective
+from foreglow.lab.learning.tuning.spaces import PAPER, Parameters, space
+from foreglow.lab.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
+from foreglow.parallel import Local, Parent, Workers
+
+if TYPE_CHECKING:
+    import optuna
+
+
+@dataclass(frozen=True, slots=True)
+class TuningSettings:
+    """What is searched, and how.
+
+    Attributes:
+        num_trials: Trials in total, of all processes and earlier calls.
+        num_images: Images of train, evenly spread over its sequences.
+        objective: Name of what is minimised.
+        space: Name of the space; None for the objective's own.
+        seed: Of all draws.
+        num_finalists: How many of the best on train are compared on val.
+        storage: A database's URL, or a journal file, which several machines may share; None for a journal in the
+            output folder.
+    """
+
+    num_trials: int = 200
+    num_images: int = 600
+    objective: str = "q"
+    space: str | None = None
+    seed: int = 0
+    num_finalists: int = 10
+    storage: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("num_trials", "num_images", "num_finalists"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        space(self.space_name)
+
+    @property
+    def space_name(self) -> str:
+        """The space that is searched."""
+        return self.space or objective(self.objective).space
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRecord:
+    """One trial.
+
+    Attributes:
+        number: Its place in the study.
+        state: COMPLETE, or PRUNED where it ended early.
+        loss: Of the frames that it saw.
+        parameters: By name.
+        measurement: What was found, as `Measurement.to_json`.
+    """
+
+    number: int
+    state: str
+    loss: float
+    parameters: Parameters
+    measurement: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Finalist:
+    """Parameters that were compared on val.
+
+    Attributes:
+        config: The proposal stage.
+        train: On the images of the search.
+        train_loss: Of it.
+        val: On all images of val; None without that split.
+        val_loss: Of it.
+        test: On all images of test: of the chosen parameters and the paper's only.
+    """
+
+    config: ProposalConfig
+    train: Measurement
+    train_loss: float
+    val: Measurement | None = None
+    val_loss: float | None = None
+    test: Measurement | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """What came of a search.
+
+    Attributes:
+        settings: What was searched, and how.
+        data: The data set.
+        study_name: The study's name in its storage; it tells the data and the objective.
+        paper: The paper's parameters, rated like the finalists.
+        finalists: The best on train and the paper's, the best on val first: that one is chosen.
+        trials: All that are finished, in order.
+        importances: By parameter, shares that add up to 1; empty with few trials.
+        seconds: How long the trials of this call took, and the comparison after them.
+    """
+
+    settings: TuningSettings
+    data: Path
+    study_name: str
+    paper: Finalist
+    finalists: tuple[Finalist, ...]
+    trials: tuple[TrialRecord, ...]
+    importances: dict[str, float]
+    seconds: dict[str, float]
+
+    @property
+    def chosen(self) -> Finalist:
+        """The best parameters."""
+        return self.finalists[0]
+
+
+def tune(
+    data: Path | str,
+    out: Path,
+    settings: TuningSettings,
+    progress: Progress | None = None,
+    *,
+    workers: Workers | None = None,
+) -> Tuning:
+    """Searches parameters of the proposal stage; a call with the same data and storage goes on with its study.
+
+    Trials are measured on a subset of train. The best few and the paper's parameters are then compared on all of
+    val, and the best there is chosen; without a val split, the best on train. It and the paper's parameters are
+    rated on all of test, where there is one.
+
+    Args:
+        data: A data set with a train split.
+        out: Folder for the decoded frames and, unless `settings` say otherwise, the study.
+        settings: What to search.
+        progress: Told of every frame decoded and every trial.
+        workers: Who runs the trials, all on one study; None runs them in this process.
+
+    Raises:
+        FileNotFoundError: If there is no train split, or a file of the data set is missing.
+        ModuleNotFoundError: If Optuna is not installed.
+        ValueError: If a label or an image is broken, or the storage cannot be used.
+        KeyboardInterrupt: On Ctrl-C; finished trials are kept.
+    """
+    import optuna  # noqa: F401  before anything is decoded
+
+    splits, workers = dict(_splits(Path(data))), workers or Local()
+    material = read_material(
+        splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
+    )
+    plan = StudyPlan(
+        storage=settings.storage or str(out / "study.journal"),
+        name=f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}",
+        num_trials=settings.num_trials,
+        objective=settings.objective,
+        space=settings.space_name,
+        seed=settings.seed,
+    )
+    started_s = time.monotonic()
+    study = open_study(plan)
+    prepare(study, plan)
+    _run_trials(study, plan, material, workers, progress)
+    searched_s = time.monotonic()
+    trials = _records(study)
+    finalists = _on_train(_best(trials, settings), Bench(material), settings)
+    finalists = _on_val(finalists, splits.get("val"), settings, progress)
+    finalists = _on_test(finalists, splits.get("test"), progress)
+    paper = next(one for one in finalists if one.config == PAPER)
+    seconds = {"trials": searched_s - started_s, "comparison": time.monotonic() - searched_s}
+    return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
+
+
+def _splits(data: Path) -> Iterator[tuple[SplitName, PVDN]]:
+    """Train, which must be there, and the others that are."""
+    yield "train", PVDN(split_folder(data, "train"))
+    names: tuple[SplitName, ...] = ("val", "test")
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            yield name, PVDN(split_folder(data, name))
+
+
+def _run_trials(
+    study: optuna.Study, plan: StudyPlan, material: Material, workers: Workers, progress: Progress | None
+) -> None:
+    """Runs the trials that are missing; every worker goes on with the study until it is finished."""
+
+    def tell() -> None:
+        if progress is not None:
+            progress("trials", num_finished(study), plan.num_trials)
+
+    tell()
+    num_workers = min(workers.num_workers, plan.num_trials - num_finished(study))
+    items = {f"worker {number}": number for number in range(1, num_workers + 1)}
+    paths = (material.frames.path, *([] if "://" in plan.storage else [Path(plan.storage)]))
+    for _ in workers.each(functools.partial(_work, plan, material), items, tell, paths=paths):
+        pass
+
+
+def _work(plan: StudyPlan, material: Material, number: int, parent: Parent) -> None:  # noqa: ARG001
+    prepare(open_study(plan), plan)  # a process that was lost left a trial behind
+    work(plan, material, lambda: parent.is_stopped, parent.tell)
+
+
+def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:
+    from optuna.trial import TrialState
+
+    return tuple(
+        TrialRecord(one.number, one.state.name, float(one.value), one.params, one.user_attrs.get("measurement", {}))
+        for one in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+        if one.value is not None
+    )
+
+
+def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[ProposalConfig]:
+    """The best configurations on train, each once, and the paper's."""
+    complete = sorted((one for one in trials if one.state == "COMPLETE"), key=lambda one: (one.loss, one.number))
+    searched = space(settings.space_name)
+    configs = list(dict.fromkeys(searched.config(_clean(one.parameters)) for one in complete))
+    best = configs[: settings.num_finalists]
+    return best if PAPER in best else [*best, PAPER]
+
+
+def _clean(parameters: Parameters) -> dict[str, bool | int | float]:
+    """As `Real.suggest` gave them to the trial."""
+    return {name: round(value, 9) if isinstance(value, float) else value for name, value in parameters.items()}
+
+
+def _on_train(configs: list[ProposalConfig], bench: Bench, settings: TuningSettings) -> list[Finalist]:
+    measured = {config: list(bench.measure(config))[-1] for config in dict.fromkeys([*configs, PAPER])}
+    loss = objective(settings.objective).loss
+    return [Finalist(config, measured[config], loss(measured[config], measured[PAPER])) for config in configs]
+
+
+def _on_val(
+    finalists: list[Finalist], val: PVDN | None, settings: TuningSettings, progress: Progress | None
+) -> list[Finalist]:
+    """With their losses on val, the best first; of equals the better one on train."""
+    if val is None:
+        return sorted(finalists, key=lambda one: one.train_loss)
+    measured = measure_split(val, [one.config for one in finalists], progress)
+    paper = next(found for one, found in zip(finalists, measured, strict=True) if one.config == PAPER)
+    loss = objective(settings.objective).loss
+    rated = [
+        dataclasses.replace(one, val=found, val_loss=loss(found, paper))
+        for one, found in zip(finalists, measured, strict=True)
+    ]
+    return sorted(rated, key=lambda one: (one.val_loss, one.train_loss))
+
+
+def _on_test(finalists: list[Finalist], test: PVDN | None, progress: Progress | None) -> list[Finalist]:
+    """With the measurements of the first one, which is chosen, and the paper's on test; nothing is chosen by them."""
+    if test is None:
+        return finalists
+    rated = list(dict.fromkeys([finalists[0].config, PAPER]))
+    found = dict(zip(rated, measure_split(test, rated, progress), strict=True))
+    return [dataclasses.replace(one, test=found.get(one.config)) for one in finalists]

@@ -1,0 +1,230 @@
+"""The Optuna side of a search: storage, reproducible sampling, and the loop that one process runs."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
+from foreglow.lab.learning.tuning.objectives import objective
+from foreglow.lab.learning.tuning.spaces import PAPER, space
+
+if TYPE_CHECKING:
+    import optuna
+    from optuna.storages import BaseStorage
+    from optuna.trial import FrozenTrial, Trial
+
+NUM_STARTUP_TRIALS = 10
+"""Trials drawn at random before the sampler and the pruner begin to learn from them; Optuna's default."""
+
+STALE_S = 600.0
+"""A trial of another machine that began this long ago is taken for dead; a trial takes seconds."""
+
+IMPORTANCE_TRIALS = 20
+"""Importances are not worth telling from fewer finished trials."""
+
+
+@dataclass(frozen=True, slots=True)
+class StudyPlan:
+    """What a process needs to know to work on a study.
+
+    Attributes:
+        storage: A database's URL, or the path of a journal file.
+        name: The study's name in there.
+        num_trials: The study is finished when it has this many, of all processes together.
+        objective: Name of the objective.
+        space: Name of the space.
+        seed: Of all draws; with one process the same seed gives the same trials.
+    """
+
+    storage: str
+    name: str
+    num_trials: int
+    objective: str
+    space: str
+    seed: int
+
+
+def open_study(plan: StudyPlan) -> optuna.Study:
+    """The study of `plan`, made if need be.
+
+    Raises:
+        ModuleNotFoundError: If Optuna, or what the database needs, is not installed.
+        ValueError: If the storage cannot be used.
+    """
+    import optuna
+    from optuna.pruners import MedianPruner
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        return optuna.create_study(
+            storage=_storage(plan.storage),
+            study_name=plan.name,
+            sampler=_sampler(plan.seed),
+            pruner=MedianPruner(n_startup_trials=NUM_STARTUP_TRIALS),
+            direction="minimize",
+            load_if_exists=True,
+        )
+    except (ModuleNotFoundError, OSError):
+        raise
+    except Exception as error:  # SQLAlchemy's own, which need not be installed
+        raise ValueError(f"storage: {plan.storage}: {error}") from error
+
+
+def _storage(storage: str) -> BaseStorage | str:
+    if "://" in storage:
+        return storage
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    Path(storage).parent.mkdir(parents=True, exist_ok=True)
+    return JournalStorage(JournalFileBackend(storage))
+
+
+def _sampler(seed: int) -> Any:
+    """TPE whose draws depend on the seed, on the trials so far and on how many those are: not on earlier draws.
+
+    So a search that was interrupted goes on as if it had not been, and processes with one seed draw different trials.
+    """
+    from optuna.samplers import BaseSampler, TPESampler
+    from optuna.trial import TrialState
+
+    class Resumable(BaseSampler):
+        def __init__(self) -> None:
+            self._tpe = TPESampler(seed=seed)
+
+        def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
+            earlier = [one for one in study.get_trials(deepcopy=False) if one.number < trial.number]
+            place = sum(one.state not in (TrialState.FAIL, TrialState.WAITING) for one in earlier)
+            own_seed = int(np.random.SeedSequence((seed, place)).generate_state(1)[0])
+            # A running trial of another process counts as a bad one, so that not all look in the same place.
+            self._tpe = TPESampler(seed=own_seed, n_startup_trials=NUM_STARTUP_TRIALS, constant_liar=True)
+            self._tpe.before_trial(study, trial)
+
+        def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, Any]:
+            return self._tpe.infer_relative_search_space(study, trial)
+
+        def sample_relative(
+            self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, Any]
+        ) -> dict[str, Any]:
+            return self._tpe.sample_relative(study, trial, search_space)
+
+        def sample_independent(
+            self, study: optuna.Study, trial: FrozenTrial, param_name: str, param_distribution: Any
+        ) -> Any:
+            return self._tpe.sample_independent(study, trial, param_name, param_distribution)
+
+        def after_trial(
+            self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
+        ) -> None:
+            self._tpe.after_trial(study, trial, state, values)
+
+    return Resumable()
+
+
+def prepare(study: optuna.Study, plan: StudyPlan) -> None:
+    """Gives up trials whose process is gone, and lets a new study begin with the paper's parameters."""
+    from optuna.trial import TrialState
+
+    for one in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if not _is_alive(one):
+            study.tell(one.number, state=TrialState.FAIL)
+    if not study.get_trials(deepcopy=False):
+        study.enqueue_trial(dict(space(plan.space).first))
+
+
+def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], told: Callable[[], None]) -> None:
+    """Runs trials until the study has `plan.num_trials`, of this process and others, or `is_stopped`.
+
+    Args:
+        plan: The study.
+        material: The frames.
+        is_stopped: Asked before each trial.
+        told: Called after each trial.
+    """
+    study = open_study(plan)
+    bench = Bench(material)
+    paper = tuple(bench.measure(PAPER))
+    while not is_stopped() and num_taken(study) < plan.num_trials:
+        trial = study.ask()
+        _run(study, trial, plan, bench, paper)
+        told()
+
+
+def num_taken(study: optuna.Study, before: int | None = None) -> int:
+    """How many trials are finished or under way, of those with a number below `before`."""
+    from optuna.trial import TrialState
+
+    states = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
+    trials = study.get_trials(deepcopy=False, states=states)
+    return sum(1 for one in trials if before is None or one.number < before)
+
+
+def num_finished(study: optuna.Study) -> int:
+    """How many trials are complete or pruned."""
+    from optuna.trial import TrialState
+
+    return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)))
+
+
+def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper: tuple[Measurement, ...]) -> None:
+    """Measures one trial, part by part, and stops early where the parts so far are worse than others' were."""
+    from optuna.trial import TrialState
+
+    try:
+        trial.set_user_attr("process", [socket.gethostname(), os.getpid()])
+        if num_taken(study, before=trial.number) >= plan.num_trials:  # another process took the last one meanwhile
+            study.tell(trial, state=TrialState.FAIL)
+            return
+        loss_of = objective(plan.objective).loss
+        config = space(plan.space).config(space(plan.space).suggest(trial))
+        loss = 0.0
+        for step, found in enumerate(bench.measure(config)):
+            loss = loss_of(found, paper[step])
+            trial.report(loss, step)
+            is_last = step == bench.num_chunks - 1
+            if is_last or trial.should_prune():
+                trial.set_user_attr("measurement", found.to_json())
+            if not is_last and trial.should_prune():
+                study.tell(trial, state=TrialState.PRUNED)
+                return
+        study.tell(trial, loss)
+    except BaseException:
+        study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
+        raise
+
+
+def _is_alive(trial: FrozenTrial) -> bool:
+    """Whether the process of a running trial may still be there."""
+    host, pid = trial.user_attrs.get("process", (None, 0))
+    if host == socket.gethostname():
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            return True
+        return bool(pid != os.getpid())
+    started = trial.datetime_start
+    return started is not None and (datetime.datetime.now() - started).total_seconds() < STALE_S
+
+
+def importances(study: optuna.Study) -> dict[str, float]:
+    """How much each parameter matters to being among the best, shares that add up to 1; empty with few trials.
+
+    Source: Watanabe, Bansal and Hutter, PED-ANOVA, IJCAI 2023, as implemented in Optuna.
+    """
+    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+    from optuna.trial import TrialState
+
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if len(complete) < IMPORTANCE_TRIALS or len({one.value for one in complete}) < 2:
+        return {}
+    return dict(get_param_importances(study, evaluator=PedAnovaImportanceEvaluator()))

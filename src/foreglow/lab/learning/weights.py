@@ -1,0 +1,125 @@
+"""Importing the published classifier: a torch state dict becomes an ONNX model."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.lab.learning.layers import layers_from_state
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedModel:
+    """What an imported model is made of.
+
+    Attributes:
+        path: The ONNX model.
+        num_channels: Channels of the eight hidden layers, convolutions first.
+        num_parameters: Weights and biases, batch normalisation merged into them.
+        num_multiply_adds: Multiply-adds for one crop.
+    """
+
+    path: Path
+    num_channels: tuple[int, ...]
+    num_parameters: int
+    num_multiply_adds: int
+
+
+def import_weights(weights: Path, out: Path, fold: float | None = None) -> ImportedModel:
+    """Writes the published classifier as an ONNX model that `foreglow.classifier` reads.
+
+    Args:
+        weights: A state dict of `networks.ArtifactNetwork`, as written by `torch.save`.
+        out: The ONNX model; its folder must exist. A file that is there is replaced once the new one is complete.
+        fold: The tolerance of `folding.fold_constant_channels`, in units of the score; None keeps all channels.
+
+    Raises:
+        FileNotFoundError: If the weights, or the folder of `out`, do not exist.
+        ValueError: If the file is not a plain state dict of this network with finite values, or the tolerance is not
+            in [0, 1); the message names path, field and expectation.
+        ModuleNotFoundError: If the `train` extra is not installed.
+    """
+    if fold is not None and not 0 <= fold < 1:
+        raise ValueError(f"fold: expected a tolerance of at least 0 and below 1, got {fold}")
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"{out.parent}: no such folder to write {out.name} to")
+    if out.is_dir():
+        raise ValueError(f"{out}: expected the path of a file to write, got a folder")
+    layers = layers_from_state(read_state(weights))
+    from foreglow.lab.learning.export import write_onnx
+
+    if fold is not None:
+        from foreglow.lab.learning.folding import fold_constant_channels
+
+        layers = fold_constant_channels(layers, fold)
+    metadata = {
+        "foreglow_version": version("foreglow"),
+        "fold_tolerance": "none" if fold is None else repr(float(fold)),
+        "source_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+    }
+    write_onnx(layers, out, metadata)
+    return ImportedModel(out, layers.num_channels, layers.num_parameters, layers.num_multiply_adds)
+
+
+def read_state(path: Path) -> dict[str, NDArray[Any]]:
+    """The state dict in `path`, checked against `networks.ArtifactNetwork`; no code in the file is ever run.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a state dict of this network with finite values.
+        ModuleNotFoundError: If the `train` extra is not installed.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of weights")
+    try:
+        import onnx  # noqa: F401  (asked for here, so that nothing is computed in vain)
+        import torch
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f"importing weights needs the `train` extra: pip install 'foreglow[train]' ({error.name} is missing)",
+            name=error.name,
+        ) from error
+    from foreglow.lab.learning.networks import ArtifactNetwork
+
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        ValueError,
+        LookupError,
+        AttributeError,
+        TypeError,
+    ) as error:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise ValueError(f"{path}: expected a plain torch state dict without code: {reason[0]}") from error
+    if not isinstance(state, Mapping):
+        raise ValueError(f"{path}: expected a state dict, got {type(state).__name__}")
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, expected in ArtifactNetwork().state_dict().items():
+        if name.endswith("num_batches_tracked"):
+            continue
+        value = state.get(name)
+        if not isinstance(value, torch.Tensor) or value.layout != torch.strided or not value.dtype.is_floating_point:
+            found = "nothing" if value is None else getattr(value, "dtype", type(value).__name__)
+            raise ValueError(f"{path}: {name}: expected a float tensor of shape {tuple(expected.shape)}, got {found}")
+        if value.shape != expected.shape:
+            raise ValueError(f"{path}: {name}: expected shape {tuple(expected.shape)}, got {tuple(value.shape)}")
+        arrays[name] = value.detach().double().numpy()
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{path}: {name}: expected finite values, got NaN or infinity")
+        if name.endswith("running_var") and arrays[name].min() < 0:
+            raise ValueError(f"{path}: {name}: expected no negative variance, got {arrays[name].min():g}")
+    unknown = [str(name) for name in state if name not in arrays and not str(name).endswith("num_batches_tracked")]
+    if unknown:
+        raise ValueError(f"{path}: {unknown[0]}: expected no such entry in a state dict of the paper's classifier")
+    return arrays

@@ -1,0 +1,237 @@
+"""A data set in PVDN's layout as a YOLO data set: square images, and the boxes that hold a light artifact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from foreglow.config import FrozenModel, preset
+from foreglow.datasets import PVDN, SPLIT_NAMES, SplitName, split_folder
+from foreglow.datasets.json_files import read_json
+from foreglow.files import write_atomic
+from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.proposals import Proposer, make_proposer
+from foreglow.types import Frame, Image
+
+CLASS_NAME = "light_artifact"
+SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"
+
+PAPER_SIZE_PX = 960
+"""Side of the images that YOLO reads in the paper. Source: published conversion script."""
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with how many images are done, and of how many."""
+
+
+class ExportSettings(FrozenModel):
+    """What an exported data set is made of: a folder takes one of these only.
+
+    Attributes:
+        data: The data set's folder.
+        boxes: `preset NAME`, or `as annotated` for those in the data set's `labels/bounding_boxes`.
+        size_px: Side of the images.
+        splits: The splits that are exported.
+    """
+
+    data: str
+    boxes: str
+    size_px: Annotated[int, Field(ge=32, le=4096)]
+    splits: Annotated[tuple[SplitName, ...], Field(strict=False)]
+
+
+@dataclass(frozen=True, slots=True)
+class YoloExport:
+    """An exported data set.
+
+    Attributes:
+        data_file: Its `data.yaml`, which every YOLO takes.
+        settings: What it is made of.
+        num_images: Images by split.
+        num_boxes: Labelled boxes by split.
+    """
+
+    data_file: Path
+    settings: ExportSettings
+    num_images: dict[SplitName, int]
+    num_boxes: dict[SplitName, int]
+
+
+def export_yolo(
+    data: Path,
+    folder: Path,
+    *,
+    preset_name: str | None = None,
+    size_px: int = PAPER_SIZE_PX,
+    splits: Sequence[SplitName] = SPLIT_NAMES,
+    progress: Progress | None = None,
+) -> YoloExport:
+    """Writes `folder/images/SPLIT/ID.png`, `folder/labels/SPLIT/ID.txt` and, when all are there, `folder/data.yaml`.
+
+    The images are grey and squashed to a square, as in the published conversion. A line of a label file is
+    `0 cx cy w h`, the centre and size of a box with a keypoint in it, relative to the image. Images without any have an
+    empty file. An interrupted export goes on where it was.
+
+    Args:
+        data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
+        folder: Where to write; made if absent.
+        preset_name: The boxes are this preset's proposals, labelled by the key points; None takes those that
+            `annotate` left in the data set, and where it left none the proposals of `paper`.
+        size_px: Side of the images.
+        splits: Which splits; those that the data set lacks are left out.
+        progress: Told after each image.
+
+    Raises:
+        FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
+        ValueError: If a file is broken, there is no such preset, or `folder` holds another export.
+    """
+    wanted = {name: found for name in splits if (found := _split_or_none(data, name)) is not None}
+    if not wanted:
+        raise FileNotFoundError(f"{data}: expected one of the splits {', '.join(splits)}, found none")
+    is_annotated = preset_name is None and all(_has_boxes(found) for found in wanted.values())
+    settings = ExportSettings(
+        data=str(Path(data).resolve()),
+        boxes="as annotated" if is_annotated else f"preset {preset_name or 'paper'}",
+        size_px=size_px,
+        splits=tuple(wanted),
+    )
+    proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
+    _claim(folder, settings)
+    datasets = {name: PVDN(found) for name, found in wanted.items()}
+    num_images = sum(len(dataset) for dataset in datasets.values())
+    num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
+    for name, dataset in datasets.items():
+        images, labels = folder / "images" / name, folder / "labels" / name
+        images.mkdir(parents=True, exist_ok=True)
+        labels.mkdir(parents=True, exist_ok=True)
+        for image_id in dataset.frame_ids:
+            label_file = labels / f"{image_id:06d}.txt"
+            if not label_file.exists():  # written after the image
+                frame = dataset.read(image_id)
+                boxes = positive_boxes(dataset, frame, proposer)
+                write_atomic(images / f"{image_id:06d}.png", _png(squashed(frame.image, size_px, frame.path)))
+                write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
+            num_boxes[name] += label_file.read_bytes().count(b"\n")
+            num_done += 1
+            if progress is not None:
+                progress(num_done, num_images)
+    data_file = folder / DATA_NAME
+    write_atomic(data_file, _data_text(tuple(datasets)).encode())
+    return YoloExport(data_file, settings, {name: len(one) for name, one in datasets.items()}, num_boxes)
+
+
+def read_export(folder: Path) -> ExportSettings:
+    """The settings of the complete export in `folder`.
+
+    Raises:
+        FileNotFoundError: If there is none, or it was interrupted.
+        ValueError: If its settings are broken.
+    """
+    for name in (SETTINGS_NAME, DATA_NAME):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"{folder / name}: no such file, expected a complete export of `export-yolo`")
+    return read_json(folder / SETTINGS_NAME, ExportSettings)
+
+
+def is_export(folder: Path) -> bool:
+    """Whether `folder` holds an export, complete or not, rather than a data set."""
+    return (folder / SETTINGS_NAME).is_file()
+
+
+def positive_boxes(dataset: PVDN, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
+    """The boxes of `frame` with a key point in them, shape (N, 4), xyxy, full-frame pixels.
+
+    Args:
+        dataset: The split.
+        frame: One of its frames.
+        proposer: What proposes; None takes the boxes and labels that are in the split.
+
+    Raises:
+        FileNotFoundError: If the split has boxes, but none for this image.
+        ValueError: If a label file is broken.
+    """
+    if proposer is not None:
+        proposed = proposer.propose(frame.image).boxes_xyxy_px
+        is_positive = label_boxes(proposed, dataset.keypoints_px(frame.frame)) == POSITIVE
+        return np.asarray(proposed[is_positive], np.float64)
+    found = dataset.boxes(frame.frame)
+    if found is None:
+        path = dataset.root / "labels" / "bounding_boxes" / f"{frame.frame:06d}.json"
+        raise FileNotFoundError(f"{path}: no such file, expected boxes of every image: run `annotate` again")
+    kept = [box for box, label in zip(found.boxes_xyxy_px, found.labels, strict=True) if label == POSITIVE]
+    return np.array(kept, np.float64).reshape(-1, 4)
+
+
+def label_lines(boxes_xyxy_px: NDArray[Any], width_px: int, height_px: int) -> str:
+    r"""The lines of a label file: `0 cx cy w h` for each box, cut to the image and relative to it.
+
+    Boxes outside the image are left out.
+
+    >>> label_lines(np.array([[-10, 0, 10, 50]]), 100, 100)
+    '0 0.050000 0.250000 0.100000 0.500000\n'
+    """
+    corners = np.clip(boxes_xyxy_px.reshape(-1, 4), 0, [width_px, height_px] * 2) / ([width_px, height_px] * 2)
+    lines = []
+    for x1, y1, x2, y2 in corners.tolist():
+        if x1 < x2 and y1 < y2:
+            lines.append(f"0 {(x1 + x2) / 2:.6f} {(y1 + y2) / 2:.6f} {x2 - x1:.6f} {y2 - y1:.6f}\n")
+    return "".join(lines)
+
+
+def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
+    """`image` as a square of `size_px`, averaged over areas; both axes have a scale of their own.
+
+    Raises:
+        ValueError: If it has not 8 bits.
+
+    Source: published conversion script (960 x 960 of 1280 x 960, INTER_AREA).
+    """
+    if image.dtype != np.uint8:
+        raise ValueError(f"{origin}: expected an image of 8 bits for a YOLO, got {image.dtype}")
+    return np.asarray(cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _split_or_none(data: Path, name: SplitName) -> Path | None:
+    if not Path(data).is_dir():
+        raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
+    try:
+        return split_folder(data, name)
+    except FileNotFoundError:
+        return None
+
+
+def _has_boxes(split: Path) -> bool:
+    return next((split / "labels" / "bounding_boxes").glob("*.json"), None) is not None
+
+
+def _claim(folder: Path, settings: ExportSettings) -> None:
+    """Makes the folder and writes the settings to it, or checks that they are those of the export that is there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / SETTINGS_NAME
+    if not path.exists():
+        write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
+        return
+    known = read_json(path, ExportSettings)
+    for name, value in settings.model_dump().items():
+        if value != getattr(known, name):
+            raise ValueError(
+                f"{path}: {name}: expected {value!r} to go on with this export, it has {getattr(known, name)!r}; "
+                "choose another folder"
+            )
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    _, data = cv2.imencode(".png", image)
+    return data.tobytes()
+
+
+def _data_text(splits: Sequence[SplitName]) -> str:
+    """`data.yaml`; without a `path`, folders are relative to the file, so that the whole can be moved."""
+    lines = [f"{name}: images/{name}" for name in splits]
+    return "\n".join([*lines, "nc: 1", "names:", f"  0: {CLASS_NAME}", ""])

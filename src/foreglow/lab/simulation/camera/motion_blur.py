@@ -1,0 +1,82 @@
+"""Motion blur: how far things move through the image while the shutter is open, and the blur that comes of it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Camera, Pose
+from foreglow.lab.simulation.camera.optics import Image
+
+MIN_MOTION_PX = 0.7
+"""Shorter motion is left out: the point spread hides it."""
+
+NUM_TAPS = 4
+"""Taps of either of the two passes: together 16 evenly spaced ones along the motion."""
+
+STEP = 8
+"""The motion is computed for every eighth pixel."""
+
+
+class MotionBlur:
+    """Blur by the camera's own motion; what moves by itself is taken as standing still."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        width, height = -(-camera.width_px // STEP), -(-camera.height_px // STEP)
+        columns = (np.arange(width) + 0.5) * camera.width_px / width
+        rows = (np.arange(height) + 0.5) * camera.height_px / height
+        self._pixels = np.stack(np.meshgrid(columns, rows), -1)
+        self._rays = camera.rays(self._pixels)
+
+    def flow_px(self, depth_m: Image, before_from_after: Pose) -> Image | None:
+        """How far each pixel's surface moves through the image during the exposure.
+
+        Args:
+            depth_m: Shape (H, W), along each pixel's ray, metres; NaN is infinitely far.
+            before_from_after: The camera's pose when the shutter closes, in its frame when it opened.
+
+        Returns:
+            Shape (H, W, 2), float32, pixels x, y; None if nothing moves by more than `MIN_MOTION_PX`.
+        """
+        size = self._rays.shape[1::-1]
+        depth = cv2.resize(np.nan_to_num(depth_m, nan=1e5, posinf=1e5), size, interpolation=cv2.INTER_NEAREST)
+        moved = self._camera.project(before_from_after.to_body(self._rays * depth[..., np.newaxis]))
+        flow = np.nan_to_num(moved - self._pixels).astype(np.float32)
+        # What leaves the image close by moves by far more than can be seen.
+        flow = np.clip(flow, -0.1 * self._camera.width_px, 0.1 * self._camera.width_px)
+        if float(np.hypot(flow[..., 0], flow[..., 1]).max()) <= MIN_MOTION_PX:
+            return None
+        full = (self._camera.width_px, self._camera.height_px)
+        return np.asarray(cv2.resize(flow, full, interpolation=cv2.INTER_LINEAR))
+
+
+def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
+    """`luminance`, shape (H, W), averaged along `flow_px`, shape (H, W, 2), centred on each pixel.
+
+    Only the rectangle around what moves by more than `MIN_MOTION_PX` is touched. Without motion the image itself
+    comes back.
+    """
+    if flow_px is None:
+        return luminance
+    is_moving = (np.abs(flow_px) > MIN_MOTION_PX / np.sqrt(2.0)).any(-1)
+    rows, columns = np.flatnonzero(is_moving.any(1)), np.flatnonzero(is_moving.any(0))
+    if not len(rows):
+        return luminance
+    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    x, y = np.meshgrid(
+        np.arange(columns[0], columns[-1] + 1, dtype=np.float32), np.arange(rows[0], rows[-1] + 1, dtype=np.float32)
+    )
+    flow_x, flow_y = np.ascontiguousarray(flow_px[*window, 0]), np.ascontiguousarray(flow_px[*window, 1])
+    blurred = luminance
+    for spacing in (1.0 / NUM_TAPS, 1.0 / NUM_TAPS**2):  # a coarse comb, then a fine one that fills its gaps
+        total = np.zeros_like(x)
+        for tap in range(NUM_TAPS):
+            place = np.float32((tap - (NUM_TAPS - 1) / 2) * spacing)
+            total += cv2.remap(
+                blurred, x + place * flow_x, y + place * flow_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+        blurred = blurred.copy() if blurred is luminance else blurred
+        blurred[window] = total / NUM_TAPS
+    return blurred

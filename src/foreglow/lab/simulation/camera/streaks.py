@@ -1,0 +1,240 @@
+"""Rain and snow in our own lamps' light, drawn as the streaks that the exposure makes of them.
+
+Every particle has its place in a world that repeats itself like tiles, falls at its own speed and is passed by us: it
+is the same one from frame to frame until it leaves the tile around the camera's view, some ten metres deep. What floats
+further away is too faint to be seen one by one; it belongs to the haze.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Camera, Floats, Pose
+from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX, Image
+from foreglow.lab.simulation.light.lamps import PlacedLamp
+from foreglow.lab.simulation.scenes.scene import WeatherSpec
+from foreglow.photometry import illuminance_lx
+
+PARTICLES_STREAM = 43
+"""Number of the random stream."""
+
+MAX_RANGE_M = 14.0
+MAX_IN_VIEW = 16_000
+"""The range is shortened until no more are in view: the thicker it falls, the less far one sees."""
+
+MIN_RANGE_M = 0.6
+"""Nearer ones would be on the windscreen."""
+
+SNOW_MIN_MM, RAIN_MIN_MM = 1.3, 1.0
+"""Smallest diameters that are drawn, of the drop or the molten flake: smaller ones are not seen one by one."""
+
+FLAKE_SWELLING = 2.5
+"""Diameter of a flake over that of its drop: flakes have some 6 % of the density of water."""
+
+FLAKE_SCATTERING_PER_SR = 0.18
+"""Intensity back to the lamp per illuminance and cross-section: a white sphere after Lambert, 2/3 of 0.85 over pi."""
+
+DROP_SCATTERING_PER_SR = 0.02
+"""The same for a drop, which sends back little but its glints; of that order in Mie calculations."""
+
+APERTURE_M = 4e-3
+"""Of the lens, which is focused far away: near particles are out of focus by as much."""
+
+BLURS_PX = (0.0, 1.0, 2.2)
+"""Standard deviations, pixels of 1280 columns, that streaks are sorted to by size and focus."""
+
+SPACINGS_PX = (2.0, 2.5, 4.0)
+"""Between the points that streaks of each sort are made of, pixels of 1280 columns: blur and lens close the gaps."""
+
+MAX_POINTS = 128
+"""That a streak is made of, at most; those that would need more are next to the camera and beyond the image."""
+
+MIN_LUMINANCE_CD_M2 = 1e-4
+"""Fainter streaks are left out: 0.1 grey levels of the long exposure."""
+
+FADING_SHARE = 0.3
+"""The last part of the range, over which particles fade in."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Particles:
+    """Shape (N, 3) or (N,) each: places in the tile at time 0, velocities in the world, and what they scatter."""
+
+    places_m: Floats
+    velocities_mps: Floats
+    diameters_m: Floats
+    cross_sections_m2_sr: Floats
+
+
+class FallingParticles:
+    """The rain and snow of a drive."""
+
+    def __init__(self, weather: WeatherSpec, camera: Camera, seed: int) -> None:
+        self._camera = camera
+        snow_per_m3, snow_per_mm = _gunn_marshall(weather.snow_mm_h)
+        rain_per_m3, rain_per_mm = _marshall_palmer(weather.rain_mm_h)
+        half_width = 0.5 * camera.width_px / camera.focal_px[0]
+        half_height = 0.5 * camera.height_px / camera.focal_px[1]
+        in_view_per_m3 = 4.0 / 3.0 * half_width * half_height  # volume of the pyramid of range 1
+        density_per_m3 = snow_per_m3 + rain_per_m3
+        self._range_m = MAX_RANGE_M
+        if density_per_m3 > 0:
+            self._range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
+        # A tile holds the whole view, however the camera is turned about the vertical; some room for its pitch.
+        across = 2.0 * float(np.hypot(0.5, half_width)) * self._range_m
+        self._tile_m = np.array([across, across, 2.3 * half_height * self._range_m])
+        rng = np.random.default_rng([seed, PARTICLES_STREAM])
+        num_snow, num_rain = (round(density * self._tile_m.prod()) for density in (snow_per_m3, rain_per_m3))
+        molten_mm = np.concatenate(
+            [
+                SNOW_MIN_MM + rng.exponential(1.0 / snow_per_mm, num_snow),
+                RAIN_MIN_MM + rng.exponential(1.0 / rain_per_mm, num_rain),
+            ]
+        )
+        is_snow = np.arange(num_snow + num_rain) < num_snow
+        diameters = 1e-3 * molten_mm * np.where(is_snow, FLAKE_SWELLING, 1.0)
+        # Atlas et al. 1973 for drops; flakes fall at about 1 m/s whatever their size, and waver.
+        fall_mps = np.where(is_snow, rng.normal(1.0, 0.2, len(is_snow)), 9.65 - 10.3 * np.exp(-0.6 * molten_mm))
+        drift_mps = rng.normal(0.0, 1.0, (len(is_snow), 2)) * np.where(is_snow, 0.35, 0.1)[:, np.newaxis]
+        scattering = np.where(is_snow, FLAKE_SCATTERING_PER_SR, DROP_SCATTERING_PER_SR)
+        self._particles = _Particles(
+            rng.uniform(0.0, 1.0, (len(is_snow), 3)) * self._tile_m,
+            np.column_stack([drift_mps, -fall_mps]),
+            diameters,
+            scattering * np.pi / 4.0 * diameters**2,
+        )
+
+    def luminance(
+        self,
+        time_s: float,
+        exposure_s: float,
+        world_from_camera: tuple[Pose, Pose],
+        lamps: Sequence[PlacedLamp],
+        depth_m: Image | None = None,
+    ) -> Image:
+        """What the particles add to an image, shape (H, W), float32, cd/m², before the optics; 0 without any.
+
+        Args:
+            time_s: When the shutter opens.
+            exposure_s: How long it stays open.
+            world_from_camera: The camera's poses when it opens and closes.
+            lamps: Our own; they light the particles, which cast no shadows.
+            depth_m: Shape (H, W), along each pixel's ray; what floats behind it is hidden. None hides nothing.
+        """
+        height, width = self._camera.height_px, self._camera.width_px
+        image = np.zeros((height, width), np.float32)
+        opened, closed = world_from_camera
+        centre = opened.to_outer([0.5 * self._range_m, 0.0, 0.0])
+        velocities = self._particles.velocities_mps
+        wrapped = (self._particles.places_m + velocities * time_s - centre) % self._tile_m
+        worlds = wrapped - self._tile_m * np.round(wrapped / self._tile_m) + centre
+        starts = opened.to_body(worlds)
+        kept = np.flatnonzero(self._in_view(starts))
+        starts = starts[kept]
+        ends = closed.to_body(worlds[kept] + velocities[kept] * exposure_s)
+        is_ahead = np.minimum(starts[:, 0], ends[:, 0]) > MIN_RANGE_M
+        kept, starts, ends = kept[is_ahead], starts[is_ahead], ends[is_ahead]
+        if not len(kept):
+            return image
+        middles = 0.5 * (starts + ends)
+        ranges = np.linalg.norm(middles, axis=1)
+        intensities = self._particles.cross_sections_m2_sr[kept] * self._illuminances_lx(middles, opened, lamps)
+        fading = np.clip((self._range_m - ranges) / (FADING_SHARE * self._range_m), 0.0, 1.0)
+        fluxes = intensities * fading / (ranges**2 * self._camera.pixel_solid_angle_sr)
+        if depth_m is not None:
+            fluxes *= ranges < self._depths_m(middles, depth_m)
+        scale = width / REFERENCE_WIDTH_PX
+        sizes_px = np.hypot(self._particles.diameters_m[kept], APERTURE_M) * self._camera.focal_px[0] / ranges
+        # A disc's standard deviation is a quarter of its diameter.
+        sorts = np.searchsorted([0.6 * scale, 1.5 * scale], 0.25 * sizes_px)
+        for sort, (blur_px, spacing_px) in enumerate(zip(BLURS_PX, SPACINGS_PX, strict=True)):
+            chosen = np.flatnonzero((sorts == sort) & (fluxes > 0))
+            layer = self._drawn(starts[chosen], ends[chosen], fluxes[chosen], spacing_px * scale)
+            cv2.add(image, cv2.GaussianBlur(layer, (0, 0), blur_px * scale) if blur_px else layer, dst=image)
+        return image
+
+    def _in_view(self, points_camera: Floats) -> NDArray[np.bool_]:
+        """Whether the camera may see them while the shutter is open; wider than its view, for streaks that come in."""
+        forward = points_camera[:, 0]
+        margin = 1.15 * forward + 0.3
+        half_width = 0.5 * self._camera.width_px / self._camera.focal_px[0]
+        half_height = 0.5 * self._camera.height_px / self._camera.focal_px[1]
+        return np.asarray(
+            (forward > MIN_RANGE_M)
+            & (forward < self._range_m)
+            & (np.abs(points_camera[:, 1]) < margin * half_width)
+            & (np.abs(points_camera[:, 2]) < margin * half_height)
+        )
+
+    def _illuminances_lx(self, points_camera: Floats, world_from_camera: Pose, lamps: Sequence[PlacedLamp]) -> Floats:
+        worlds = world_from_camera.to_outer(points_camera)
+        total = np.zeros(len(worlds))
+        for lamp in lamps:
+            total += lamp.scale * illuminance_lx(lamp.table, lamp.world_from_lamp, worlds)
+        return total
+
+    def _depths_m(self, points_camera: Floats, depth_m: Image) -> Floats:
+        """Depth of the image where the points are; infinite outside it and where it is NaN."""
+        pixels = np.floor(np.nan_to_num(self._camera.project(points_camera), nan=-1.0)).astype(np.intp)
+        height, width = depth_m.shape
+        is_inside = (pixels >= 0).all(1) & (pixels < (width, height)).all(1)
+        depths = np.full(len(pixels), np.inf)
+        depths[is_inside] = np.nan_to_num(depth_m[pixels[is_inside, 1], pixels[is_inside, 0]], nan=np.inf)
+        return depths
+
+    def _drawn(self, starts: Floats, ends: Floats, fluxes: Floats, spacing_px: float) -> Image:
+        """Streaks, shape (H, W): each one's flux spread evenly over the time it takes from start to end."""
+        height, width = self._camera.height_px, self._camera.width_px
+        from_px, to_px = self._camera.project(starts), self._camera.project(ends)
+        lengths = np.linalg.norm(to_px - from_px, axis=1)
+        seen = np.flatnonzero(fluxes > MIN_LUMINANCE_CD_M2 * (lengths + 1.0))
+        nums = np.clip(np.ceil(lengths[seen] / spacing_px), 1, MAX_POINTS).astype(np.intp)
+        streak = np.repeat(np.arange(len(seen)), nums)
+        first = np.repeat(np.cumsum(nums) - nums, nums)
+        shares = ((np.arange(len(streak)) - first + 0.5) / nums[streak]).astype(np.float32)
+        # Near things sweep through the image faster: time is even in space, not along the streak. The lens's
+        # distortion bends streaks by less than can be seen.
+        approach = (starts[seen, 0] / ends[seen, 0]).astype(np.float32)[streak]
+        shares /= shares + approach * (1.0 - shares)
+        x, y = (
+            from_px[seen, axis].astype(np.float32)[streak]
+            + shares * (to_px - from_px)[seen, axis].astype(np.float32)[streak]
+            - np.float32(0.5)
+            for axis in (0, 1)
+        )
+        inside = np.flatnonzero((x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1))
+        x, y, weights = x[inside], y[inside], (fluxes[seen] / nums).astype(np.float32)[streak[inside]]
+        column, row = x.astype(np.int32), y.astype(np.int32)
+        u, v = x - column, y - row
+        corner = row * width + column
+        corners = np.concatenate([corner, corner + 1, corner + width, corner + width + 1])
+        parts = np.concatenate([(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v]) * np.tile(weights, 4)
+        return np.bincount(corners, parts, height * width).astype(np.float32).reshape(height, width)
+
+
+def _gunn_marshall(snow_mm_h: float) -> tuple[float, float]:
+    """Flakes above `SNOW_MIN_MM` per m³, and the decay of their number per mm of molten diameter.
+
+    Source: Gunn and Marshall, The distribution with size of aggregate snowflakes, 1958: N0 = 3800 R^-0.87, slope
+    2.55 R^-0.48.
+    """
+    if snow_mm_h == 0:
+        return 0.0, 1.0
+    slope = 2.55 * snow_mm_h**-0.48
+    return 3800.0 * snow_mm_h**-0.87 / slope * float(np.exp(-slope * SNOW_MIN_MM)), slope
+
+
+def _marshall_palmer(rain_mm_h: float) -> tuple[float, float]:
+    """Drops above `RAIN_MIN_MM` per m³, and the decay of their number per mm of diameter.
+
+    Source: Marshall and Palmer, The distribution of raindrops with size, 1948: N0 = 8000, slope 4.1 R^-0.21.
+    """
+    if rain_mm_h == 0:
+        return 0.0, 1.0
+    slope = 4.1 * rain_mm_h**-0.21
+    return 8000.0 / slope * float(np.exp(-slope * RAIN_MIN_MM)), slope

@@ -1,0 +1,201 @@
+"""Luminance images of a night drive: one layer a light source, with the depth and the material of every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Camera, Pose
+from foreglow.lab.simulation.light.haze import Haze
+from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
+from foreglow.lab.simulation.light.lights import Lights
+from foreglow.lab.simulation.light.llvm import dr, greatest, mi, prepare
+from foreglow.lab.simulation.light.raycast import END_GAP_M, START_GAP_M, Number, Solids
+from foreglow.lab.simulation.light.sampling import QUALITIES, RenderSettings, Samples
+from foreglow.lab.simulation.light.shading import reflectance_per_sr
+from foreglow.lab.simulation.light.space import Air, Space, air_of, space_of
+from foreglow.lab.simulation.light.surfaces import Looks, Surface
+from foreglow.lab.simulation.scenes.scene import RoadSpec, WeatherSpec
+from foreglow.lab.simulation.world.materials import NO_MATERIAL
+from foreglow.lab.simulation.world.mesh import Mesh
+
+__all__ = ["QUALITIES", "RenderSettings", "Rendered", "Renderer"]
+
+Floats32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """What the camera would see without optics and imager; H rows, W columns, L layers.
+
+    Attributes:
+        surface_cd_m2: Shape (L, H, W), float32: light that surfaces reflect.
+        haze_cd_m2: Shape (L, H, W), float32: light that the air scatters.
+        ambient_cd_m2: Shape (H, W), float32: the sky, and its light on surfaces.
+        depth_m: Shape (H, W), float32: along the ray through the pixel's middle; NaN where there is only sky.
+        materials: Shape (H, W), uint8: numbers of the materials; 255 is the sky.
+        bodies: Shape (H, W), int16: which of the moving bodies is seen; -1 is none.
+    """
+
+    surface_cd_m2: Floats32
+    haze_cd_m2: Floats32
+    ambient_cd_m2: Floats32
+    depth_m: Floats32
+    materials: NDArray[np.uint8]
+    bodies: NDArray[np.int16]
+
+
+class Renderer:
+    """One world, seen frame by frame.
+
+    Direct light with shadows only: further bounces change most lit areas by less than a percent. The lamps' own discs
+    and lit windows are left to the sensor, which draws them as points with their glare. The same arguments give the
+    same bytes, with any number of threads.
+    """
+
+    def __init__(
+        self,
+        static: Mesh,
+        bodies: Mapping[str, Mesh],
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        road: RoadSpec,
+        seed: int,
+    ) -> None:
+        """Builds the world.
+
+        Args:
+            static: What never moves, in the world.
+            bodies: Vehicles in their own frames, called `kind/light` or `kind/dark`.
+            camera: The calibration; its mount is not used here.
+            settings: What a picture may cost.
+            road: State of the carriageway.
+            seed: Of the textures.
+        """
+        prepare()
+        self._settings = settings
+        self._world = Solids(static, bodies)
+        self._lights = Lights()
+        self._looks = Looks(road, seed)
+        self._haze = Haze(camera, settings.haze_cells)
+        self._pixel_rad = dr.opaque(mi.Float, 1.0 / float(np.mean(camera.focal_px)))
+        self._samples = Samples(camera, settings)
+
+    def render(
+        self,
+        camera_pose: Pose,
+        lamps: Sequence[PlacedLamp],
+        num_layers: int,
+        bodies: Sequence[PlacedBody],
+        weather: WeatherSpec,
+    ) -> Rendered:
+        """The view from `camera_pose`, world_from_camera; the lamps' layers are numbers below `num_layers`.
+
+        Raises:
+            ValueError: If a lamp's layer is out of range, or there is no mesh for a body.
+        """
+        for place, lamp in enumerate(lamps):
+            if not 0 <= lamp.layer < num_layers:
+                raise ValueError(f"lamps[{place}].layer: expected 0 to {num_layers - 1}, got {lamp.layer}")
+        self._world.place(bodies)
+        self._lights.switch_on(lamps, num_layers)
+        space = space_of(self._world, self._lights, camera_pose, self._settings.darkest_cd_m2)
+        air = air_of(weather)
+        samples = self._samples
+        first = self._shoot(space, air, samples.first, samples.pixels)
+        surface, ambient = first.surface_cd_m2, first.ambient_cd_m2
+        haze = self._haze.render(space, air, first.distance_m)
+        chosen = samples.detailed(surface.sum(axis=0).reshape(samples.shape))
+        if len(chosen):
+            places = mi.UInt32(np.arange(len(chosen), dtype=np.uint32))
+            for rays in samples.further(chosen):
+                more = self._shoot(space, air, rays, places)
+                surface[:, chosen] += more.surface_cd_m2
+                ambient[chosen] += more.ambient_cd_m2
+            surface[:, chosen] /= samples.num
+            ambient[chosen] /= samples.num
+        return Rendered(
+            surface.reshape(-1, *samples.shape)[:num_layers],
+            haze.reshape(-1, *samples.shape)[:num_layers],
+            ambient.reshape(samples.shape),
+            first.distance_m.numpy().reshape(samples.shape),
+            first.material.numpy().astype(np.uint8).reshape(samples.shape),
+            first.body.numpy().astype(np.int16).reshape(samples.shape),
+        )
+
+    def is_visible(
+        self,
+        origins_m: NDArray[np.floating],
+        target_m: NDArray[np.floating],
+        bodies: Sequence[PlacedBody],
+        *,
+        ignore_body: int | None = None,
+    ) -> NDArray[np.bool_]:
+        """Whether each of `origins_m`, shape (N, 3), sees `target_m`, shape (3,), in the world; shape (N,).
+
+        The last few centimetres at either end do not count, so that a lamp's glass is no obstacle.
+
+        Args:
+            origins_m: Points on a lamp's disc, for example.
+            target_m: The camera, or a driver's eye.
+            bodies: The moving bodies.
+            ignore_body: Number of one that does not block, such as the driver's own vehicle.
+        """
+        self._world.place(bodies)
+        return self._world.is_free(np.asarray(origins_m, np.float64).reshape(-1, 3), target_m, ignore_body)
+
+    def _shoot(self, space: Space, air: Air, rays: Number, places: Number) -> _Shot:
+        """One sample in the direction of each of `rays`, which are in the camera's frame; its values go to `places`."""
+        direction = space.rotation @ rays
+        hit = space.world.hit(space.origin, direction)
+        surface = self._looks.at(hit, direction, self._pixel_rad)
+        kept = dr.exp(-air.scattering_per_m * hit.distance_m)
+        # Half of the sky's hemisphere on a wall, all of it on the ground.
+        skylight = air.sky_cd_m2 * surface.albedo * (0.5 + 0.5 * surface.normal.z)
+        light = _reflected(space, air, surface, hit.distance_m, places)
+        ambient = dr.select(hit.is_hit, dr.lerp(air.sky_cd_m2, skylight, kept), air.sky_cd_m2)
+        ambient = _placed(ambient, places)
+        distance = _placed(dr.select(hit.is_hit, hit.distance_m, dr.nan), places)
+        material = _placed(dr.select(hit.is_hit, hit.material, NO_MATERIAL), places)
+        body = _placed(dr.select(hit.is_hit, hit.body, -1), places)
+        dr.eval(light, ambient, distance, material, body)
+        return _Shot(light.numpy().reshape(space.lights.num_layers, -1), ambient.numpy(), distance, material, body)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shot:
+    """One sample a ray: arrays where sums are made of them, Dr.Jit values where further kernels read them."""
+
+    surface_cd_m2: Floats32
+    ambient_cd_m2: Floats32
+    distance_m: Number
+    material: Number
+    body: Number
+
+
+def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, places: Number) -> Number:
+    """Light that reaches the camera from the surfaces, cd/m^2, in the order layer, place."""
+
+    def luminance(number: Number) -> Number:
+        light = space.lights.towards(surface.position, number)
+        lost = dr.exp(-air.scattering_per_m * (distance_m + light.distance_m))
+        illuminance = light.intensity_cd * lost / greatest(dr.square(light.distance_m), 1e-4)
+        sent = illuminance * reflectance_per_sr(surface, light.direction)
+        counts = surface.is_hit & (sent > space.darkest_cd_m2)
+        side = dr.select(dr.dot(surface.outward, light.direction) > 0, START_GAP_M, -START_GAP_M)
+        start = surface.position + surface.outward * side + light.direction * START_GAP_M
+        blocked = space.world.is_blocked(start, light.direction, light.distance_m - END_GAP_M, counts)
+        return dr.select(counts & ~blocked, sent, 0.0)
+
+    return space.lights.summed(places, luminance)
+
+
+def _placed(values: Number, places: Number) -> Number:
+    """The values in another order."""
+    out = dr.empty(type(values), dr.width(places))
+    dr.scatter(out, values, places)
+    return out

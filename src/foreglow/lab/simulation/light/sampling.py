@@ -1,0 +1,117 @@
+"""Where rays go: through the middle of every pixel, and again through pixels that one ray does not describe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.geometry import Camera
+from foreglow.lab.simulation.light.llvm import dr, mi
+from foreglow.lab.simulation.light.raycast import Number
+
+TILE_PX = 4
+"""Sixteen rays travel together; those of a square tile stay together longer than those of a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """What a picture may cost.
+
+    Attributes:
+        extra_samples: Further rays in pixels where the picture has edges or detail; the first goes through the middle.
+        max_extra_share: At most this share of the pixels gets them, those with most contrast first.
+        edge_contrast: A pixel's surroundings differ by more than this share of the brightest, to get them ...
+        edge_cd_m2: ... and by more than this luminance.
+        haze_cells: Columns, rows and steps of the grid of the haze.
+        darkest_cd_m2: Light of a lamp below this luminance is left out.
+    """
+
+    extra_samples: int = 2
+    max_extra_share: float = 0.06
+    edge_contrast: float = 0.15
+    edge_cd_m2: float = 4e-3
+    haze_cells: tuple[int, int, int] = (80, 60, 28)
+    darkest_cd_m2: float = 2e-4
+
+
+QUALITIES: dict[str, RenderSettings] = {
+    "fast": RenderSettings(extra_samples=0, haze_cells=(54, 40, 16), darkest_cd_m2=4e-4),
+    "training": RenderSettings(),
+    "fine": RenderSettings(
+        extra_samples=8,
+        max_extra_share=1.0,
+        edge_contrast=0.03,
+        edge_cd_m2=1e-3,
+        haze_cells=(160, 120, 32),
+        darkest_cd_m2=1e-6,
+    ),
+}
+"""By name; `training` is the default everywhere. A grey level of the long exposure is about 1e-3 cd/m^2."""
+
+
+class Samples:
+    """Directions through the pixels of a camera, computed once."""
+
+    def __init__(self, camera: Camera, settings: RenderSettings) -> None:
+        """Rays for one sample in every pixel and for the further ones, with the lens's distortion."""
+        self._settings = settings
+        self.shape = (camera.height_px, camera.width_px)
+        y, x = np.indices(self.shape).reshape(2, -1)
+        num_tiles = -(-camera.width_px // TILE_PX)
+        tile = (y // TILE_PX) * num_tiles + x // TILE_PX
+        order = np.lexsort((x, y, tile))
+        self._ranks = np.empty(len(order), np.int64)
+        self._ranks[order] = np.arange(len(order))
+        self.pixels = mi.UInt32(order.astype(np.uint32))
+        pixels = np.stack([x, y], -1)[order]
+        self._rays = [
+            mi.Vector3f(np.ascontiguousarray(camera.rays(pixels + offset).T, np.float32))
+            for offset in _offsets(settings.extra_samples)
+        ]
+
+    @property
+    def first(self) -> Number:
+        """Directions through the middles of the pixels, in the camera's frame and in the order of `pixels`."""
+        return self._rays[0]
+
+    @property
+    def num(self) -> int:
+        """Samples of a pixel that has the further ones."""
+        return len(self._rays)
+
+    def further(self, pixels: NDArray[np.intp]) -> list[Number]:
+        """Directions of the further samples through `pixels`, for each of these samples."""
+        places = mi.UInt32(self._ranks[pixels].astype(np.uint32))
+        further = [dr.gather(mi.Vector3f, rays, places) for rays in self._rays[1:]]
+        dr.eval(further)  # arrays, like the first rays: so the same kernel takes them
+        return further
+
+    def detailed(self, luminance_cd_m2: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Numbers of the pixels that want further samples, tile by tile; `luminance_cd_m2` has the image's shape."""
+        if self.num == 1:
+            return np.zeros(0, np.intp)
+        around = np.ones((3, 3), np.uint8)
+        high, low = cv2.dilate(luminance_cd_m2, around), cv2.erode(luminance_cd_m2, around)
+        contrast = ((high - low) / np.maximum(high, self._settings.edge_cd_m2)).ravel()
+        contrast[(high - low).ravel() < self._settings.edge_cd_m2] = 0.0
+        most = int(self._settings.max_extra_share * contrast.size)
+        least = self._settings.edge_contrast
+        if np.count_nonzero(contrast > least) > most:
+            least = float(np.partition(contrast, contrast.size - most - 1)[contrast.size - most - 1])
+        chosen = np.flatnonzero(contrast > least)
+        return chosen[np.argsort(self._ranks[chosen])]
+
+
+def _offsets(extra_samples: int) -> list[tuple[float, float]]:
+    """Places of the samples in a pixel: its middle, and a circle on which they have the variance of its area.
+
+    >>> places = np.array(_offsets(3)) - 0.5
+    >>> np.allclose(np.mean(places**2, axis=0), 1 / 12)
+    True
+    """
+    angles = np.pi / 2 + 2.0 * np.pi * np.arange(extra_samples) / max(extra_samples, 1)
+    radius = np.sqrt((extra_samples + 1) / (6.0 * max(extra_samples, 1)))
+    return [(0.5, 0.5), *((0.5 + radius * float(np.cos(a)), 0.5 + radius * float(np.sin(a))) for a in angles)]

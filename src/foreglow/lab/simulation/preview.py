@@ -1,0 +1,129 @@
+"""Pictures of a simulated drive with its labels drawn: a contact sheet and a video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from foreglow.display.overlay import Colour, Picture
+from foreglow.display.tone import Tone
+from foreglow.display.video import Movie
+from foreglow.files import write_atomic
+from foreglow.lab.simulation.truth import Artifact, DriveFrame, VehicleTruth
+from foreglow.lab.simulation.writing.dataset import Progress
+
+KIND_BGR: dict[str, Colour] = {
+    "lamp": (90, 235, 120),
+    "rail": (60, 170, 255),
+    "road": (255, 190, 70),
+    "verge": (120, 200, 200),
+    "foliage": (80, 220, 180),
+    "wall": (220, 130, 220),
+    "sign": (110, 110, 255),
+    "vehicle": (200, 200, 120),
+    "haze": (210, 210, 210),
+}
+"""Colour of an artifact's mark, by what the light is seen on."""
+
+BOX_BGR = (150, 140, 130)
+TEXT_BGR = (225, 225, 225)
+NUM_COLUMNS, NUM_ROWS = 4, 4
+TILE_PX = (480, 360)
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def preview(
+    frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folder: Path, progress: Progress | None = None
+) -> tuple[Path, Path]:
+    """Writes `contact_sheet.png` and `drive.mp4` to `folder`, which exists, and returns their paths.
+
+    Args:
+        frames: The drive.
+        num_frames: How many there are; the sheet shows some, evenly spread.
+        rate_hz: Frames a second.
+        folder: Where the files go.
+        progress: Told of every frame, as for data sets.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    shown = {round(place) for place in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
+    sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
+    movie = Movie(film, rate_hz)
+    tone: Tone | None = None
+    tiles: list[Picture] = []
+    try:
+        for place, one in enumerate(frames):
+            tone = tone or Tone.of(one.frame.image)
+            picture = labelled(one, tone)
+            movie.add(picture)
+            if progress is not None:
+                progress(1, place + 1, num_frames)
+            if place in shown:
+                tiles.append(picture)
+        movie.close()
+    finally:
+        movie.discard()
+    write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
+    return sheet, film
+
+
+def labelled(one: DriveFrame, tone: Tone) -> Picture:
+    """The picture of a frame with its vehicles and artifacts; doubtful ones are mere dots."""
+    grey = tone.apply(one.frame.image)
+    picture = np.repeat(grey[:, :, None], 3, axis=2)
+    unit = max(1, round(one.frame.width_px / 1280))
+    for vehicle in one.vehicles:
+        _draw_vehicle(picture, vehicle, unit)
+    _write(picture, _caption(one), (8 * unit, 22 * unit), unit)
+    return picture
+
+
+def contact_sheet(tiles: Sequence[Picture]) -> Picture:
+    """The pictures side by side, row by row."""
+    width, height = TILE_PX
+    sheet = np.zeros((NUM_ROWS * height, NUM_COLUMNS * width, 3), np.uint8)
+    for place, tile in enumerate(tiles[: NUM_COLUMNS * NUM_ROWS]):
+        row, column = divmod(place, NUM_COLUMNS)
+        small = cv2.resize(tile, TILE_PX, interpolation=cv2.INTER_AREA)
+        sheet[row * height : (row + 1) * height, column * width : (column + 1) * width] = small
+    return sheet
+
+
+def _draw_vehicle(picture: Picture, vehicle: VehicleTruth, unit: int) -> None:
+    if vehicle.box_xyxy_px is not None and vehicle.visible_share > 0:
+        x1, y1, x2, y2 = vehicle.box_xyxy_px
+        cv2.rectangle(picture, (x1, y1), (x2 - 1, y2 - 1), BOX_BGR, unit)
+    for artifact in vehicle.artifacts:
+        _draw_artifact(picture, artifact, unit)
+
+
+def _draw_artifact(picture: Picture, artifact: Artifact, unit: int) -> None:
+    x, y = (round(place) for place in artifact.position_px)
+    colour = KIND_BGR[artifact.kind]
+    radius = (6 if artifact.is_direct else 11) * unit
+    if artifact.is_doubtful:
+        cv2.circle(picture, (x, y), 2 * unit, colour, -1, cv2.LINE_AA)
+        return
+    cv2.circle(picture, (x, y), radius, colour, unit, cv2.LINE_AA)
+    if not artifact.is_direct:
+        _write(picture, f"{artifact.kind} {artifact.instance_id}", (x + radius, y - radius), unit, colour)
+
+
+def _caption(one: DriveFrame) -> str:
+    words = [f"{one.frame.timestamp_ns / 1e9:.2f} s", f"{3.6 * one.ego_speed_mps:.0f} km/h"]
+    words.append(one.category.name.lower().replace("_", " "))
+    words += [f"{vehicle.kind} {vehicle.range_m:.0f} m" for vehicle in one.vehicles[:3]]
+    if one.is_production_detected:
+        words.append("production system")
+    return "  ".join(words)
+
+
+def _write(picture: Picture, text: str, origin: tuple[int, int], unit: int, colour: Colour = TEXT_BGR) -> None:
+    scale = 0.42 * unit
+    cv2.putText(picture, text, origin, _FONT, scale, (0, 0, 0), 3 * unit, cv2.LINE_AA)
+    cv2.putText(picture, text, origin, _FONT, scale, colour, unit, cv2.LINE_AA)

@@ -1,0 +1,280 @@
+"""Drawing a scene: who meets whom, where and when, and everything around it.
+
+The course of the road, the land beside it and the speeds are drawn first; then the oncoming car's time table is chosen
+so that it comes into sight a few seconds into the drive, as in PVDN's sequences, whose typical one shows three seconds
+of empty road, the best part of a second of indirect light and then the car until it passes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from foreglow.lab.simulation.scenes.courses import Course, Layout
+from foreglow.lab.simulation.scenes.draw import Draw
+from foreglow.lab.simulation.scenes.encounter import Corridor, corridor, is_light_in_sight, sight_time_s
+from foreglow.lab.simulation.scenes.roadside import draw_surroundings
+from foreglow.lab.simulation.scenes.scene import (
+    CameraSpec,
+    EgoSpec,
+    RoadSpec,
+    Scene,
+    SensorSpec,
+    VehicleSpec,
+    WeatherSpec,
+)
+from foreglow.lab.simulation.scenes.surroundings import Profile, SurroundingsSpec
+from foreglow.lab.simulation.world.road import Road
+
+SIGHT_S = (3.6, 0.8)
+"""Mean and standard deviation of the time into the drive at which the oncoming car comes into sight; of the order of
+PVDN's night validation split, whose median is 3.6 s."""
+
+LONGEST_MISS_S, LONGEST_LEAD_S = 1.5, 0.9
+"""An encounter in which the car comes into sight at another time than wanted, or its light should lead by more, is
+drawn anew; in PVDN light leads by 0.6 to 1.5 s (quartiles)."""
+
+MAX_PLANS = 12
+
+SHORTEST_S, LONGEST_S = 6.5, 9.5
+"""Bounds of the time into the drive at which the two meet."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Where and when the two meet.
+
+    Attributes:
+        course: How the road runs.
+        road: The road.
+        surroundings: What stands beside it.
+        ego: Our time table.
+        other: The oncoming car's.
+        meeting_s: When they meet.
+        miss_s: How far the time at which the other car comes into sight is from the wanted one.
+        lead_s: By how much light that it throws should be seen before the car.
+    """
+
+    course: Course
+    road: RoadSpec
+    surroundings: SurroundingsSpec
+    ego: Profile
+    other: Profile
+    meeting_s: float
+    miss_s: float
+    lead_s: float
+
+    @property
+    def is_good(self) -> bool:
+        """Whether it is much like a drive of PVDN."""
+        return self.miss_s <= LONGEST_MISS_S and self.lead_s <= LONGEST_LEAD_S
+
+
+def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
+    """Draws everything of one scene; the encounter is drawn anew while it is unlike those of PVDN."""
+    weather, wetness = _weather(draw)
+    plans: list[_Plan] = []
+    while len(plans) < MAX_PLANS and not (plans and plans[-1].is_good):
+        plans.append(_plan(draw, layout, wetness))
+    plan = plans[-1] if plans[-1].is_good else min(plans, key=lambda one: one.miss_s + one.lead_s)
+    duration_s = plan.meeting_s + draw.uniform(-0.3, 1.2)
+    return Scene(
+        name=name,
+        seed=seed,
+        duration_s=round(min(max(duration_s, 6.0), LONGEST_S + 1.5), 2),
+        road=plan.road,
+        surroundings=plan.surroundings,
+        vehicles=_vehicles(draw, plan.course, plan.other, plan.ego),
+        ego=EgoSpec(
+            timetable=plan.ego,
+            brightness=draw.log_uniform(0.5, 1.25),
+            yaw_aim_deg=draw.normal(0.0, 0.4),
+            pitch_aim_deg=draw.normal(-0.1, 0.3),
+            body_motion=draw.log_uniform(0.5, 2.0),
+        ),
+        weather=weather,
+        camera=_camera(draw),
+        sensor=_sensor(draw),
+    )
+
+
+def _plan(draw: Draw, layout: Layout, wetness: float) -> _Plan:
+    """Draws a road with its roadside, and times the encounter."""
+    sight_s = draw.normal(*SIGHT_S)
+    start_m = draw.uniform(10.0, 25.0)
+    cruising_mps = draw.uniform(15.0, 25.0)
+    focus_m = start_m + cruising_mps * sight_s + draw.uniform(50.0, 170.0)
+    course = layout(draw, focus_m)
+    ego_mps = _speed_mps(draw, course, cruising_mps)
+    other_mps = _speed_mps(draw, course, draw.uniform(15.0, 27.0))
+    length_m = float(round(start_m + (ego_mps + other_mps) * LONGEST_S + 60.0))
+    spec = _road(draw, course, length_m, wetness)
+    surroundings = draw_surroundings(draw, course.style, length_m, course.bends)
+    ego = ((0.0, start_m), (10.0, round(start_m + 10.0 * ego_mps, 2)))
+    road, free = Road(spec), corridor(surroundings, spec.lane_width_m)
+    other, meeting_s = _encounter(road, free, ego, other_mps, sight_s)
+    seen_s = sight_time_s(road, free, ego, other)
+    light_s = sight_time_s(road, free, ego, other, is_light_in_sight)
+    miss_s = abs(meeting_s - seen_s - sight_s)
+    return _Plan(course, spec, surroundings, ego, other, meeting_s, miss_s, light_s - seen_s)
+
+
+def _encounter(road: Road, free: Corridor, ego: Profile, other_mps: float, sight_s: float) -> tuple[Profile, float]:
+    """The oncoming car's time table, with which it comes into sight nearest to `sight_s`, and the time of meeting."""
+    ego_mps = (ego[1][1] - ego[0][1]) / (ego[1][0] - ego[0][0])
+    best: tuple[float, Profile, float] | None = None
+    for meeting_s in np.arange(max(sight_s + 2.0, SHORTEST_S), LONGEST_S + 0.01, 0.5):
+        meeting_m = ego[0][1] + ego_mps * meeting_s
+        begin_m = round(float(meeting_m + other_mps * meeting_s), 2)
+        other = ((0.0, begin_m), (10.0, round(begin_m - 10.0 * other_mps, 2)))
+        miss_s = abs(meeting_s - sight_time_s(road, free, ego, other) - sight_s)
+        if best is None or miss_s < best[0]:
+            best = (miss_s, other, float(meeting_s))
+    assert best is not None
+    return best[1], best[2]
+
+
+def _vehicles(draw: Draw, course: Course, other: Profile, ego: Profile) -> tuple[VehicleSpec, ...]:
+    """The oncoming car and whoever else is there; one drive in eight has nobody."""
+    if draw.chance(0.12):
+        return ()
+    vehicles = [_vehicle(draw, timetable=other)]
+    behind_m = 0.0
+    while draw.chance(0.12):  # several in a row
+        behind_m += draw.uniform(12.0, 45.0)
+        vehicles.append(_vehicle(draw, timetable=_shifted(other, behind_m)))
+    if draw.chance(0.07):
+        vehicles.append(_vehicle(draw, lane="own", timetable=_shifted(ego, draw.uniform(25.0, 120.0))))
+    if course.style == "village":
+        vehicles += [
+            _vehicle(
+                draw,
+                lane=draw.choice(["parked_left", "parked_right"]),
+                is_towards=draw.chance(0.5),
+                beam="off",
+                timetable=((0.0, draw.uniform(25.0, other[0][1] - 20.0)),),
+            )
+            for _ in range(draw.integer(1, 4))
+        ]
+    if course.branches:
+        far = min(draw.uniform(60.0, 110.0), course.branches[0].length_m - 5.0)
+        vehicles.append(
+            _vehicle(draw, lane="branch", timetable=((0.0, far), (draw.uniform(4.0, 7.0), 9.0), (12.0, 8.5)))
+        )
+    return tuple(vehicles)
+
+
+def _vehicle(
+    draw: Draw,
+    *,
+    timetable: Profile,
+    lane: Literal["oncoming", "own", "parked_left", "parked_right", "branch"] = "oncoming",
+    is_towards: bool = True,
+    beam: Literal["low", "off"] = "low",
+) -> VehicleSpec:
+    return VehicleSpec(
+        kind=draw.choice(["car", "van", "lorry", "motorcycle"], [0.78, 0.1, 0.08, 0.04]),
+        lane=lane,
+        is_towards=is_towards,
+        timetable=timetable,
+        beam="high" if beam == "low" and draw.chance(0.15) else beam,
+        brightness=draw.log_uniform(0.6, 1.8),
+        yaw_aim_deg=draw.normal(0.0, 0.5),
+        pitch_aim_deg=draw.normal(0.0, 0.4),
+        is_light=draw.chance(0.5),
+    )
+
+
+def _road(draw: Draw, course: Course, length_m: float, wetness: float) -> RoadSpec:
+    points = [(0.0, 0.0)]
+    for start, end, bend in course.bends:
+        transition = min(draw.uniform(15.0, 45.0), (end - start) / 2.5)
+        for place, value in (
+            (start, 0.0),
+            (start + transition, bend),
+            (end - transition, bend),
+            (end, 0.0),
+        ):
+            if place > points[-1][0] + 0.5:
+                points.append((round(place, 1), float(f"{value:.5g}")))
+    return RoadSpec(
+        length_m=length_m,
+        lane_width_m=draw.uniform(2.9, 3.6),
+        curvature_per_m=tuple(points),
+        elevation_m=course.elevation_m,
+        centre_marking=draw.choice(["dashed", "solid", "none"], [0.6, 0.2, 0.2]),
+        has_edge_marking=draw.chance(0.8 if course.style != "village" else 0.2),
+        wear=draw.uniform(0.0, 0.8),
+        wetness=wetness,
+        branches=course.branches,
+    )
+
+
+def _speed_mps(draw: Draw, course: Course, cruising_mps: float) -> float:
+    """Slower in a village and in bends: at most 3.5 m/s^2 to the side."""
+    if course.style == "village":
+        return draw.uniform(9.0, 15.0)
+    tightest = max((abs(bend) for _, _, bend in course.bends), default=0.0)
+    return round(min(cruising_mps, float(np.sqrt(3.5 / tightest)) if tightest else cruising_mps), 2)
+
+
+def _shifted(timetable: Profile, by_m: float) -> Profile:
+    return tuple((time, round(place + by_m, 2)) for time, place in timetable)
+
+
+def _weather(draw: Draw) -> tuple[WeatherSpec, float]:
+    """The weather, and how wet the road is."""
+    kind = draw.choice(["dry", "wet", "rain", "snow", "mist"], [0.55, 0.2, 0.1, 0.08, 0.07])
+    haze = {
+        "dry": (5e-5, 3e-4),
+        "wet": (1e-4, 6e-4),
+        "rain": (2e-4, 1e-3),
+        "snow": (4e-4, 1.5e-3),
+        "mist": (1e-3, 4e-3),
+    }
+    weather = WeatherSpec(
+        scattering_per_m=draw.log_uniform(*haze[kind]),
+        rain_mm_h=draw.log_uniform(0.5, 8.0) if kind == "rain" else 0.0,
+        snow_mm_h=draw.log_uniform(0.3, 3.0) if kind == "snow" else 0.0,
+        sky_cd_m2=draw.log_uniform(1e-4, 5e-3),
+    )
+    wetness = {"dry": 0.0, "wet": draw.uniform(0.3, 1.0), "rain": draw.uniform(0.6, 1.0)}
+    return weather, wetness.get(kind, draw.uniform(0.0, 0.4))
+
+
+def _camera(draw: Draw) -> CameraSpec:
+    return CameraSpec(
+        focal_px=draw.normal(1312.0, 50.0),
+        centre_px=(draw.normal(640.0, 6.0), draw.normal(480.0, 6.0)),
+        distortion=(
+            draw.normal(-0.05, 0.02),
+            draw.normal(0.02, 0.01),
+            draw.normal(0.0, 3e-4),
+            draw.normal(0.0, 3e-4),
+            0.0,
+        ),
+        mount_m=(draw.uniform(1.7, 2.1), draw.normal(0.0, 0.05), draw.uniform(1.2, 1.45)),
+        pitch_deg=draw.normal(-0.7, 0.4),
+        yaw_deg=draw.normal(0.0, 0.3),
+        roll_deg=draw.normal(0.0, 0.2),
+    )
+
+
+def _sensor(draw: Draw) -> SensorSpec:
+    """Around the figures of the one lossless real frame."""
+    return SensorSpec(
+        grey_per_cd_m2=draw.log_uniform(38.0, 66.0),
+        night_gain=draw.log_uniform(6.0, 11.0),
+        black_level=draw.normal(7.6, 0.8),
+        knee=draw.normal(38.0, 3.0),
+        log_slope=draw.normal(14.0, 1.5),
+        read_noise=draw.normal(1.35, 0.15),
+        shot_noise=draw.log_uniform(0.038, 0.066),
+        column_noise=draw.log_uniform(0.7, 1.3),
+        core_px=draw.normal(0.8, 0.08),
+        middle_share=draw.uniform(0.18, 0.32),
+        middle_px=draw.log_uniform(0.5, 1.2),
+        tail_share=draw.log_uniform(8e-3, 2.2e-2),
+    )

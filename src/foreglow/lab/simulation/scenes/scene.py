@@ -1,0 +1,331 @@
+"""The scenario language: one frozen `Scene` says everything about a drive, and TOML writes it down.
+
+Positions along a road are arc lengths `s` in metres, offsets `t` are metres to the left of its centre line. Traffic
+keeps to the right. Angles in degrees, as people write them; profiles are lists of pairs, interpolated in between.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias, get_args
+
+import tomli_w
+from pydantic import Field, model_validator
+
+from foreglow.config import read_toml, validated
+from foreglow.lab.simulation.scenes.surroundings import (
+    NonNegative,
+    Positive,
+    Profile,
+    Share,
+    SpecModel,
+    SurroundingsSpec,
+)
+
+VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle"]
+Beam: TypeAlias = Literal["low", "high", "off"]
+EgoBeam: TypeAlias = Literal["low", "high", "matrix"]
+EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
+
+
+def _check_growing(name: str, profile: tuple[tuple[float, float], ...]) -> None:
+    places = [place for place, _ in profile]
+    if any(later <= earlier for earlier, later in itertools.pairwise(places)):
+        raise ValueError(f"{name}: expected growing positions, got {places}")
+
+
+class Branch(SpecModel):
+    """A straight side road that meets the main one.
+
+    Attributes:
+        s_m: Where it meets the main road's centre line.
+        angle_deg: Its direction away from the main road, to the left of the main road's; 90 leaves to the left.
+        length_m: How far it goes.
+    """
+
+    s_m: float
+    angle_deg: Annotated[float, Field(ge=-180, le=180)]
+    length_m: Positive = 120.0
+
+
+class RoadSpec(SpecModel):
+    """Course and surface of the main road, and the side roads.
+
+    Attributes:
+        length_m: Length of the road that is built; it starts at s = 0.
+        lane_width_m: Width of either lane.
+        curvature_per_m: Signed curvature over s, positive to the left; linear in between, so that bends begin and
+            end with clothoids; constant beyond the ends.
+        elevation_m: Height over s; a smooth curve runs through the points.
+        superelevation: Cross slope per 1/100 m of curvature, up to 6 %; roads lean into their bends.
+        centre_marking: Dashes, a solid line, or none.
+        has_edge_marking: Whether there are lines at the edges.
+        wear: 0 new to 1 worn: markings fade, wheel tracks shine.
+        wetness: 0 dry to 1 wet: the surface is darker and glossy.
+        snow: Share of the carriageway under snow.
+        branches: Side roads.
+    """
+
+    length_m: Annotated[float, Field(ge=50, le=5000)] = 500.0
+    lane_width_m: Annotated[float, Field(ge=2, le=5)] = 3.5
+    curvature_per_m: Profile = ((0.0, 0.0),)
+    elevation_m: Profile = ((0.0, 0.0),)
+    superelevation: Annotated[float, Field(ge=0, le=0.2)] = 0.04
+    centre_marking: Literal["dashed", "solid", "none"] = "dashed"
+    has_edge_marking: bool = True
+    wear: Share = 0.3
+    wetness: Share = 0.0
+    snow: Share = 0.0
+    branches: tuple[Branch, ...] = ()
+
+    @model_validator(mode="after")
+    def _check(self) -> RoadSpec:
+        _check_growing("curvature_per_m", self.curvature_per_m)
+        _check_growing("elevation_m", self.elevation_m)
+        tightest = max(abs(curvature) for _, curvature in self.curvature_per_m)
+        if tightest > 0.05:
+            raise ValueError(f"curvature_per_m: expected radii of at least 20 m, got {1 / tightest:.1f} m")
+        return self
+
+
+class VehicleSpec(SpecModel):
+    """Another road user with its time table.
+
+    Attributes:
+        kind: What it is.
+        lane: `oncoming` comes towards us on its lane, `own` drives ahead on ours, `parked_left` and `parked_right`
+            stand at the edge, `branch` drives on a side road.
+        branch: Number of the side road for lane `branch`.
+        is_towards: On a side road: whether it drives towards the main road. Parked: whether it faces us.
+        timetable: Pairs (time in s, arc length in m) along its road; smooth in between, at constant speed beyond.
+        lateral_m: Metres to the left of the road's centre line; None is the middle of the lane.
+        beam: Its headlamps.
+        low_beam_file: An IES file for the low beam in place of the table that ships.
+        brightness: Factor on all its lamps.
+        yaw_aim_deg: Mis-aim of the headlamps to the left.
+        pitch_aim_deg: Mis-aim upwards.
+        is_light: Whether its paint is light.
+    """
+
+    kind: VehicleKind = "car"
+    lane: Literal["oncoming", "own", "parked_left", "parked_right", "branch"] = "oncoming"
+    branch: Annotated[int, Field(ge=0)] = 0
+    is_towards: bool = True
+    timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
+    lateral_m: float | None = None
+    beam: Beam = "low"
+    low_beam_file: str | None = None
+    brightness: Positive = 1.0
+    yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    is_light: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> VehicleSpec:
+        _check_growing("timetable", self.timetable)
+        return self
+
+
+class EgoSpec(SpecModel):
+    """Our own vehicle.
+
+    Attributes:
+        timetable: Pairs (time in s, arc length in m), as for other vehicles.
+        beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
+        low_beam_file: An IES file for the low beam in place of the table that ships.
+        brightness: Factor on the headlamps.
+        yaw_aim_deg: Mis-aim to the left.
+        pitch_aim_deg: Mis-aim upwards.
+        body_motion: Factor on pitch, roll and heave of the body on its springs; 0 is a smooth ride.
+    """
+
+    timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
+    beam: EgoBeam = "low"
+    low_beam_file: str | None = None
+    brightness: Positive = 1.0
+    yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    body_motion: Annotated[float, Field(ge=0, le=10)] = 1.0
+
+    @model_validator(mode="after")
+    def _check(self) -> EgoSpec:
+        _check_growing("timetable", self.timetable)
+        return self
+
+
+class WeatherSpec(SpecModel):
+    """The air, what falls through it, and what light there is anyway.
+
+    Attributes:
+        scattering_per_m: Scattering coefficient of the haze; 4e-4 is clear, 3e-3 is mist.
+        asymmetry: Henyey-Greenstein parameter of the haze.
+        rain_mm_h: Rate of rain.
+        snow_mm_h: Rate of snow, as water.
+        sky_cd_m2: Luminance of the sky; 2e-4 is a cloudy night far from towns, 5e-3 is beside one.
+    """
+
+    scattering_per_m: NonNegative = 4e-4
+    asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.75
+    rain_mm_h: NonNegative = 0.0
+    snow_mm_h: NonNegative = 0.0
+    sky_cd_m2: NonNegative = 3e-4
+
+
+class CameraSpec(SpecModel):
+    """The camera and how it is mounted; sizes are those of the full image.
+
+    Attributes:
+        width_px: Columns.
+        height_px: Rows.
+        focal_px: Focal length.
+        centre_px: Principal point; None is the middle.
+        distortion: k1, k2, p1, p2, k3, as OpenCV defines them.
+        mount_m: In the vehicle: forward of the rear axle, left, up.
+        pitch_deg: Upwards.
+        yaw_deg: To the left.
+        roll_deg: To the right.
+    """
+
+    width_px: Annotated[int, Field(ge=32, le=8192)] = 1280
+    height_px: Annotated[int, Field(ge=24, le=8192)] = 960
+    focal_px: Positive = 1312.0
+    centre_px: tuple[float, float] | None = None
+    distortion: tuple[float, float, float, float, float] = (-0.05, 0.02, 0.0, 0.0, 0.0)
+    mount_m: tuple[float, float, float] = (1.9, 0.0, 1.3)
+    pitch_deg: Annotated[float, Field(ge=-30, le=30)] = -0.7
+    yaw_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    roll_deg: Annotated[float, Field(ge=-30, le=30)] = 0.0
+
+
+class SensorSpec(SpecModel):
+    """Optics and imager, in grey levels of 8 bits; pixels are those of a 1280 columns wide image.
+
+    Attributes:
+        exposure: `day` is the short exposure of PVDN's cycle, `night` the long one.
+        grey_per_cd_m2: Grey levels for 1 cd/m^2 in the short exposure, in the linear part of the response.
+        night_gain: How much more the long exposure collects.
+        day_exposure_s: Duration of the short exposure; from the length of motion blur in PVDN's frames, as is the next.
+        night_exposure_s: Duration of the long exposure; what `night_gain` has beyond it is amplification, of noise too.
+        black_level: Grey level without light.
+        knee: Grey levels above black up to which the response is linear.
+        log_slope: Grey levels for a factor e above the knee.
+        read_noise: Standard deviation without light.
+        shot_noise: Variance for a grey level of signal.
+        column_noise: Factor on the fixed pattern of the columns.
+        core_px: Standard deviation of the point spread's core.
+        middle_share: Share of the light in the exponential part.
+        middle_px: Length of the exponential part.
+        tail_share: Share of the light in the 1/r^2 tail (veiling glare).
+        vignetting: Factor on the natural cos^4 fall-off's logarithm.
+    """
+
+    exposure: Literal["day", "night"] = "day"
+    grey_per_cd_m2: Positive = 50.0
+    night_gain: Positive = 8.0
+    day_exposure_s: Positive = 8e-3
+    night_exposure_s: Positive = 2.5e-2
+    black_level: NonNegative = 7.6
+    knee: Positive = 38.0
+    log_slope: Positive = 14.0
+    read_noise: NonNegative = 1.35
+    shot_noise: NonNegative = 0.05
+    column_noise: NonNegative = 1.0
+    core_px: Positive = 0.8
+    middle_share: Share = 0.25
+    middle_px: Positive = 0.65
+    tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.5e-2
+    vignetting: NonNegative = 1.0
+
+
+class LabelRule(SpecModel):
+    """When light counts as a perceivable artifact; part of every result, for it sets each first sight.
+
+    `D` is the noise-free grey level that a vehicle's light adds, smoothed; pixels are those of images of 1280 columns.
+
+    Attributes:
+        min_grey: D must exceed this.
+        min_contrast: D over its noise (sensor, columns, texture of the surroundings, veiling glare) must exceed this.
+        min_area_px: Pixels around a peak that reach half of it.
+        saddle: Two peaks are two instances where the light falls below this share of the lower one in between.
+        min_distance_px: Between instances of one vehicle.
+        max_instances: Indirect ones of one vehicle in an image in which one of its lamps is seen; the strongest stay.
+        max_hidden_instances: The same while none of its lamps is seen: people then mark the light as a whole.
+        relative_strength: Peaks below this share of the vehicle's strongest are dropped.
+        doubtful_factor: Peaks that meet the rule only with thresholds divided by this are kept apart as doubtful.
+        hold_frames: An instance that was there stays while it meets the divided thresholds, for this many frames.
+        min_visible: Share of a lamp's disc that must be seen for a direct instance.
+    """
+
+    min_grey: Positive = 15.0
+    min_contrast: Positive = 37.5
+    min_area_px: Positive = 25.0
+    saddle: Share = 0.5
+    min_distance_px: NonNegative = 20.0
+    max_instances: Annotated[int, Field(ge=1)] = 2
+    max_hidden_instances: Annotated[int, Field(ge=1)] = 1
+    relative_strength: Share = 0.5
+    doubtful_factor: Annotated[float, Field(ge=1)] = 4.0
+    hold_frames: Annotated[int, Field(ge=0)] = 3
+    min_visible: Share = 0.2
+
+
+class Scene(SpecModel):
+    """One drive, completely: the same scene gives the same images.
+
+    Attributes:
+        name: Scenario that it belongs to, such as `curve`.
+        seed: Of everything that is placed or drawn at random: plants, textures, noise, body motion.
+        duration_s: Length of the drive.
+        rate_hz: Frames a second.
+        road: Course and surface of the road.
+        surroundings: What stands beside it.
+        vehicles: The other road users.
+        ego: Our own vehicle.
+        weather: Air, rain, snow, sky.
+        camera: Calibration and mount.
+        sensor: Optics and imager.
+        labels: When light counts as an artifact.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=100)] = "straight"
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    duration_s: Annotated[float, Field(gt=0, le=3600)] = 9.0
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    road: RoadSpec = RoadSpec()
+    surroundings: SurroundingsSpec = SurroundingsSpec()
+    vehicles: tuple[VehicleSpec, ...] = ()
+    ego: EgoSpec = EgoSpec()
+    weather: WeatherSpec = WeatherSpec()
+    camera: CameraSpec = CameraSpec()
+    sensor: SensorSpec = SensorSpec()
+    labels: LabelRule = LabelRule()
+
+    @model_validator(mode="after")
+    def _check(self) -> Scene:
+        for place, vehicle in enumerate(self.vehicles):
+            if vehicle.lane == "branch" and vehicle.branch >= len(self.road.branches):
+                num = len(self.road.branches)
+                raise ValueError(f"vehicles.{place}.branch: expected a side road below {num}, got {vehicle.branch}")
+        return self
+
+    @property
+    def num_frames(self) -> int:
+        """Frames of the drive."""
+        return max(1, round(self.duration_s * self.rate_hz))
+
+
+def read_scene(path: Path) -> Scene:
+    """The scene in the TOML file `path`; what it does not mention has the default.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
+    """
+    return validated(Scene, read_toml(path), str(path))
+
+
+def scene_to_toml(scene: Scene) -> str:
+    """`scene` as TOML text that `read_scene` reads back equal; fields that are None are left out."""
+    fields: dict[str, Any] = scene.model_dump(exclude_none=True)
+    return tomli_w.dumps(fields)

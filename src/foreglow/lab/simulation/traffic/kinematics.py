@@ -1,0 +1,104 @@
+"""Where everybody is at a time: from time tables to poses, with the body's motion on its springs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from foreglow.geometry import Pose, rotation
+from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
+from foreglow.lab.simulation.world.road import Road, interpolated
+
+EGO_WHEELBASE_M = 2.8
+STREAM = 1
+"""Number of the stream of random numbers of the body's motion."""
+
+PITCH_DEG, ROLL_DEG, HEAVE_M = 0.12, 0.10, 0.008
+"""Standard deviations of the body's motion on a fair country road; of the order of published ride measurements."""
+
+NUM_WAVES = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleState:
+    """A vehicle at one time.
+
+    Attributes:
+        pose: world_from_vehicle.
+        s_m: Arc length of the rear axle along its road.
+        speed_mps: Forward.
+        yaw_rate_radps: To the left.
+    """
+
+    pose: Pose
+    s_m: float
+    speed_mps: float
+    yaw_rate_radps: float
+
+
+class BodyMotion:
+    """Pitch, roll and heave over time: sums of waves around the body's and the wheels' natural frequencies.
+
+    A function of time alone, so that any frame can be made without the ones before it.
+    """
+
+    def __init__(self, seed: int, strength: float) -> None:
+        """Draws the waves; `strength` scales them all."""
+        rng = np.random.default_rng([seed, STREAM])
+        is_body = np.arange(NUM_WAVES) < NUM_WAVES - 3  # the rest are the wheels, ten times faster and weaker
+        centres = np.where(is_body, 1.4, 11.0)
+        self._frequencies_hz = centres * np.exp(rng.normal(0.0, 0.25, (3, NUM_WAVES)))
+        self._phases = rng.uniform(0.0, 2.0 * np.pi, (3, NUM_WAVES))
+        amplitudes = np.where(is_body, 1.0, 0.12) * np.sqrt(2.0 / is_body.sum())
+        self._amplitudes = strength * np.array([[PITCH_DEG], [ROLL_DEG], [HEAVE_M]]) * amplitudes
+
+    def at(self, time_s: float) -> Pose:
+        """steady_vehicle_from_vehicle at `time_s`."""
+        waves = np.sin(2.0 * np.pi * self._frequencies_hz * time_s + self._phases)
+        pitch_deg, roll_deg, heave_m = (self._amplitudes * waves).sum(1)
+        turned = rotation(0.0, float(np.radians(pitch_deg)), float(np.radians(roll_deg)))
+        return Pose(np.array([0.0, 0.0, heave_m]), turned)
+
+
+def ego_state(ego: EgoSpec, road: Road, body: BodyMotion, time_s: float) -> VehicleState:
+    """Our own vehicle at `time_s`, in the middle of the right lane."""
+    s, speed = (float(one) for one in interpolated(ego.timetable, time_s))
+    steady = road.pose(s, -road.half_width_m / 2, 1, EGO_WHEELBASE_M)
+    return VehicleState(steady @ body.at(time_s), s, speed, speed * float(road.curvature_per_m(s)))
+
+
+def vehicle_state(
+    vehicle: VehicleSpec, road: Road, branches: tuple[Road, ...], wheelbase_m: float, time_s: float
+) -> VehicleState:
+    """Another vehicle at `time_s`; `road` is the main road, `branches` its side roads."""
+    s, rate = (float(one) for one in interpolated(vehicle.timetable, time_s))
+    own_road = branches[vehicle.branch] if vehicle.lane == "branch" else road
+    direction = driving_direction(vehicle)
+    lateral = _lateral_m(vehicle, own_road) if vehicle.lateral_m is None else vehicle.lateral_m
+    speed = direction * rate
+    # Against the arc length a bend to the left is one to the right.
+    yaw_rate = speed * direction * float(own_road.curvature_per_m(s))
+    return VehicleState(own_road.pose(s, lateral, direction, wheelbase_m), s, speed, yaw_rate)
+
+
+def driving_direction(vehicle: VehicleSpec) -> int:
+    """1 along the arc length of its road, -1 against it."""
+    if vehicle.lane == "own":
+        return 1
+    if vehicle.lane == "oncoming":
+        return -1
+    return -1 if vehicle.is_towards else 1
+
+
+def _lateral_m(vehicle: VehicleSpec, road: Road) -> float:
+    """The middle of the vehicle's lane, metres to the left of the centre line."""
+    lane = road.half_width_m / 2
+    offsets: dict[str, float] = {
+        "own": -lane,
+        "oncoming": lane,
+        "parked_left": road.half_width_m - 0.9,
+        "parked_right": -road.half_width_m + 0.9,
+        "branch": lane if vehicle.is_towards else -lane,
+    }
+    return offsets[vehicle.lane]

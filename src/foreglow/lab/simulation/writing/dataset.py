@@ -1,0 +1,306 @@
+"""From scenes to a data set on disk: PVDN's layout with the truth beside it, in one go or in many.
+
+The split lies in `OUT/CYCLE/SPLIT`, such as `DATA/night/train`, as PVDN's own do: `foreglow run` and `evaluate` take
+that folder, or `DATA` while it is the only split in there; commands that learn take `DATA`. Beside `images` and
+`labels` the split's folder has `scenes.jsonl` and `simulation`; `truth_files` says what is in them.
+
+Each scene is driven in a folder of its own, which gets its name once it is whole: `simulation/S00001` is there or it
+is not. PVDN's label files are made of the truth of all scenes at the end. So a run that was interrupted goes on where
+it was, and neither that nor the number of processes changes a byte.
+"""
+
+from __future__ import annotations
+
+import functools
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from foreglow.config import FrozenModel, validated
+from foreglow.datasets.json_files import read_json
+from foreglow.datasets.pvdn_schema import Cycle, Name
+from foreglow.datasets.pvdn_writer import png
+from foreglow.files import write_atomic
+from foreglow.lab.simulation.labels.production import ProductionConfig
+from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.truth import DriveFrame
+from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth
+from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
+from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetDataError, StreetMap
+from foreglow.lab.simulation.writing.truth_files import (
+    MAX_FRAMES,
+    InfoFile,
+    Making,
+    SceneFile,
+    SceneWriter,
+    finished_sequences,
+    sequence_folder,
+    sequence_name,
+    write_info,
+    write_scenes,
+)
+from foreglow.lab.simulation.writing.truth_records import FrameTruth
+from foreglow.parallel import Local, Parent, Workers
+
+SIMULATOR_VERSION = 1
+"""To be raised whenever the same scene gives other bytes: finished scenes of another version are not mixed in."""
+
+GENERATOR = f"foreglow {version('foreglow')}, simulator {SIMULATOR_VERSION}"
+
+LIDAR_STREAM = 902
+"""Random stream of a scene's scanner, `np.random.default_rng([scene.seed, LIDAR_STREAM])`."""
+
+MAX_JITTER_NS = 1_000_000
+"""A frame's time may be this far from its place over the frame rate, which is the time that readers will see."""
+
+DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
+"""Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
+
+Progress: TypeAlias = Callable[[int, int, int], None]
+"""Called with a scene's number, how many of its frames are done, and how many it has."""
+
+
+class DatasetConfig(FrozenModel):
+    """What is made of the scenes.
+
+    Attributes:
+        cycle: Exposure of every image; it becomes that of the scenes' sensors.
+        split: Name of the split.
+        seed: That the scenes were drawn with, for the record.
+        generator: Name and version of what drives; part of it must change when the same scene gives other bytes.
+        lidar: The scanner of the depth images.
+        street: How wrong the street messages are.
+        production: Parameters of the modelled production system, for the record.
+    """
+
+    cycle: Cycle = Cycle.NIGHT
+    split: Name = "train"
+    seed: int | None = None
+    generator: Annotated[str, Field(min_length=1)] = GENERATOR
+    lidar: LidarConfig = LidarConfig()
+    street: StreetDataError = StreetDataError()
+    production: dict[str, Any] = Field(default_factory=dict)
+
+    @classmethod
+    def of(cls, *, seed: int | None, split: str, cycle: str, quality: str) -> DatasetConfig:
+        """The configuration for drives of our own renderer at `quality`.
+
+        Raises:
+            ValueError: If the cycle is neither `day` nor `night`, or the split no plain name.
+        """
+        fields = {
+            "cycle": _cycle(cycle),
+            "split": split,
+            "seed": seed,
+            "generator": f"{GENERATOR}, {quality}",
+            "production": ProductionConfig().model_dump(mode="json"),
+        }
+        return validated(cls, fields, "simulate")
+
+
+def _cycle(name: str) -> Cycle:
+    if name not in set(Cycle):
+        raise ValueError(f"cycle: expected one of {', '.join(Cycle)}, got {name!r}")
+    return Cycle(name)
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetSummary:
+    """What came of it.
+
+    Attributes:
+        root: The split's folder.
+        num_kept: How many of its sequences were there before.
+        labels: What is labelled.
+    """
+
+    root: Path
+    num_kept: int
+    labels: LabelCounts
+
+
+def simulate_dataset(
+    out: Path | str,
+    scenes: Sequence[Scene],
+    drive: DriveScene,
+    config: DatasetConfig | None = None,
+    *,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+) -> DatasetSummary:
+    """Drives `scenes` and writes them as the split `out/CYCLE/SPLIT`; scenes that are there already are kept.
+
+    The first scene becomes sequence 1 (S00001) with the images 10000, 10001, ...; more scenes may be added later.
+
+    Args:
+        out: Folder of the data set; made if need be.
+        scenes: At least one; all with the same frame rate and label rule.
+        drive: Drives a scene and yields what it knows of each frame; called once a scene, in any order.
+        config: Cycle, split and the rest.
+        workers: Who drives, each with a renderer of its own; None drives in this process.
+        progress: Told of every frame, from this process.
+
+    Raises:
+        ValueError: If the scenes do not fit together, the folder holds something else or scenes that were made
+            differently, or a drive contradicts its scene.
+        OSError: If something cannot be written, such as on a full disk, or a process died; scenes that are finished
+            stay.
+    """
+    config = config or DatasetConfig()
+    files = _scene_files(scenes, config)
+    root = Path(out) / config.cycle / config.split
+    kept = _kept(root, files)
+    for folder in ("images", "labels/keypoints", "simulation"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    info = _info(files, config)
+    write_info(root, info)
+    write_scenes(root, files)
+    report = progress or _no_progress
+    for file in files:
+        if file.sequence in kept:
+            report(file.sequence, file.scene.num_frames, file.scene.num_frames)
+    wanted = {sequence_name(file.sequence): file for file in files if file.sequence not in kept}
+    work = functools.partial(_make_scene, root, drive)
+    for _ in (workers or Local()).each(work, wanted, report, paths=(root,)):
+        pass
+    for leftover in root.rglob(".*.tmp"):  # of a run that was killed
+        leftover.unlink(missing_ok=True)
+    return DatasetSummary(root, len(kept), write_labels(root, info))
+
+
+def _no_progress(sequence: int, num_done: int, num_frames: int) -> None:
+    """Shows nothing."""
+
+
+def _scene_files(scenes: Sequence[Scene], config: DatasetConfig) -> list[SceneFile]:
+    """The scenes with their numbers and the cycle's exposure; checks that they fit together."""
+    if not scenes:
+        raise ValueError("scenes: expected at least one, got none")
+    first = scenes[0]
+    for number, scene in enumerate(scenes, start=1):
+        for field in ("rate_hz", "labels"):
+            if getattr(scene, field) != getattr(first, field):
+                raise ValueError(
+                    f"scenes: {field}: expected one for the whole data set, scene {number} differs from the first"
+                )
+        if scene.num_frames > MAX_FRAMES:
+            raise ValueError(f"scenes: expected up to {MAX_FRAMES} frames each, scene {number} has {scene.num_frames}")
+    making = Making(generator=config.generator, lidar=config.lidar, street=config.street)
+    return [
+        SceneFile(sequence=number, made_with=making, scene=_exposed(scene, config.cycle))
+        for number, scene in enumerate(scenes, start=1)
+    ]
+
+
+def _exposed(scene: Scene, cycle: Cycle) -> Scene:
+    exposure = "night" if cycle is Cycle.NIGHT else "day"
+    return scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"exposure": exposure})})
+
+
+def _info(files: list[SceneFile], config: DatasetConfig) -> InfoFile:
+    return InfoFile(
+        made_with=files[0].made_with,
+        seed=config.seed,
+        cycle=config.cycle.value,
+        split=config.split,
+        rate_hz=files[0].scene.rate_hz,
+        label_rule=files[0].scene.labels.model_dump(mode="json"),
+        production=config.production,
+    )
+
+
+def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
+    """Numbers of the scenes that are finished; checks that the folder may be written to at all."""
+    if not (root / "simulation" / "info.json").exists():
+        for name in ("images", "labels"):
+            if any(found.is_file() for found in (root / name).rglob("*")):
+                raise ValueError(f"{root}: expected a new folder or a simulated split, this is another data set")
+    finished = finished_sequences(root)
+    for sequence_id in finished:
+        folder = sequence_folder(root, sequence_id)
+        if sequence_id > len(files):
+            raise ValueError(f"{folder}: expected at most the {len(files)} scenes of this run; choose another folder")
+        wanted, there = files[sequence_id - 1], read_json(folder / "scene.json", SceneFile)
+        field = _difference(wanted.model_dump(mode="json"), there.model_dump(mode="json"))
+        if field is not None:
+            raise ValueError(
+                f"{folder / 'scene.json'}: {field}; choose another folder, or remove {folder} to make it anew"
+            )
+    return frozenset(one for one in finished if (root / "images" / sequence_name(one)).is_dir())
+
+
+def _difference(wanted: Any, there: Any, field: str = "") -> str | None:
+    """The first field in which two JSON values differ, as `field: expected ..., found ...`."""
+    if wanted == there:
+        return None
+    if isinstance(wanted, dict) and isinstance(there, dict) and wanted.keys() == there.keys():
+        deeper = (_difference(wanted[key], there[key], f"{field}.{key}".lstrip(".")) for key in wanted)
+        return next(found for found in deeper if found is not None)
+    return f"{field}: expected {_short(wanted)} as in this run, found {_short(there)}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _make_scene(root: Path, drive: DriveScene, file: SceneFile, parent: Parent) -> None:
+    """Drives one scene; its images and its truth appear together, or nothing does."""
+    name = sequence_name(file.sequence)
+    partial = root / "simulation" / f".{name}.partial"
+    images, truth = root / "images" / name, sequence_folder(root, file.sequence)
+    shutil.rmtree(partial, ignore_errors=True)  # of a run that was killed
+    try:
+        (partial / "images").mkdir(parents=True)
+        _drive_into(partial, file, drive, parent)
+        for leftover in (truth, images):  # of a run that was killed between the two lines that follow
+            if leftover.exists():
+                shutil.rmtree(leftover)
+        (partial / "images").rename(images)
+        partial.rename(truth)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent) -> None:
+    scene, name = file.scene, sequence_name(file.sequence)
+    street = StreetMap(Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM]))
+    lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
+    writer = SceneWriter(folder, file)
+    start_ns, num_done = 0, 0
+    for known in drive(scene):
+        if num_done == 0:
+            start_ns = known.frame.timestamp_ns
+        _check_frame(known, num_done, scene, start_ns, name)
+        image_id = file.sequence * MAX_FRAMES + num_done
+        write_atomic(folder / "images" / f"{image_id:06d}.png", png(known.frame.image))
+        depth = lidar_depth(known.depth_m, known.camera, lidar_rng, file.made_with.lidar)
+        writer.add(FrameTruth.of(image_id, known, street.message(known.ego_s_m)), known.camera, depth)
+        num_done += 1
+        parent.tell(file.sequence, num_done, scene.num_frames)
+        if parent.is_stopped:
+            raise KeyboardInterrupt
+    if num_done != scene.num_frames:
+        raise ValueError(f"{name}: drive: expected {scene.num_frames} frames, got {num_done}")
+    writer.close()
+
+
+def _check_frame(known: DriveFrame, place: int, scene: Scene, start_ns: int, name: str) -> None:
+    """What would make the files contradict each other."""
+    where = f"{name}: drive: frame {place}"
+    if place >= scene.num_frames:
+        raise ValueError(f"{where}: expected {scene.num_frames} frames, got more")
+    expected_ns = start_ns + round(place * 1e9 / scene.rate_hz)
+    if abs(known.frame.timestamp_ns - expected_ns) > MAX_JITTER_NS:
+        raise ValueError(f"{where}: timestamp_ns: expected about {expected_ns}, got {known.frame.timestamp_ns}")
+    size_px, image_px = (known.camera.width_px, known.camera.height_px), (known.frame.width_px, known.frame.height_px)
+    if image_px != size_px:
+        raise ValueError(f"{where}: image: expected the camera's {size_px} px, got {image_px} px")

@@ -1,0 +1,262 @@
+"""PVDN's labels of a simulated drive, made from its truth: key points, image records, and the sequence's attributes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from foreglow.datasets.json_files import write_json
+from foreglow.datasets.pvdn_schema import (
+    DriverBehaviour,
+    EnvironmentLighting,
+    ImageAnnotation,
+    ImageAnnotationsFile,
+    ImageCategory,
+    ImageRecord,
+    Instance,
+    KeypointsFile,
+    RoadType,
+    Sequence,
+    SequencesFile,
+    StreetStyle,
+    Vehicle,
+    View,
+    Weather,
+)
+from foreglow.datasets.pvdn_writer import CAMERA_CONFIGURATIONS, CATEGORIES, image_record, write_label_files
+from foreglow.geometry import Camera
+from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.truth import Artifact, VehicleTruth
+from foreglow.lab.simulation.world.road import Road, interpolated
+from foreglow.lab.simulation.writing.truth_files import InfoFile, SequenceTruth, read_truth
+from foreglow.lab.simulation.writing.truth_records import FrameTruth
+
+BEND_PER_M = 1e-3
+"""A road bends where its radius is below 1 km."""
+
+BEND_RAD = 0.1
+LONG_BEND_M = 150.0
+DOME_SLOPE_CHANGE = 0.03
+DOME_LENGTH_M = 100.0
+"""A crest takes the slope down by 3 % within 100 m."""
+
+FOG_PER_M = 2e-3
+"""Scattering from which the air is fog: a visibility (contrast of 5 %) below 1.5 km."""
+
+DUSK_CD_M2 = 0.05
+BRIGHT_CD_M2 = 10.0
+"""Luminance of the sky from which it is dusk, and from which it is bright."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelCounts:
+    """What is labelled in a split.
+
+    Attributes:
+        num_sequences: Drives.
+        num_images: Images.
+        num_empty_images: Images without any instance.
+        num_direct: Instances that are lamps.
+        num_indirect: Instances that are light of lamps on something else.
+        num_doubtful: Light that is neither labelled nor a fault to find.
+    """
+
+    num_sequences: int
+    num_images: int
+    num_empty_images: int
+    num_direct: int
+    num_indirect: int
+    num_doubtful: int
+
+
+def write_labels(root: Path, info: InfoFile) -> LabelCounts:
+    """Writes PVDN's label files of the split `root` from its truth; it is no split while they are written.
+
+    Raises:
+        FileNotFoundError: If a file of the truth is missing.
+        ValueError: If one is broken.
+        OSError: If a label file cannot be written.
+    """
+    for name in ("sequences.json", "image_annotations.json"):
+        (root / "labels" / name).unlink(missing_ok=True)
+    configuration = next(place for place, one in enumerate(CAMERA_CONFIGURATIONS) if one.cycle == info.cycle)
+    sequences: list[Sequence] = []
+    images: list[ImageRecord] = []
+    annotations: list[ImageAnnotation] = []
+    num_empty, num_doubtful = 0, 0
+    instances: list[Instance] = []
+    for truth in read_truth(root):
+        sequences.append(sequence_of(truth))
+        size_px = truth.camera.width_px, truth.camera.height_px
+        for frame in truth.frames:
+            images.append(image_record(frame.image_id, size_px, frame.timestamp_ns, configuration))
+            if frame.category is not ImageCategory.NONE:
+                number = len(annotations)
+                annotations.append(ImageAnnotation(id=number, category=frame.category, image_id=frame.image_id))
+            keypoints = keypoints_of(frame, truth.camera)
+            write_json(root / "labels" / "keypoints" / f"{frame.image_id:06d}.json", keypoints)
+            instances += [one for vehicle in keypoints.annotations for one in vehicle.instances]
+            num_empty += not keypoints.annotations
+            num_doubtful += len(keypoints.doubtful)
+    images_file = ImageAnnotationsFile(
+        info={
+            "description": "Simulated night drives in the layout of PVDN; see simulation/info.json",
+            "version": info.made_with.generator,
+            "seed": info.seed,
+            "rate_hz": info.rate_hz,
+            "label_rule": info.label_rule,
+        },
+        licences=(),
+        camera_configurations=CAMERA_CONFIGURATIONS,
+        categories=CATEGORIES,
+        images=tuple(images),
+        annotations=tuple(annotations),
+    )
+    write_label_files(root, images_file, SequencesFile(sequences=tuple(sequences)))
+    num_direct = sum(one.is_direct for one in instances)
+    return LabelCounts(*(len(sequences), len(images), num_empty, num_direct, len(instances) - num_direct, num_doubtful))
+
+
+def keypoints_of(frame: FrameTruth, camera: Camera) -> KeypointsFile:
+    """The key points of one image: every vehicle with at least one instance; doubtful light beside them.
+
+    A vehicle's position is the middle of its box, seen or not, as in PVDN, or its first instance's where the box's
+    middle is outside the image. It counts as direct where one of its lamps is seen.
+    """
+    camera_pose = frame.ego_pose @ camera.vehicle_from_camera
+    vehicles = []
+    doubtful: list[Instance] = []
+    for vehicle in frame.vehicles:
+        sure = [artifact for artifact in vehicle.artifacts if not artifact.is_doubtful]
+        doubtful += [_instance(artifact, camera) for artifact in vehicle.artifacts if artifact.is_doubtful]
+        if not sure:
+            continue
+        middle_px = camera.project(camera_pose.to_body(vehicle.pose.to_outer(vehicle.box_centre_m)))
+        is_inside = bool(((middle_px >= 0) & (middle_px < [camera.width_px, camera.height_px])).all())
+        position_px = (float(middle_px[0]), float(middle_px[1])) if is_inside else sure[0].position_px
+        vehicles.append(
+            Vehicle(
+                position_px=_whole(position_px, camera),
+                oid=vehicle.vehicle_id,
+                is_direct=any(artifact.is_direct for artifact in sure),
+                instances=tuple(_instance(artifact, camera) for artifact in sure),
+            )
+        )
+    if not doubtful:
+        return KeypointsFile(image_id=frame.image_id, annotations=tuple(vehicles))
+    return KeypointsFile(image_id=frame.image_id, annotations=tuple(vehicles), doubtful=tuple(doubtful))
+
+
+def sequence_of(truth: SequenceTruth) -> Sequence:
+    """The entry of `sequences.json`; the attributes are what the scene's specification suggests."""
+    scene = truth.scene
+    places_m = _driven_m(scene)
+    style, is_dome = street_style(truth.road, places_m), is_crest(truth.road, places_m)
+    is_short = is_dome or style is not StreetStyle.STRAIGHT_STREET
+    return Sequence.plain(
+        truth.sequence_id,
+        start_time_ms=_milliseconds(truth.frames[0].timestamp_ns),
+        end_time_ms=_milliseconds(truth.frames[-1].timestamp_ns),
+        num_images=len(truth.frames),
+        image_ids=tuple(frame.image_id for frame in truth.frames),
+        street_style=style,
+        is_dome=is_dome,
+        driver_behaviour=_behaviour(scene, truth.frames),
+        road_type=(
+            RoadType.SINGLE_LANE_NO_ROAD_MARKING
+            if scene.road.centre_marking == "none"
+            else RoadType.SINGLE_LANE_ROAD_MARKING
+        ),
+        view=View.SHORT_VIEW if is_short else View.WIDE_VIEW,
+        weather=weather(scene),
+        environment_lighting=lighting(scene),
+    )
+
+
+def street_style(road: Road, places_m: tuple[float, float]) -> StreetStyle:
+    """Which bends come between two arc lengths: the first two that turn by 6 degrees or more count."""
+    places = np.arange(*places_m, 2.0)
+    curvatures = road.curvature_per_m(places)
+    signs = np.where(np.abs(curvatures) > BEND_PER_M, np.sign(curvatures), 0).astype(int).tolist()
+    bends = []
+    start = 0
+    for sign, run in itertools.groupby(signs):
+        end = start + len(list(run))
+        if sign and abs(float(curvatures[start:end].sum())) * 2.0 >= BEND_RAD:
+            bends.append((sign, (end - start) * 2.0))
+        start = end
+    if not bends:
+        return StreetStyle.STRAIGHT_STREET
+    first, length_m = bends[0]
+    if len(bends) > 1 and bends[1][0] != first:
+        return StreetStyle.LEFT_RIGHT_TURN if first > 0 else StreetStyle.RIGHT_LEFT_TURN
+    if length_m >= LONG_BEND_M:
+        return StreetStyle.LONG_LEFT_TURN if first > 0 else StreetStyle.LONG_RIGHT_TURN
+    return StreetStyle.LEFT_TURN if first > 0 else StreetStyle.RIGHT_TURN
+
+
+def is_crest(road: Road, places_m: tuple[float, float]) -> bool:
+    """Whether the road leads over a crest between two arc lengths."""
+    starts = np.arange(*places_m, 5.0)
+    return bool((road.slope(starts) - road.slope(starts + DOME_LENGTH_M)).max() >= DOME_SLOPE_CHANGE)
+
+
+def weather(scene: Scene) -> Weather:
+    """The weather, in PVDN's words: what falls comes first, then fog, then what lies on the road."""
+    if scene.weather.snow_mm_h > 0:
+        return Weather.SNOW
+    if scene.weather.rain_mm_h > 0:
+        return Weather.RAIN
+    if scene.weather.scattering_per_m >= FOG_PER_M:
+        return Weather.FOG
+    if scene.road.snow > 0.1:
+        return Weather.SNOW
+    return Weather.WET if scene.road.wetness > 0.2 else Weather.DRY
+
+
+def lighting(scene: Scene) -> EnvironmentLighting:
+    """The ambient light, by the sky's luminance."""
+    if scene.weather.sky_cd_m2 >= BRIGHT_CD_M2:
+        return EnvironmentLighting.BRIGHT
+    return EnvironmentLighting.DUSK if scene.weather.sky_cd_m2 >= DUSK_CD_M2 else EnvironmentLighting.DARK
+
+
+def _behaviour(scene: Scene, frames: tuple[FrameTruth, ...]) -> DriverBehaviour:
+    """High beam all the way is wrong as soon as somebody is in sight."""
+    is_anyone_in_sight = any(_is_in_sight(vehicle) for frame in frames for vehicle in frame.vehicles)
+    return DriverBehaviour.INCORRECT if scene.ego.beam == "high" and is_anyone_in_sight else DriverBehaviour.CORRECT
+
+
+def _is_in_sight(vehicle: VehicleTruth) -> bool:
+    return any(artifact.is_direct and not artifact.is_doubtful for artifact in vehicle.artifacts)
+
+
+def _driven_m(scene: Scene) -> tuple[float, float]:
+    """From where we begin to 100 m beyond where we end."""
+    ends_m, _ = interpolated(scene.ego.timetable, [0.0, scene.duration_s])
+    return float(ends_m.min()), float(ends_m.max()) + 100.0
+
+
+def _milliseconds(timestamp_ns: int) -> int | float:
+    return timestamp_ns // 1_000_000 if timestamp_ns % 1_000_000 == 0 else timestamp_ns / 1e6
+
+
+def _instance(artifact: Artifact, camera: Camera) -> Instance:
+    return Instance(
+        position_px=_whole(artifact.position_px, camera),
+        iid=artifact.instance_id,
+        is_direct=artifact.is_direct,
+        is_rear=artifact.is_rear,
+    )
+
+
+def _whole(position_px: tuple[float, float], camera: Camera) -> tuple[int, int]:
+    """The pixel that a position falls into; one beyond the border becomes the nearest."""
+    x, y = position_px
+    return (
+        min(max(int(np.floor(x)), 0), camera.width_px - 1),
+        min(max(int(np.floor(y)), 0), camera.height_px - 1),
+    )

@@ -1,0 +1,165 @@
+"""A drive as a story: when an oncoming vehicle's light was first visible, when it was found, when it was in sight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
+from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
+from foreglow.lab.evaluation.boxes.lights import Light
+from foreglow.lab.evaluation.tracks.encounters import vehicle_facts
+from foreglow.lab.evaluation.tracks.track_quality import match_tracks
+from foreglow.runs.predictions import Predictions
+from foreglow.types import Tracks
+
+_Lit: TypeAlias = tuple[Light, float]
+"""A light, and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One light at one instant.
+
+    Attributes:
+        time_s: From the first image of the sequence.
+        light: The light that makes the moment, in its image.
+        score: Highest score of the boxes around it; NaN where there is none, or boxes have no scores.
+    """
+
+    time_s: float
+    light: Light
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What happens in one sequence with the vehicle whose light is visible first.
+
+    Attributes:
+        sequence: The sequence's folder.
+        vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
+        times: When its light is visible, when it is found, and when its first lamp is.
+        light: Its first light; the strongest one where there are several.
+        found: Its light in the first accepted box, that with the highest score; None if there is never one.
+        sight: Its first lamp; None if it never comes into sight.
+        confirmed_s: When the first track that has held its light is plausible; NaN if none ever is, or nothing was
+            tracked.
+        production_s: When the production system first reports a vehicle; NaN if it never does.
+        duration_s: From the first image of the sequence to the last.
+        num_images_before: Images of the sequence before the first light.
+        num_boxes_before: Accepted boxes in them that hold no light at all, not even doubtful light.
+    """
+
+    sequence: str
+    vehicle: str
+    times: FirstFound
+    light: Moment
+    found: Moment | None
+    sight: Moment | None
+    confirmed_s: float
+    production_s: float
+    duration_s: float
+    num_images_before: int
+    num_boxes_before: int
+
+    @property
+    def is_hidden_first(self) -> bool:
+        """Whether its light is visible before its lamps are."""
+        return not self.times.light_s >= self.times.lamp_s
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """First light, detection and sight, as far as they happen."""
+        return tuple(one for one in (self.light, self.found, self.sight) if one is not None)
+
+
+def tell_stories(
+    dataset: PVDN, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
+) -> tuple[Story, ...]:
+    """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
+
+    Args:
+        dataset: Images with labels.
+        predictions: What a run made of them; without scores every box counts as accepted.
+        threshold: Boxes with a score above this are accepted.
+        tracks: By image id, what the same run followed; None for nothing.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If one is broken.
+    """
+    labels = read_split_labels(dataset)
+    confirmed_s = {} if tracks is None else _confirmations_s(labels, tracks, predictions)
+    matched = match_lights(labels, predictions)
+    image_ids = matched.matches.image_ids
+    is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
+    lit = list(zip(matched.lights, matched.best_scores.tolist(), strict=True))
+    first: dict[int, FirstFound] = {}
+    for vehicle in first_found(labels, matched, threshold):
+        known = first.setdefault(vehicle.sequence_id, vehicle)
+        if vehicle.light_s < known.light_s:
+            first[vehicle.sequence_id] = vehicle
+    stories = []
+    for sequence in dataset.sequences:
+        times = first.get(sequence.id)
+        if times is None:
+            continue
+        its = [
+            (labels.time_s[light.image_id], (light, score))
+            for light, score in lit
+            if (light.sequence_id, light.vehicle_id) == (sequence.id, times.vehicle_id) and not light.is_rear
+        ]
+        visible = [one for time_s, one in its if time_s == times.light_s]
+        boxed = [one for time_s, one in its if time_s == times.found_s and one[1] > threshold]
+        lamps = [one for time_s, one in its if time_s == times.lamp_s and one[0].is_direct]
+        before = [labels.sequence_of[one] == sequence.id and labels.time_s[one] < times.light_s for one in image_ids]
+        _, vehicle_kind, production_s = vehicle_facts(dataset, sequence.id, times.vehicle_id)
+        stories.append(
+            Story(
+                sequence=sequence.directory,
+                vehicle=vehicle_kind,
+                times=times,
+                light=_moment(times.light_s, min(visible, key=lambda one: one[0].rank)),
+                found=_moment(times.found_s, max(boxed, key=lambda one: one[1])) if boxed else None,
+                sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
+                confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
+                production_s=production_s,
+                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+                num_images_before=sum(before),
+                num_boxes_before=int((is_false & np.array(before)[matched.matches.image_of_box]).sum()),
+            )
+        )
+    return tuple(stories)
+
+
+def best_story(stories: Iterable[Story]) -> Story | None:
+    """The story to show: of the vehicle that is found longest before it is in sight, else the first; None of none."""
+    return max(stories, key=lambda one: max(0.0, _or_zero(one.times.lead_s)), default=None)
+
+
+def has_labels(dataset: PVDN) -> bool:
+    """Whether `dataset` has key points, so that its stories can be told."""
+    return (dataset.root / "labels" / "keypoints").is_dir()
+
+
+def _confirmations_s(
+    labels: SplitLabels, tracks: Mapping[int, Tracks], predictions: Predictions
+) -> dict[tuple[int, int], float]:
+    """By sequence and vehicle, when it is first confirmed."""
+    quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
+    return {(one.sequence_id, one.vehicle_id): one.found_s for its in quality for one in its.vehicles}
+
+
+def _moment(time_s: float, lit: _Lit) -> Moment:
+    light, score = lit
+    return Moment(time_s, light, score if math.isfinite(score) else math.nan)
+
+
+def _or_zero(value: float) -> float:
+    return 0.0 if math.isnan(value) else value

@@ -1,0 +1,241 @@
+"""Where the models of the detector's table come from: given, or trained here."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from foreglow.config import PipelineConfig, preset, read_config
+from foreglow.datasets import PVDN, split_folder
+from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
+
+if TYPE_CHECKING:
+    from foreglow.lab.learning.training_run import RunProgress
+    from foreglow.lab.learning.yolo import YoloRun
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Told what is counted, how many are done, and of how many."""
+
+PAPER_YOLO = "960 px and 300 epochs"
+
+_FORMAT = 1  # of a row's file; another one makes all rows anew
+
+
+@dataclass(frozen=True, slots=True)
+class Workplace:
+    """Where an experiment runs.
+
+    Attributes:
+        data: The data set.
+        out: Everything that is made goes here.
+        plan: What is asked for.
+        progress: Told how far it is; None for nobody.
+        training: Likewise, of trainings.
+    """
+
+    data: Path
+    out: Path
+    plan: DetectorPlan
+    progress: Progress | None = None
+    training: RunProgress | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ClassifierModel:
+    """A classifier that is ready to run.
+
+    Attributes:
+        config: The whole pipeline, at the table's threshold.
+        note: How it came about, for the reader.
+    """
+
+    config: PipelineConfig
+    note: str
+
+
+def missing_reason(name: str, plan: DetectorPlan) -> str | None:
+    """Why row `name` cannot be made with this plan on this machine, and what to do; None if it can."""
+    spec = ROWS[name]
+    if spec.kind == "yolo" and not plan.with_yolo:
+        return "left out (--no-yolo)"
+    if name in plan.given:
+        return None
+    if not spec.recipe and spec.kind == "classifier":
+        return f"not given ({spec.option} FILE.onnx, made by import-weights)"
+    if not plan.may_train:
+        return f"not given ({spec.option}), and nothing is trained (--no-training)"
+    if spec.kind == "yolo":
+        if spec.size == "x" and not _has_gpu(plan):
+            command = "foreglow yolo train DATA --size x --image-size 960 --epochs 300 --out RUN"
+            return f"needs a GPU: run there {command}, and give it with {spec.option} RUN"
+        if not has_library():
+            return "needs pip install 'foreglow[yolo]'"
+    return None
+
+
+def row_key(name: str, place: Workplace) -> str:
+    """Digest of what decides the figures of row `name`: a row with the same key need not be made again."""
+    spec, plan = ROWS[name], place.plan
+    parts: list[Any] = [_FORMAT, split_digest(split_folder(place.data, plan.split)), THRESHOLD]
+    parts.append(preset(spec.preset).proposals.model_dump(mode="json"))
+    if name in plan.given:
+        parts.append(file_digest(_model_file(plan.given[name], spec.kind)))
+    else:
+        parts += [split_digest(split_folder(place.data, split)) for split in ("train", "val")]
+        if spec.kind == "yolo":
+            parts.append([plan.yolo_epochs, plan.yolo_image_size_px, plan.seed, spec.size])
+        else:
+            parts.append(_recipe(spec.recipe, plan).model_dump(mode="json"))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def classifier_model(name: str, place: Workplace) -> ClassifierModel:
+    """The classifier of row `name`, as given or trained now; an interrupted training goes on.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+        ValueError: If a given model was trained on another preset's boxes.
+        ModuleNotFoundError: If training needs an extra that is not installed.
+    """
+    spec, plan = ROWS[name], place.plan
+    configured = preset(spec.preset)
+    given = plan.given.get(name)
+    if given is None:
+        folder = place.out / "models" / name
+        _train(name, place, folder)
+    elif given.is_dir():
+        folder = given
+    else:
+        note = f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
+        return ClassifierModel(_with_model(configured, given), note)
+    used = read_config(folder / "config.toml", configured)
+    if used.proposals.model_dump() != configured.proposals.model_dump():
+        raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of the preset {spec.preset}")
+    return ClassifierModel(_with_model(used, folder / "model.onnx"), _note(folder))
+
+
+def yolo_run(name: str, place: Workplace) -> YoloRun:
+    """The YOLO of row `name`, as given or trained now; an interrupted training goes on.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+        ValueError: If a file is broken.
+        ModuleNotFoundError: If the library is not installed.
+    """
+    from foreglow.lab.learning.yolo import YoloConfig, read_yolo_run, train_yolo
+
+    spec, plan = ROWS[name], place.plan
+    if name in plan.given:
+        return read_yolo_run(plan.given[name])
+    config = YoloConfig(
+        size=spec.size or "s",
+        image_size_px=plan.yolo_image_size_px,
+        epochs=plan.yolo_epochs,
+        seed=plan.seed,
+        device={"cuda": "0"}.get(plan.device, plan.device),
+    )
+    told = None if place.progress is None else functools.partial(place.progress, f"{name}: images exported")
+    return train_yolo(place.data, place.out / "models" / name, config, preset_name=spec.preset, progress=told)
+
+
+def yolo_note(run: YoloRun) -> str:
+    """How a YOLO came about, for the reader."""
+    config = run.config
+    return (
+        f"{config.backend}, size {config.size}, {config.image_size_px} px, {config.epochs} epochs "
+        f"(paper: {PAPER_YOLO}), boxes: {run.boxes}, seed {config.seed}"
+    )
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def split_digest(split: Path) -> str:
+    """SHA-256 of what is in a split: its labels, and the names and sizes of its images."""
+    digest = hashlib.sha256()
+    dataset = PVDN(split)
+    for path in sorted((dataset.root / "labels").rglob("*.json")):
+        digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + path.read_bytes())
+    for image_id in dataset.frame_ids:
+        path = dataset.image_path(image_id)
+        digest.update(f"{path.relative_to(dataset.root)} {path.stat().st_size}\n".encode())
+    return digest.hexdigest()
+
+
+def _train(name: str, place: Workplace, folder: Path) -> None:
+    from foreglow.lab.learning.training_run import train_model
+
+    spec, plan = ROWS[name], place.plan
+    train_model(
+        [place.data],
+        _recipe(spec.recipe, plan),
+        preset(spec.preset),
+        folder,
+        device=plan.device,
+        cache=place.out / "samples",
+        progress=place.training,
+    )
+
+
+def _recipe(name: str, plan: DetectorPlan) -> Any:
+    """The recipe with the plan's schedule and seed."""
+    from foreglow.lab.learning import recipes
+
+    fields: dict[str, Any] = {"seed": plan.seed}
+    if name in plan.epochs:
+        fields["epochs"] = plan.epochs[name]
+    if plan.patience is not None:
+        fields["patience"] = plan.patience
+    return recipes.changed(recipes.recipe(name), fields)
+
+
+def _with_model(config: PipelineConfig, model: Path) -> PipelineConfig:
+    """`config` with this model, at the table's threshold, on one thread."""
+    fields = {"model": model, "score_threshold": THRESHOLD, "num_threads": 1}
+    return config.model_copy(update={"classifier": config.classifier.model_copy(update=fields)})
+
+
+def _note(folder: Path) -> str:
+    """What the summary of a training says: epochs made of those allowed, the best one, the seed."""
+    path = folder / "summary.json"
+    try:
+        summary = json.loads(path.read_bytes())
+        planned, recipe = summary["recipe"]["epochs"], summary["recipe"]["network"]
+        epochs, best = summary["num_epochs"], summary["best_epoch"]["number"]
+        return f"network {recipe}, {epochs} of {planned} epochs, best {best}, seed {summary['seed']}"
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: no such file, expected a finished training") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: expected the summary of a training: {error!r}") from error
+
+
+def _model_file(given: Path, kind: str) -> Path:
+    """The file that decides what a given model does."""
+    if kind == "yolo":
+        from foreglow.lab.learning.yolo import read_yolo_run
+
+        return read_yolo_run(given).weights
+    path = given / "model.onnx" if given.is_dir() else given
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected an ONNX model")
+    return path
+
+
+def has_library() -> bool:
+    """Whether the library that trains YOLOs is installed."""
+    return "libreyolo" in sys.modules or importlib.util.find_spec("libreyolo") is not None
+
+
+def _has_gpu(plan: DetectorPlan) -> bool:
+    import torch
+
+    return plan.device != "cpu" and torch.cuda.is_available()

@@ -1,0 +1,270 @@
+"""The paper's table of detectors: every row measured on the same split, with the same metrics, on one thread."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from foreglow.config import preset
+from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets.json_files import Record, read_json
+from foreglow.files import write_atomic
+from foreglow.lab.evaluation import (
+    Predictions,
+    SplitLabels,
+    evaluate_boxes,
+    examine,
+    read_predictions,
+    read_split_labels,
+)
+from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
+from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.evaluation.boxes.split_run import run_split
+from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.studies.detector.models import (
+    Progress,
+    Workplace,
+    classifier_model,
+    missing_reason,
+    row_key,
+    yolo_note,
+    yolo_run,
+)
+from foreglow.lab.studies.detector.plan import COMPARISONS, ROWS, THRESHOLD, DetectorPlan
+from foreglow.pipeline import Pipeline
+from foreglow.proposals import make_proposer
+from foreglow.provenance import processor_name, provenance
+from foreglow.runs.predictions import write_predictions
+from foreglow.types import Frame, FrameResult
+
+if TYPE_CHECKING:
+    from foreglow.lab.learning.training_run import RunProgress
+
+
+class RowResult(Record):
+    """One row of the table, as `rows/NAME.json` keeps it.
+
+    Attributes:
+        name: Of `ROWS`.
+        title: For the reader.
+        reason: Why it could not be made; None if it was. All below are empty then.
+        key: Digest of what decides its figures.
+        note: How the model came about.
+        num_parameters: Numbers of the model.
+        num_multiply_adds: For one crop, or for one image of a YOLO.
+        num_multiply_adds_frame: For one frame: a crop's times the mean number of proposals, or a YOLO's.
+        run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
+        num_proposals: Mean boxes a frame, whatever their score.
+        num_boxes: Mean boxes a frame with a score above the threshold.
+        ceiling: The metrics of the labelled boxes themselves, as `BoxQuality.to_json`.
+        examination: The metrics and all else, as `Examination.to_json`.
+        made_with: Version, commit, processor.
+    """
+
+    name: str
+    title: str
+    reason: str | None = None
+    key: str = ""
+    note: str = ""
+    num_parameters: int = 0
+    num_multiply_adds: int = 0
+    num_multiply_adds_frame: float = 0.0
+    run_time_ms: dict[str, float] = Field(default_factory=dict)
+    num_proposals: float = 0.0
+    num_boxes: float = 0.0
+    ceiling: dict[str, Any] = Field(default_factory=dict)
+    examination: dict[str, Any] = Field(default_factory=dict)
+    made_with: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectorResults:
+    """The whole experiment.
+
+    Attributes:
+        data: The data set, as the user gave it.
+        labels: Of the split.
+        plan: What was asked for.
+        rows: In the table's order.
+        predictions: By row, of those that were made.
+        comparisons: Differences of F between rows, with their names as `a` and `b`.
+    """
+
+    data: str
+    labels: SplitLabels
+    plan: DetectorPlan
+    rows: tuple[RowResult, ...]
+    predictions: Mapping[str, Predictions]
+    comparisons: tuple[dict[str, Any], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the predictions by name, for JSON."""
+        return {
+            "data": self.data,
+            "split": self.labels.name,
+            "num_images": len(self.labels.lights),
+            "num_sequences": len(set(self.labels.sequence_of.values())),
+            "threshold": THRESHOLD,
+            "seed": self.plan.seed,
+            "rows": [row.model_dump() for row in self.rows],
+            "comparisons": list(self.comparisons),
+        }
+
+
+def run_experiment(
+    data: Path, out: Path, plan: DetectorPlan, *, progress: Progress | None = None, training: RunProgress | None = None
+) -> DetectorResults:
+    """Makes the rows of the table that can be made, and gives the reason for the others.
+
+    Every row is kept in `out/rows`, its predictions in `out/predictions`, its training in `out/models`: an interrupted
+    call goes on, and a repeated one measures nothing twice.
+
+    Args:
+        data: A data set with the splits train, val and test.
+        out: Folder for everything.
+        plan: What to make.
+        progress: Told how far it is.
+        training: Likewise, while networks are trained.
+
+    Raises:
+        FileNotFoundError: If a file of the data set or of a given model is missing.
+        ValueError: If one is broken, or does not fit.
+        ModuleNotFoundError: If an extra that is needed is not installed.
+    """
+    place = Workplace(data, out, plan, progress, training)
+    dataset = PVDN(split_folder(data, plan.split))
+    labels = read_split_labels(dataset)
+    for name in ("rows", "predictions"):
+        (out / name).mkdir(parents=True, exist_ok=True)
+    rows = tuple(_row(name, place, dataset, labels) for name in plan.rows)
+    predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}
+    return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
+
+
+def _row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+    """The row from its file where that has the same key, else made now."""
+    reason = missing_reason(name, place.plan)
+    if reason is not None:
+        return RowResult(name=name, title=ROWS[name].title, reason=reason)
+    path = place.out / "rows" / f"{name}.json"
+    key = row_key(name, place)
+    if path.exists() and _predictions_file(place.out, name).exists():
+        known = read_json(path, RowResult)
+        if known.key == key:
+            return known
+    make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
+    row = make(name, place, dataset, labels).model_copy(update={"key": key})
+    write_atomic(path, (row.model_dump_json(indent=1) + "\n").encode())
+    return read_json(path, RowResult)  # as a repeated call will: JSON knows no infinite threshold
+
+
+def _classifier_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+    from foreglow.lab.learning.model_counts import count_model
+
+    model = classifier_model(name, place)
+    assert model.config.classifier.model is not None
+    counts = count_model(model.config.classifier.model)
+    pipeline = Pipeline(model.config.detector_only)
+    pipeline.step(dataset.read(dataset.frame_ids[0]))  # the first one also makes buffers
+    run = run_split(dataset, pipeline, _told(place, name, len(dataset)))
+    row = _measured(name, run.predictions, run.total_ms, place, labels)
+    return row.model_copy(
+        update={
+            "note": model.note,
+            "num_parameters": counts.num_parameters,
+            "num_multiply_adds": counts.num_multiply_adds,
+            "num_multiply_adds_frame": counts.num_multiply_adds * row.num_proposals,
+            "ceiling": _ceiling(run.predictions, labels),
+        }
+    )
+
+
+def _yolo_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+    from foreglow.lab.learning.yolo import predict_yolo
+
+    trained = yolo_run(name, place)
+    told = None if place.progress is None else functools.partial(place.progress, f"{name}: images")
+    found = predict_yolo(trained, dataset, num_threads=1, progress=told)
+    proposer = make_proposer(preset(ROWS[name].preset).proposals)
+    proposed = {frame.frame: proposer.propose(frame.image).boxes_xyxy_px.astype(np.float64) for frame in dataset}
+    return _measured(name, found.predictions, found.frame_ms, place, labels).model_copy(
+        update={
+            "note": yolo_note(trained),
+            "num_parameters": trained.num_parameters,
+            "num_multiply_adds": trained.num_multiply_adds,
+            "num_multiply_adds_frame": float(trained.num_multiply_adds),
+            "ceiling": _ceiling(_unscored(proposed), labels),
+        }
+    )
+
+
+def _measured(
+    name: str, predictions: Predictions, frame_ms: NDArray[np.float64], place: Workplace, labels: SplitLabels
+) -> RowResult:
+    """The row's figures, but for those of the model; keeps the predictions."""
+    write_predictions(_predictions_file(place.out, name), predictions)
+    title = ROWS[name].title
+    num_images = len(labels.lights)
+    scores = np.concatenate([np.zeros(0), *predictions.scores.values()])
+    median, p99 = np.percentile(frame_ms, (50, 99)).tolist()
+    times = {"mean": float(frame_ms.mean()), "std": float(frame_ms.std()), "median": median, "p99": p99}
+    return RowResult(
+        name=name,
+        title=title,
+        run_time_ms={key: round(value, 4) for key, value in times.items()},
+        num_proposals=len(scores) / num_images,
+        num_boxes=int((scores > THRESHOLD).sum()) / num_images,
+        examination=examine(labels, predictions, THRESHOLD, title).to_json(),
+        made_with=provenance() | {"processor": processor_name()},
+    )
+
+
+def _ceiling(proposed: Predictions, labels: SplitLabels) -> dict[str, Any]:
+    """The metrics of the boxes with a key point in them, which a perfect classifier would accept.
+
+    Source: the paper's table, in parentheses.
+    """
+    positive = {}
+    keypoints_px = labels.keypoints_px
+    for image_id, boxes in proposed.boxes_xyxy_px.items():
+        positive[image_id] = boxes[label_boxes(boxes, keypoints_px[image_id]) == POSITIVE]
+    return evaluate_boxes(keypoints_px, _unscored(positive)).to_json()
+
+
+def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
+    ones = {image_id: np.ones(len(boxes)) for image_id, boxes in boxes_xyxy_px.items()}
+    return Predictions(boxes_xyxy_px, ones, is_scored=False)
+
+
+def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:
+    """Paired bootstraps of F between the rows of `COMPARISONS` that were made."""
+    counts = {
+        name: scene_counts(match_boxes(labels.keypoints_px, its), labels.sequence_of, THRESHOLD)
+        for name, its in predictions.items()
+    }
+    return tuple(
+        {"row": a, "other": b, **paired_bootstrap(counts[a], counts[b], f1, seed=seed).to_json()}
+        for a, b in COMPARISONS
+        if a in counts and b in counts
+    )
+
+
+def _predictions_file(out: Path, name: str) -> Path:
+    return out / "predictions" / f"{name}.json"
+
+
+def _told(place: Workplace, name: str, num_frames: int) -> Callable[[Frame, FrameResult], None] | None:
+    """What `run_split` calls after each frame."""
+    progress = place.progress
+    if progress is None:
+        return None
+    done = itertools.count(1)
+    return lambda _frame, _result: progress(f"{name}: images", next(done), num_frames)

@@ -1,0 +1,1 @@
+"""The paper's box plots of ranges."""

@@ -1,0 +1,286 @@
+"""The paper's experiment on distance: every estimator with every heuristic, on lights whose ranges are known."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
+from foreglow.datasets import PVDN, SplitName, split_in
+from foreglow.distance import ESTIMATORS, RangeEstimator
+from foreglow.distance.heuristics import HEURISTICS
+from foreglow.distance.pixelwise import PixelwiseEstimator
+from foreglow.distance.series import SERIES, over_frames
+from foreglow.geometry import Floats
+from foreglow.lab.simulation import read_truth
+from foreglow.lab.studies.distance.lights import RangedLight, ranged_lights, tilted
+from foreglow.pipeline import Pipeline
+from foreglow.tracking import make_tracker
+from foreglow.types import Detections, Frame, Ranges, Tracks
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Told the step, how much of it is done, and of how much."""
+
+TILTS_DEG = tuple(round(0.1 * step, 1) for step in range(-5, 6))
+"""Added to the calibration, upwards."""
+
+OWN_RULE = "own rule"
+"""Instead of a heuristic, of estimators that do not go by pixels."""
+
+DEFAULT_HEURISTIC = DistanceConfig().heuristic
+
+TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
+    {
+        "alpha-beta filter": OUR_TRACKER,
+        "mean of the last five": OUR_TRACKER.model_copy(update={"range_filter": "mean"}),
+        "median of the last five": OUR_TRACKER.model_copy(update={"range_filter": "median"}),
+        "alpha-beta filter and looming": OUR_TRACKER.model_copy(update={"use_looming": True}),
+    }
+)
+"""Our tracker with each of its ways to make one range of those of a track, by name."""
+
+BOX_ALONE = "box alone"
+"""The range of the box that a plausible track follows, to compare with the track's."""
+
+
+@dataclass(frozen=True, slots=True)
+class DistancePlan:
+    """What is asked for.
+
+    Attributes:
+        split: The split that is measured on, of a data set.
+        estimators: Names of `ESTIMATORS`.
+        config: Of the detector whose boxes are given a range, and of the pitch.
+        seed: Of the intervals.
+    """
+
+    split: SplitName = "test"
+    estimators: tuple[str, ...] = tuple(ESTIMATORS)
+    config: PipelineConfig = field(default_factory=lambda: preset("foreglow"))
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.estimators if name not in ESTIMATORS]
+        if unknown or not self.estimators:
+            raise ValueError(
+                f"estimators: expected some of {', '.join(ESTIMATORS)}, got {', '.join(unknown) or 'none'}"
+            )
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Method:
+    """An estimator with a heuristic.
+
+    Attributes:
+        estimator: Of `ESTIMATORS`.
+        heuristic: Of `HEURISTICS`, or `own rule`.
+        tilt_deg: Error of the calibration's pitch that is put in, upwards.
+    """
+
+    estimator: str
+    heuristic: str
+    tilt_deg: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Such as `gp, centre`."""
+        return f"{self.estimator}, {self.heuristic}"
+
+    def make(self, config: PipelineConfig) -> RangeEstimator:
+        """The estimator, otherwise set as in `config`."""
+        fields = {"estimator": self.estimator}
+        if self.heuristic != OWN_RULE:
+            fields["heuristic"] = self.heuristic
+        return ESTIMATORS[self.estimator](config.distance.model_copy(update=fields))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistanceResults:
+    """All ranges of all methods.
+
+    Attributes:
+        name: The split.
+        plan: What was asked for.
+        num_images: Images of the split.
+        rate_hz: Their rate.
+        left_out: Labelled lights without a range to compare with or without a box, by reason.
+        lights: The N others, in the order of sequence and image.
+        ranges_m: By method, shape (N,); NaN without estimate.
+        sigmas_m: Likewise.
+        series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
+        tracked: By name of `TRACKERS`, or `box alone`, and method, ranges and sigmas, shape (N,) each, of the plausible
+            track that follows a light's box; NaN and infinity where none does.
+    """
+
+    name: str
+    plan: DistancePlan
+    num_images: int
+    rate_hz: float
+    left_out: Mapping[str, int]
+    lights: tuple[RangedLight, ...]
+    ranges_m: Mapping[Method, Floats]
+    sigmas_m: Mapping[Method, Floats]
+    series_m: Mapping[tuple[str, Method], Floats]
+    tracked: Mapping[tuple[str, Method], tuple[Floats, Floats]]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Shape (N,): a field of the lights."""
+        return np.array([getattr(light, name) for light in self.lights])
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """Those with the calibration as it is."""
+        return tuple(method for method in self.ranges_m if not method.tilt_deg)
+
+    @property
+    def main_methods(self) -> tuple[Method, ...]:
+        """One of each estimator: with the heuristic that is the default, or its own rule."""
+        return tuple(method for method in self.methods if is_main(method))
+
+
+def is_main(method: Method) -> bool:
+    """Whether it has the calibration as it is, and the default heuristic or its own rule."""
+    return not method.tilt_deg and method.heuristic in (DEFAULT_HEURISTIC, OWN_RULE)
+
+
+def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
+    """Ranges for every labelled light of a simulated split whose range is known, from the smallest box around it.
+
+    Args:
+        data: A data set with the split, or a split itself.
+        plan: What to measure.
+        progress: Told how many images are done.
+
+    Raises:
+        FileNotFoundError: If a file of the data set is missing.
+        ValueError: If one is broken, or the set has no ranges, calibration and road beside its labels.
+    """
+    dataset = PVDN(split_in(data, plan.split))
+    if not (dataset.root / "simulation" / "info.json").is_file():
+        raise ValueError(
+            f"{dataset.root}: expected the range of each light, a calibration and the road ahead beside the labels, "
+            "as simulated drives have them in simulation/; found none"
+        )
+    truth = read_truth(dataset.root)
+    detector = Pipeline(plan.config.detector_only)
+    methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
+    left_out: Counter[str] = Counter()
+    lights: list[RangedLight] = []
+    found: dict[Method, list[tuple[Floats, Floats]]] = {method: [] for method in methods}
+    followers = {
+        (name, method): make_tracker(config)
+        for method in methods
+        if is_main(method)
+        for name, config in TRACKERS.items()
+    }
+    followed: dict[tuple[str, Method], list[tuple[Floats, Floats]]] = defaultdict(list)
+    num_done = 0
+    for sequence_id in (sequence.id for sequence in dataset.sequences):
+        drive = truth.sequence(sequence_id)
+        detector.reset()
+        for estimator in methods.values():
+            estimator.reset()
+        for tracker in followers.values():
+            tracker.reset()
+        for image in drive.frames:
+            frame = dataset.read(image.image_id)
+            detections = _detections(detector, frame)
+            its_lights = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
+            lights += its_lights
+            places = np.array([light.place for light in its_lights], np.intp)
+            for method, ranges in _estimated(frame, detections, methods):
+                found[method].append((ranges.ranges_m[places], ranges.sigmas_m[places]))
+                for name in TRACKERS if is_main(method) else ():
+                    tracks = followers[name, method].update(frame, detections, ranges)
+                    rows = _following(tracks, places)
+                    # -1 as an index is what is put behind them.
+                    of_track = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
+                    followed[name, method].append(of_track)
+                if is_main(method):
+                    of_box = np.where(rows < 0, np.nan, ranges.ranges_m[places])
+                    followed[BOX_ALONE, method].append((of_box, np.where(rows < 0, np.inf, ranges.sigmas_m[places])))
+            num_done += 1
+            if progress is not None:
+                progress("images", num_done, len(dataset))
+    estimates = {method: _joined(pairs) for method, pairs in found.items()}
+    ranges_m = {method: one for method, (one, _) in estimates.items()}
+    return DistanceResults(
+        name=dataset.name,
+        plan=plan,
+        num_images=len(dataset),
+        rate_hz=dataset.rate_hz,
+        left_out=dict(left_out),
+        lights=tuple(lights),
+        ranges_m=ranges_m,
+        sigmas_m={method: one for method, (_, one) in estimates.items()},
+        series_m=dict(_series(lights, ranges_m)),
+        tracked={key: _joined(pairs) for key, pairs in followed.items()},
+    )
+
+
+def _methods(estimators: Sequence[str]) -> Iterator[Method]:
+    """Every heuristic where an estimator goes by pixels; tilted, the default one only."""
+    for name in estimators:
+        by_pixels = issubclass(ESTIMATORS[name], PixelwiseEstimator)
+        for heuristic in HEURISTICS if by_pixels else (OWN_RULE,):
+            yield Method(name, heuristic)
+        for tilt_deg in TILTS_DEG:
+            if tilt_deg:
+                yield Method(name, DEFAULT_HEURISTIC if by_pixels else OWN_RULE, tilt_deg)
+
+
+def _detections(detector: Pipeline, frame: Frame) -> Detections:
+    """All boxes of the frame, as the stage of distance gets them; without a model all with the score 1."""
+    result = detector.step(frame)
+    if result.detections is not None:
+        return result.detections
+    return Detections(result.proposals, np.ones(len(result.proposals), np.float32), score_threshold=0.5)
+
+
+def _estimated(
+    frame: Frame, detections: Detections, methods: Mapping[Method, RangeEstimator]
+) -> Iterator[tuple[Method, Ranges]]:
+    """Ranges of all boxes by each method."""
+    frames = {tilt_deg: tilted(frame, float(np.radians(tilt_deg))) for tilt_deg in TILTS_DEG if tilt_deg} | {0.0: frame}
+    for method, estimator in methods.items():
+        yield method, estimator.estimate(frames[method.tilt_deg], detections)
+
+
+def _following(tracks: Tracks, places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """For each box in `places` the row of the plausible track that took it in this frame; -1 where none did."""
+    is_following = tracks.is_plausible & (tracks.detections >= 0)
+    row_of = dict(zip(tracks.detections[is_following].tolist(), np.flatnonzero(is_following).tolist(), strict=True))
+    return np.array([row_of.get(place, -1) for place in places.tolist()], np.intp)
+
+
+def _joined(pairs: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Ranges and sigmas of all images, one after another."""
+    return (
+        np.concatenate([np.zeros(0), *(one for one, _ in pairs)]),
+        np.concatenate([np.zeros(0), *(one for _, one in pairs)]),
+    )
+
+
+def _series(
+    lights: Sequence[RangedLight], ranges_m: Mapping[Method, Floats]
+) -> Iterator[tuple[tuple[str, Method], Floats]]:
+    """The series of every main method, light by light; the labels' instances are the tracks."""
+    keys = np.array([(light.sequence_id, light.instance_id) for light in lights], np.int64).reshape(-1, 2)
+    image_ids = np.array([light.image_id for light in lights], np.int64)
+    _, track_of = np.unique(keys, axis=0, return_inverse=True)
+    tracks = [np.flatnonzero(track_of == track) for track in range(int(track_of.max(initial=-1)) + 1)]
+    for method, ranges in ranges_m.items():
+        if method.tilt_deg:
+            continue
+        for name, reduce in SERIES.items():
+            series = np.full(len(lights), np.nan)
+            for places in tracks:
+                series[places] = over_frames(image_ids[places], ranges[places], reduce)
+            yield (name, method), series

@@ -1,0 +1,224 @@
+"""Headlamps in closed loop: what the camera sees is lit by what was commanded a moment ago."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from foreglow.beam import Gap, GapWriter, PaperPolicy
+from foreglow.beam.messages import CommandEncoder
+from foreglow.beam.receiver import LampReceiver, ReceiverConfig
+from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
+from foreglow.geometry import Floats
+from foreglow.lab.simulation import Drive, DriveFrame, Scene, VehicleTruth, with_beam
+from foreglow.lab.simulation.labels.production import ProductionSystem
+from foreglow.lab.studies.occurrence.run import is_coming
+from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
+from foreglow.pipeline import Pipeline
+from foreglow.types import BeamCommand, FrameResult
+
+EXACT_MARGIN_DEG = 0.5
+"""Around a vehicle whose place is known; the paper's and our own policy have `BeamConfig.margin_deg`."""
+
+BODY_MARGIN_M = 0.3
+"""Beyond either side of such a vehicle's body."""
+
+REAR_REACH_M = 150.0
+"""The modelled production system knows of a vehicle ahead up to this range, while its rear lamps are in sight."""
+
+
+class Delays(FrozenModel):
+    """What passes until the lamps shine what an image asks for.
+
+    Attributes:
+        camera_s: From the exposure until the command is on the bus: read-out, transfer and computing.
+        lamp_s: From there until the LEDs follow. Together 150 ms, of published 200 to 290 ms from camera to beam for
+            whole systems, whose plausibility is in that; ours is in the tracker.
+    """
+
+    camera_s: float = Field(default=0.05, ge=0, le=1)
+    lamp_s: float = Field(default=0.1, ge=0, le=1)
+
+    def known_to(self, config: PipelineConfig) -> PipelineConfig:
+        """`config` with a beam policy, ours where it has none, that knows of the delays."""
+        return config.commanding(latency_s=self.camera_s + self.lamp_s)
+
+
+class Shone(NamedTuple):
+    """One frame of a closed loop.
+
+    Attributes:
+        known: The frame, and all that is known of it.
+        levels: Shape (2, L), what was shone in it.
+        gaps_rad: Shape (G, 2), the gaps of the command that is in force.
+        command: What followed from it.
+        result: What the stages made of it.
+    """
+
+    known: DriveFrame
+    levels: Floats
+    gaps_rad: Floats
+    command: BeamCommand
+    result: FrameResult
+
+
+class Car(Protocol):
+    """Makes commands of frames: a pipeline, with what else a car has."""
+
+    def step(self, known: DriveFrame) -> tuple[FrameResult, BeamCommand]:
+        """What follows from a frame."""
+        ...
+
+    def lit(self, known: DriveFrame, levels: Floats) -> Floats:
+        """What the next image is lit with when the bus says `levels`, shape (2, L); `known` is the frame before it."""
+        ...
+
+
+class OurCar:
+    """Our pipeline with its beam stage and guard, and nothing else."""
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._pipeline = Pipeline(config)
+
+    def step(self, known: DriveFrame) -> tuple[FrameResult, BeamCommand]:
+        """As `Car.step`."""
+        result = self._pipeline.step(known.frame)
+        assert result.beam is not None
+        return result, result.beam
+
+    def lit(self, known: DriveFrame, levels: Floats) -> Floats:  # noqa: ARG002
+        """As `Car.lit`."""
+        return levels
+
+
+class PaperCar:
+    """The paper's: our detector, its tracker and policy; a production system has the beam while it sees someone.
+
+    Source: Ewecker et al., arXiv 2107.11302, section on the use case.
+    """
+
+    def __init__(self, config: PipelineConfig) -> None:
+        headlamps = read_headlamps(config.beam.headlamps)
+        self._pipeline = Pipeline(paper_config(config))
+        self._policy = PaperPolicy(config.beam, headlamps)
+        self._production = ProductionCar(config.beam, headlamps)
+
+    def step(self, known: DriveFrame) -> tuple[FrameResult, BeamCommand]:
+        """As `Car.step`; the production system's share is not in it."""
+        result = self._pipeline.step(known.frame)
+        assert result.tracks is not None
+        return result, self._policy.command(known.frame, result.tracks)
+
+    def lit(self, known: DriveFrame, levels: Floats) -> Floats:
+        """As `Car.lit`."""
+        return both(*self._production.levels(known), levels)
+
+
+def both(production: Floats, is_reporting: bool, provident: Floats) -> Floats:
+    """What the paper's lamps shine, shape (2, L): the provident part is mute while the production system reports."""
+    return production if is_reporting else np.minimum(production, provident)
+
+
+class ProductionCar:
+    """The modelled production system's beam: exact gaps for the vehicles that it reports, and they count at once.
+
+    Its latency is in its reports (`ProductionConfig.latency_s`, from camera to beam). It also knows of vehicles ahead
+    of us while their rear lamps are in sight.
+    """
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._writer = GapWriter(config, headlamps)
+        self._system = ProductionSystem()
+        self.gaps_rad = np.zeros((0, 2))
+
+    def levels(self, known: DriveFrame) -> tuple[Floats, bool]:
+        """Shape (2, L), in this frame, and whether a vehicle is reported."""
+        reported = self._system.update(known.frame.timestamp_ns, known.vehicles)
+        seen = [one for one in known.vehicles if one.vehicle_id in reported or _is_followed(known, one)]
+        command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, seen))
+        self.gaps_rad = command.gaps_rad
+        return command.levels, bool(seen)
+
+
+class OracleCar:
+    """Exact gaps, in this very frame, for all vehicles whose driver sees our lamps."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._writer = GapWriter(config, headlamps)
+        self.gaps_rad = np.zeros((0, 2))
+
+    def levels(self, known: DriveFrame, in_sight: Sequence[VehicleTruth]) -> Floats:
+        """Shape (2, L), in this frame."""
+        command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, in_sight))
+        self.gaps_rad = command.gaps_rad
+        return command.levels
+
+
+def paper_config(config: PipelineConfig) -> PipelineConfig:
+    """The same detector, with the paper's tracker and ground plane, and no beam stage of its own."""
+    return config.model_copy(
+        update={
+            "distance": DistanceConfig(),
+            "tracker": TrackerConfig(),
+            "beam": config.beam.model_copy(update={"policy": "none"}),
+        }
+    )
+
+
+def exact_gaps(known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> list[Gap]:
+    """A gap around the whole body of each of `vehicles`, in front of us."""
+    gaps = []
+    for vehicle in vehicles:
+        length_m, width_m, _ = vehicle.size_m
+        ends = vehicle.box_centre_m + np.array(
+            [[x * length_m / 2, y * width_m / 2, 0] for x in (-1, 1) for y in (-1, 1)]
+        )
+        corners = known.ego_pose.to_body(vehicle.pose.to_outer(ends))
+        ranges_m = np.hypot(corners[:, 0], corners[:, 1])
+        if corners[:, 0].min() > 0.0:
+            azimuths = np.arctan2(corners[:, 1], corners[:, 0])
+            margins = np.arctan2(BODY_MARGIN_M, ranges_m) + math.radians(EXACT_MARGIN_DEG)
+            right, left = (azimuths - margins).min(), (azimuths + margins).max()
+            gaps.append(Gap(float(right), float(left), float(ranges_m.min()), float(ranges_m.max())))
+    return gaps
+
+
+def closed_loop(scene: Scene, car: Car, delays: Delays, quality: str) -> Iterator[Shone]:
+    """Drives `scene` with the commands of `car` at the lamps, frame by frame.
+
+    Commands go over the bus as CAN frames, to the lamps' receiver, which starts in low beam as in a car.
+    """
+    drive = Drive(with_beam(scene, "matrix"), quality)
+    encoder, receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
+    camera_ns, lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
+    on_the_way: deque[tuple[int, BeamCommand]] = deque()
+    sent: deque[tuple[int, BeamCommand]] = deque()
+    in_force = BeamCommand.low(0, NUM_LEDS)
+    levels = in_force.levels
+    drive.set_led_levels(levels)
+    for known in drive.frames():
+        result, command = car.step(known)
+        yield Shone(known, levels, in_force.gaps_rad, command, result)
+        now_ns = known.frame.timestamp_ns
+        next_ns = now_ns + round(1e9 / scene.rate_hz)
+        on_the_way.append((now_ns + camera_ns, command))
+        while on_the_way and on_the_way[0][0] <= next_ns:
+            arrival_ns, arrived = on_the_way.popleft()
+            for frame in encoder.frames(arrived):
+                receiver.receive(arrival_ns, frame.frame_id, frame.data)
+            sent.append((arrival_ns + lamp_ns, arrived))
+        while sent and sent[0][0] <= next_ns:
+            in_force = sent.popleft()[1]
+        levels, _ = receiver.shining(next_ns)
+        drive.set_led_levels(car.lit(known, levels))
+
+
+def _is_followed(known: DriveFrame, vehicle: VehicleTruth) -> bool:
+    """Whether it drives ahead of us, near, with its rear lamps in sight."""
+    is_lit = any(lamp.is_rear and lamp.visible_share >= 0.5 for lamp in vehicle.lamps)
+    return is_lit and not is_coming(known.ego_pose, vehicle) and vehicle.range_m < REAR_REACH_M

@@ -1,0 +1,199 @@
+"""The experiment on glare: scenes driven in closed loop, scored in lux at other drivers' eyes."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
+from foreglow.files import read_text, write_atomic, write_json_results
+from foreglow.lab.simulation import Scene, without_traffic
+from foreglow.lab.simulation.writing.dataset import Progress
+from foreglow.lab.simulation.writing.truth_files import read_scenes, sequence_name
+from foreglow.lab.studies.glare.drive import GlareDrive
+from foreglow.lab.studies.glare.drive_file import read_glare_drive, write_glare_drive
+from foreglow.lab.studies.glare.driving import Drives, settings_of
+from foreglow.lab.studies.glare.limits import FMVSS_108, R123
+from foreglow.lab.studies.glare.loop import Delays
+from foreglow.lab.studies.glare.metrics import score_glare
+from foreglow.lab.studies.glare.results import GlareResults, SensitivityPoint
+from foreglow.lab.studies.occurrence.metrics import LeadScore, Sighting, lead_scores
+from foreglow.parallel import Local, Parent, Workers
+from foreglow.provenance import provenance
+
+DRIVES = "drives"
+"""Folder of the scenes that are finished."""
+
+
+class GlarePlan(FrozenModel):
+    """What is driven, and how.
+
+    Attributes:
+        num_scenes: The first so many of the scenes; None for all.
+        num_empty: The first so many are also driven without traffic, for dimming that nobody asks for.
+        delays: From camera to beam.
+        quality: Of the renderer: `fast`, `training` or `fine`.
+        seed: Of the intervals.
+    """
+
+    num_scenes: int | None = None
+    num_empty: int = 0
+    delays: Delays = Delays()
+    quality: str = "training"
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class NamedScene:
+    """A scene and what its files are called."""
+
+    name: str
+    scene: Scene
+
+
+@dataclass(frozen=True, slots=True)
+class GlareExperiment:
+    """What came of it.
+
+    Attributes:
+        results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
+        others: By other limits.
+        leads: How well it was told where hidden vehicles would appear, over all scenes.
+        folder: Where everything is.
+    """
+
+    results: GlareResults
+    others: tuple[GlareResults, ...]
+    leads: tuple[LeadScore, ...]
+    folder: Path
+
+    def drives(self, names: Sequence[str]) -> tuple[GlareDrive, ...]:
+        """Some of the drives."""
+        return tuple(read_glare_drive(_drive_file(self.folder, name)) for name in names)
+
+
+def run_experiment(
+    scenes: Path,
+    config: PipelineConfig,
+    plan: GlarePlan,
+    folder: Path,
+    *,
+    workers: Workers | None = None,
+    progress: Progress,
+) -> GlareExperiment:
+    """Drives the scenes that are not finished yet, and scores all.
+
+    Args:
+        scenes: A simulated split, or its `scenes.jsonl`.
+        config: Our pipeline; its beam policy, or ours where it has none.
+        plan: What is driven, and how.
+        folder: Where everything goes; made if need be. An interrupted experiment in it goes on.
+        workers: Who drives; None drives in this process.
+        progress: Told of every frame.
+
+    Raises:
+        FileNotFoundError: If there are no scenes.
+        ValueError: If they are broken, or the folder holds an experiment with another plan.
+        OSError: If something cannot be written; scenes that are finished stay.
+    """
+    config = plan.delays.known_to(config)
+    wanted = named_scenes(scenes, plan)
+    (folder / DRIVES).mkdir(parents=True, exist_ok=True)
+    _claim(folder, config, plan)
+    todo: dict[str, tuple[int, NamedScene]] = {}
+    for number, named in enumerate(wanted, start=1):
+        if _sightings_file(folder, named.name).exists():  # written after the drive
+            progress(number, named.scene.num_frames, named.scene.num_frames)
+        else:
+            todo[named.name] = number, named
+    work = functools.partial(_drive, folder, config, plan)
+    for _ in (workers or Local()).each(work, todo, progress, paths=(folder,)):
+        pass
+    return _scored(folder, wanted, plan)
+
+
+def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
+    """The scenes of the plan, those without traffic last.
+
+    Raises:
+        FileNotFoundError: If there is no such file or folder.
+        ValueError: If it holds no scenes.
+    """
+    found = read_scenes(path / "scenes.jsonl" if path.is_dir() else path)[: plan.num_scenes]
+    named = [NamedScene(sequence_name(number), scene) for number, scene in found]
+    empty = [NamedScene(f"{one.name}-empty", without_traffic(one.scene)) for one in named[: plan.num_empty]]
+    return named + empty
+
+
+def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
+    """Writes down what is done here; checks that an earlier run did the same."""
+    about = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
+    file = folder / "plan.json"
+    if file.exists():
+        known = json.loads(read_text(file))
+        if known.get("digest") != about["digest"]:
+            raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
+    write_json_results(file, about | provenance(), indent=2)
+    write_atomic(folder / "config.toml", config_to_toml(config).encode())
+
+
+def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
+    """Of all that decides what a finished scene holds; more scenes may be added later."""
+    parts: list[Any] = [config.model_dump(mode="json"), plan.delays.model_dump(mode="json"), plan.quality]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], parent: Parent) -> None:
+    """Drives one scene and writes what is kept of it."""
+    number, named = item
+    drives = Drives(config, plan.delays, plan.quality)
+
+    def told() -> Any:
+        for place, pair in enumerate(drives.pairs(named.scene), start=1):
+            yield pair
+            parent.tell(number, place, named.scene.num_frames)
+            if parent.is_stopped:
+                raise KeyboardInterrupt
+
+    driven = drives.driven(named.scene, named.name, told())
+    write_glare_drive(_drive_file(folder, named.name), driven.drive)
+    write_json_results(_sightings_file(folder, named.name), [one.to_json() for one in driven.sightings])
+
+
+def _drive_file(folder: Path, name: str) -> Path:
+    return folder / DRIVES / f"{name}.npz"
+
+
+def _sightings_file(folder: Path, name: str) -> Path:
+    return folder / DRIVES / f"{name}.json"
+
+
+def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan) -> GlareExperiment:
+    files = [_drive_file(folder, named.name) for named in wanted]
+    results = score_glare(folder.name, (read_glare_drive(file) for file in files), FMVSS_108, seed=plan.seed)
+    r123 = score_glare(folder.name, (read_glare_drive(file) for file in files), R123, seed=plan.seed)
+    settings = {one.name: one for one in settings_of(plan.delays)}
+    points = tuple(
+        dataclasses.replace(
+            SensitivityPoint.of(one.parameter, one.unit, one.value, results.policy(name)), policy="foreglow"
+        )
+        for name, one in settings.items()
+    )
+    results, r123 = (
+        dataclasses.replace(
+            one, policies=tuple(policy for policy in one.policies if policy.name not in settings), sensitivity=points
+        )
+        for one in (results, r123)
+    )
+    sightings = [
+        Sighting.from_json(row)
+        for named in wanted
+        for row in json.loads(read_text(_sightings_file(folder, named.name)))
+    ]
+    return GlareExperiment(results, (r123,), lead_scores(sightings), folder)

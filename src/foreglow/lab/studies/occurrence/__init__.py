@@ -1,0 +1,1 @@
+"""How well the place and time at which a hidden vehicle comes into sight are predicted."""

@@ -1,0 +1,1 @@
+"""How close simulated drives come to real ones."""

@@ -1,0 +1,145 @@
+"""How close a simulated set comes to real drives: its labels, its pixels, and the time that indirect light leads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN, read_image, to_grey
+from foreglow.lab.evaluation.label_statistics import (
+    Comparison,
+    LabelStatistics,
+    compare_labels,
+    label_statistics,
+    labels_of_split,
+    read_label_digest,
+)
+from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
+from foreglow.lab.simulation.labels.categories import is_oncoming
+from foreglow.lab.simulation.writing.truth_files import SequenceTruth, read_truth
+from foreglow.lab.studies.simulator.image_statistics import ImageStatistics, PixelComparison, image_statistics
+from foreglow.lab.studies.simulator.image_statistics import compare as compare_images
+from foreglow.lab.studies.simulator.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
+
+NUM_IMAGES = 24
+"""Images whose pixels are measured: those with a lamp in sight, evenly spread over the set."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorResults:
+    """Everything that the report shows.
+
+    Attributes:
+        name: The data set.
+        labels: Statistics of its labels.
+        label_rows: The same beside those of real labels; None without any.
+        pixels: Statistics of images with a lamp in sight.
+        pixel_rows: The same beside those of a real image; None without any.
+        effects: How first times move with the rule of what is perceivable.
+        leads_s: First lamp minus first indirect light, one number a drive that has both; negative if the lamp leads.
+        production_delays_s: First report of the modelled production system minus first indirect light, likewise.
+    """
+
+    name: str
+    labels: LabelStatistics
+    label_rows: tuple[Comparison, ...] | None
+    pixels: ImageStatistics
+    pixel_rows: tuple[PixelComparison, ...] | None
+    effects: tuple[RuleEffect, ...]
+    leads_s: tuple[float, ...]
+    production_delays_s: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All figures by name, for JSON: null instead of NaN."""
+        return {
+            "name": self.name,
+            "labels": self.labels.to_json(),
+            "label_rows": None if self.label_rows is None else [row.to_json() for row in self.label_rows],
+            "pixels": self.pixels.to_json(),
+            "pixel_rows": None if self.pixel_rows is None else [row.to_json() for row in self.pixel_rows],
+            "effects": [effect.to_json() for effect in self.effects],
+            "leads_s": list(self.leads_s),
+            "production_delays_s": list(self.production_delays_s),
+        }
+
+
+def examine(split: Path, real_labels: Path | None = None, real_image: Path | None = None) -> SimulatorResults:
+    """Examines the simulated split (or a folder that holds one).
+
+    Args:
+        split: The data set.
+        real_labels: A digest of real labels, as `read_label_digest` takes it, or a real PVDN split.
+        real_image: A real image of the same exposure.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+        ValueError: If one is broken, or no image has a lamp in sight.
+    """
+    dataset = PVDN(split)
+    truth = read_truth(dataset.root)
+    own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
+    own_pixels = image_statistics(_images_with_lamp(dataset, truth))
+    drives = [peaks_of_drive(drive) for drive in truth]
+    rule = next(iter(truth)).scene.labels
+    scale = next(iter(truth)).camera.width_px / REFERENCE_WIDTH_PX
+    label_rows = None if real_labels is None else compare_labels(_real_statistics(real_labels), own_labels)
+    pixel_rows = None
+    if real_image is not None:
+        pixel_rows = compare_images(image_statistics(np.asarray(to_grey(read_image(real_image)), np.uint8)), own_pixels)
+    times = [first_times(drive, rule, scale) for drive in drives]
+    reports = [_first_report_s(drive) for drive in truth]
+    delays = [report - time.indirect_s for report, time in zip(reports, times, strict=True)]
+    return SimulatorResults(
+        name=str(split),
+        labels=own_labels,
+        label_rows=label_rows,
+        pixels=own_pixels,
+        pixel_rows=pixel_rows,
+        effects=rule_effects(drives, rule, FACTORS, scale),
+        leads_s=tuple(time.lead_s for time in times if np.isfinite(time.lead_s)),
+        production_delays_s=tuple(delay for delay in delays if np.isfinite(delay)),
+    )
+
+
+def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
+    """What the images of a drive offer to another rule: candidates of oncoming vehicles."""
+    oncoming = {number for number, vehicle in enumerate(drive.scene.vehicles) if is_oncoming(vehicle)}
+    frames = []
+    for frame in drive.frames:
+        vehicles = [vehicle for vehicle in frame.vehicles if vehicle.vehicle_id in oncoming]
+        has_direct = any(
+            one.is_direct and not one.is_rear and not one.is_doubtful
+            for vehicle in vehicles
+            for one in vehicle.artifacts
+        )
+        candidates = tuple(vehicle.candidates for vehicle in vehicles)
+        frames.append(PeaksOfFrame(frame.timestamp_ns / 1e9, has_direct, candidates))
+    return tuple(frames)
+
+
+def _first_report_s(drive: SequenceTruth) -> float:
+    times = (frame.timestamp_ns / 1e9 for frame in drive.frames if frame.is_production_detected)
+    return next(times, np.inf)
+
+
+def _real_statistics(path: Path) -> LabelStatistics:
+    if path.is_dir():
+        return label_statistics(labels_of_split(PVDN(path)))
+    return label_statistics(read_label_digest(path))
+
+
+def _images_with_lamp(dataset: PVDN, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
+    """Some images that show a lamp, as the one real image does; any where none does."""
+    shown = [
+        frame.image_id
+        for drive in truth
+        for frame in drive.frames
+        if any(one.is_direct for vehicle in frame.vehicles for one in vehicle.artifacts)
+    ] or list(dataset.labels.images)
+    places = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
+    return [np.asarray(dataset.read(shown[place]).image, np.uint8) for place in places]

@@ -1,0 +1,243 @@
+"""A live sink that records frames and results as MCAP."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import foxglove
+from foxglove import channels as typed
+from foxglove.mcap import MCAPWriteOptions
+from foxglove.messages import Log, LogLevel, RawImage, Timestamp
+
+from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.datasets.bags import FRAME_TOPIC, FrameRecord
+from foreglow.runs.frame_records import frame_record, time_record
+from foreglow.runtime.health import Health
+from foreglow.runtime.mcap.channels import (
+    BOXES_TOPIC,
+    CALIBRATION_TOPIC,
+    CAMERA_FRAME,
+    FRAME_SCHEMA,
+    HEALTH_SCHEMA,
+    HEALTH_TOPIC,
+    IMAGE_TOPIC,
+    LOG_TOPIC,
+    RESULT_SCHEMA,
+    RESULT_TOPIC,
+    SCENE_TOPIC,
+    TRANSFORM_TOPIC,
+)
+from foreglow.runtime.mcap.drawing import boxes_message, calibration_message, scene_message, transform_message
+from foreglow.runtime.mcap.growing_file import GrowingFile
+from foreglow.runtime.time_axis import TimeAxis
+from foreglow.types import BeamMode, Frame, FrameResult, Image
+
+SUFFIX = ".mcap"
+
+CHUNK_NS = 500_000_000
+"""A chunk is handed to the operating system when it holds this much time: twice a second."""
+
+CHUNK_BYTES = 8 << 20
+"""Or this much, before compression."""
+
+COMPRESSION_LEVEL = 1
+"""Of zstd: keeps up with 18 images of 1280x960 px a second many times over."""
+
+MAX_STAMP_NS = (1 << 32) * 1_000_000_000
+"""Foxglove's stamps have seconds of 32 bits."""
+
+
+class McapRecorder:
+    """Records every frame, losslessly, with its result and the health: `docs/recordings.md` has the topics.
+
+    While it grows, the file is called `FILE.mcap.partial`: a process that is killed leaves it readable up to its last
+    chunk, which is half a second old at most, or one health message. `close` gives it its name. A `.partial` of an
+    earlier, killed run is kept, under a name with a number.
+
+    After a write that failed, such as on a full disk, what was written before stays, as `.partial`, when it is closed;
+    `discard` leaves nothing, for runs that can be done again.
+    """
+
+    def __init__(self, path: Path, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
+        """Makes the file.
+
+        Args:
+            path: Its name in the end.
+            config: What the results were made with, for whoever reads the recording.
+            source_name: Where the frames came from, likewise.
+
+        Raises:
+            OSError: If it cannot be made; the message names the path.
+            ValueError: If the path does not end in `.mcap`.
+        """
+        if path.suffix.lower() != SUFFIX:
+            raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
+        if path.is_dir():
+            raise ValueError(f"{path}: expected a file to write, or nothing, got a folder")
+        self._path, self._partial = path, path.with_name(path.name + ".partial")
+        _keep(self._partial)
+        self._file = GrowingFile(self._partial, path)
+        self._context = context = foxglove.Context()  # kept: its channels live as long as it does
+        self._writer = foxglove.open_mcap(
+            self._file,
+            context=context,
+            writer_options=MCAPWriteOptions(
+                chunk_size=CHUNK_BYTES,
+                compression_level=COMPRESSION_LEVEL,
+                compression_threads=0,
+                disable_seeking=True,  # a chunk is written whole
+            ),
+        )
+        texts = {"version": metadata.version("foreglow"), "source": source_name}
+        self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
+        # The image comes first: readers take the first image topic.
+        self._image = typed.RawImageChannel(IMAGE_TOPIC, context=context)
+        self._calibration = typed.CameraCalibrationChannel(CALIBRATION_TOPIC, context=context)
+        self._boxes = typed.ImageAnnotationsChannel(BOXES_TOPIC, context=context)
+        self._transform = typed.FrameTransformChannel(TRANSFORM_TOPIC, context=context)
+        self._scene = typed.SceneUpdateChannel(SCENE_TOPIC, context=context)
+        self._log = typed.LogChannel(LOG_TOPIC, context=context)
+        self._frame = _json_channel(FRAME_TOPIC, FRAME_SCHEMA, context)
+        self._result = _json_channel(RESULT_TOPIC, RESULT_SCHEMA, context)
+        self._health = _json_channel(HEALTH_TOPIC, HEALTH_SCHEMA, context)
+        self._axis = TimeAxis()
+        self._faults: dict[str, tuple[str, ...]] = {}
+        self._chunk_start_ns: int | None = None
+        self._is_open = True
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Adds a frame.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+            ValueError: If its time is before 0 or beyond what a stamp holds.
+        """
+        time_ns = self._axis.time_ns(frame)
+        stamp = self._stamp(time_ns)
+        self._frame.log(FrameRecord.of(frame).model_dump_json(by_alias=True).encode(), log_time=time_ns)
+        self._image.log(_image_message(frame.image, stamp), log_time=time_ns)
+        if frame.camera is not None:
+            self._calibration.log(calibration_message(frame.camera, stamp), log_time=time_ns)
+            self._transform.log(transform_message(frame.camera, stamp), log_time=time_ns)
+        self._boxes.log(boxes_message(result, stamp), log_time=time_ns)
+        self._scene.log(scene_message(frame, result, stamp), log_time=time_ns)
+        self._result.log(_json(frame_record(frame, result) | time_record(frame, result)), log_time=time_ns)
+        if result.beam is not None:
+            self._note_faults("low beam", result.beam.faults, time_ns)
+        if self._chunk_start_ns is None:
+            self._chunk_start_ns = time_ns
+        elif not 0 <= time_ns - self._chunk_start_ns < CHUNK_NS:
+            self._flush()
+        self._check()
+
+    def write_health(self, health: Health) -> None:
+        """Adds the health, and hands all that there is to the operating system.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+            ValueError: If its time is before 0 or beyond what a stamp holds.
+        """
+        time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
+        self._stamp(time_ns)
+        record = {
+            "timestamp_ns": health.timestamp_ns,
+            "faults": list(health.faults),
+            "num_frames": health.num_frames,
+            "num_dropped": health.num_dropped,
+            "num_late": health.num_late,
+            "beam": None if health.beam is None else BeamMode(health.beam.mode).name.lower(),
+        }
+        self._health.log(_json(record), log_time=time_ns)
+        self._note_faults("fault", health.faults, time_ns)
+        self._flush()
+        self._check()
+
+    def close(self) -> None:
+        """Completes the file and gives it its name; one whose writing failed before stays `.partial`, with what it has.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        if not self._is_open:
+            return
+        had_failed = self._file.error is not None
+        self._finish()
+        if not had_failed:
+            self._check()
+            self._partial.replace(self._path)
+
+    def discard(self) -> None:
+        """Lets go of what was written: nothing of it remains, unless it was completed before."""
+        if self._is_open:
+            self._finish()
+            with contextlib.suppress(OSError):
+                self._partial.unlink(missing_ok=True)
+
+    def _finish(self) -> None:
+        self._is_open = False
+        self._writer.close()
+        self._file.close()
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._chunk_start_ns = None
+
+    def _check(self) -> None:
+        if self._file.error is not None:
+            raise self._file.error
+
+    def _stamp(self, time_ns: int) -> Timestamp:
+        if not 0 <= time_ns < MAX_STAMP_NS:
+            raise ValueError(f"{self._path}: time: expected one from 0 to 2^32 s, got {time_ns / 1e9:.3f} s")
+        return Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
+
+    def _note_faults(self, kind: str, faults: Sequence[str], time_ns: int) -> None:
+        """Logs what is wrong when it changes."""
+        if tuple(faults) == self._faults.get(kind, ()):
+            return
+        self._faults[kind] = tuple(faults)
+        level = LogLevel.Warning if faults else LogLevel.Info
+        message = Log(
+            timestamp=self._stamp(time_ns),
+            level=level,
+            name="foreglow",
+            message=f"{kind}: {', '.join(faults) or 'none any more'}",
+        )
+        self._log.log(message, log_time=time_ns)
+
+
+def _json_channel(topic: str, schema: Mapping[str, Any], context: foxglove.Context) -> foxglove.Channel:
+    described = foxglove.Schema(name=str(schema["title"]), encoding="jsonschema", data=json.dumps(schema).encode())
+    return foxglove.Channel(topic, schema=described, message_encoding="json", context=context)
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _image_message(image: Image, stamp: Timestamp) -> RawImage:
+    height, width = image.shape
+    depth = image.dtype.itemsize
+    return RawImage(
+        timestamp=stamp,
+        frame_id=CAMERA_FRAME,
+        width=width,
+        height=height,
+        encoding="mono8" if depth == 1 else "mono16",
+        step=width * depth,
+        data=image.astype(image.dtype.newbyteorder("<"), copy=False).tobytes(),
+    )
+
+
+def _keep(partial: Path) -> None:
+    """Gives a file of a killed run a name with a number: `FILE.1.mcap.partial`."""
+    if partial.is_file() and partial.stat().st_size:
+        stem = partial.name.removesuffix(f"{SUFFIX}.partial")
+        names = (partial.with_name(f"{stem}.{number}{SUFFIX}.partial") for number in itertools.count(1))
+        partial.rename(next(name for name in names if not name.exists()))

@@ -1,5 +1,0 @@
-"""A run as an MCAP file: all that went in and all that came out, to replay and to look at in Foxglove."""
-
-from foreglow.runtime.recording.recorder import McapRecorder
-
-__all__ = ["McapRecorder"]

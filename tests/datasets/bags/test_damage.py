@@ -1,0 +1,191 @@
+"""Cut, flipped and random bytes: a clear error or clean frames, and no memory by what they claim of themselves."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from foreglow.datasets import Recording
+from foreglow.datasets.bags.containers import decompressed
+from foreglow.datasets.bags.image_messages import DECODERS
+from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
+
+IMAGES = images(5)
+QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def _mcap(folder: Path) -> Path:
+    return make_mcap(folder / "drive.mcap", IMAGES)
+
+
+def _plain_mcap(folder: Path) -> Path:
+    return make_mcap(folder / "drive.mcap", IMAGES, compression="NONE")
+
+
+def _bag(folder: Path) -> Path:
+    return make_bag(folder, "bag", [raw(image) for image in IMAGES])
+
+
+def _lz4_bag(folder: Path) -> Path:
+    return make_bag(folder, "bag", [raw(image) for image in IMAGES], compression="lz4")
+
+
+def _sqlite(folder: Path) -> Path:
+    return next(make_bag(folder, "sqlite3", [raw(image) for image in IMAGES]).glob("*.db3"))
+
+
+MAKERS = {"mcap": _mcap, "plain mcap": _plain_mcap, "bag": _bag, "lz4 bag": _lz4_bag, "sqlite": _sqlite}
+
+
+@pytest.fixture(scope="module", params=MAKERS)
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    maker: Callable[[Path], Path] = MAKERS[request.param]
+    return maker(tmp_path_factory.mktemp("whole"))
+
+
+def check(path: Path) -> None:
+    """Whatever comes out, alone or beside a line that says what is wrong, was in the recording."""
+    try:
+        source = Recording(path, on_error="skip")
+    except ValueError as error:
+        complaint = str(error)
+        assert complaint.startswith(f"{path}: ")
+        return
+    for frame in source:
+        assert frame.image.shape == IMAGES[0].shape
+    assert all(line.startswith(str(path)) and "\n" not in line for line in source.skipped)
+
+
+@QUICK
+@given(share=st.floats(0.0, 1.0))
+def test_a_file_cut_anywhere(whole: Path, share: float) -> None:
+    data = whole.read_bytes()
+    cut = whole.with_name(f"cut{whole.suffix}")
+    cut.write_bytes(data[: int(share * len(data))])
+    check(cut)
+    try:
+        frames = list(Recording(cut, on_error="skip"))
+    except ValueError:
+        return
+    np.testing.assert_array_equal([frame.image for frame in frames], IMAGES[: len(frames)])
+    if cut.stat().st_size < len(data):
+        with pytest.raises(ValueError, match=r"truncated .*; --on-error skip reads what is there"):
+            Recording(cut)
+
+
+@QUICK
+@given(share=st.floats(0.0, 0.999), value=st.binary(min_size=1, max_size=8))
+def test_bytes_changed_anywhere(whole: Path, share: float, value: bytes) -> None:
+    data = bytearray(whole.read_bytes())
+    place = int(share * (len(data) - len(value)))
+    data[place : place + len(value)] = value
+    damaged = whole.with_name(f"damaged{whole.suffix}")
+    damaged.write_bytes(data)
+    check(damaged)
+
+
+@QUICK
+@given(data=st.binary(max_size=200))
+def test_random_bytes_behind_a_good_start(whole: Path, data: bytes) -> None:
+    path = whole.with_name(f"random{whole.suffix}")
+    path.write_bytes(whole.read_bytes()[:13] + data)
+    check(path)
+
+
+@given(data=st.binary(max_size=300))
+def test_random_messages(data: bytes) -> None:
+    for decode in DECODERS.values():
+        for content in (data, b"\x00\x01\x00\x00" + data):
+            with pytest.raises(ValueError, match=": "):  # so few bytes are no image of 64x64 px
+                decode(memoryview(content)).image()
+
+
+def test_a_killed_writers_file_is_read_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+    data = _mcap(tmp_path).read_bytes()
+    third = data.index(struct.pack("<BQ", 6, 0)[:1], len(data) // 2)
+    path = tmp_path / "drive.mcap.partial"
+    path.write_bytes(data[:third])
+    source = Recording(path)
+    frames = list(source)
+    assert 0 < len(frames) < len(IMAGES)
+    assert source.skipped == []
+    assert source.num_frames is None
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
+    path = _mcap(tmp_path) if kind == "mcap" else _lz4_bag(tmp_path)
+    data = bytearray(path.read_bytes())
+    needle = b"lz4" if kind == "bag" else b"zstd"
+    places = [place for place in range(len(data)) if data.startswith(needle, place)]
+    if kind == "bag":  # all of it is one chunk, and the definitions of topics with it
+        data[places[0] + 400 : places[0] + 420] = bytes(20)
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=rf"{path}: byte \d+: "):
+            list(Recording(path))
+        return
+    data[places[2] + 100 : places[2] + 120] = bytes(20)
+    path.write_bytes(data)
+    with pytest.raises(
+        ValueError, match=rf"{path}: byte \d+: (damaged chunk, its checksum is wrong|zstd data are damaged)"
+    ):
+        list(Recording(path))
+    source = Recording(path, on_error="skip")
+    frames = list(source)
+    assert len(frames) == len(IMAGES) - 1
+    assert len(source.skipped) == 1
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
+def test_a_chunk_takes_no_more_memory_than_it_says(compression: str) -> None:
+    import bz2
+
+    lz4, zstandard = pytest.importorskip("lz4.frame"), pytest.importorskip("zstandard")
+    bomb = bytes(64 << 20)
+    data = {"zstd": zstandard.compress, "lz4": lz4.compress, "bz2": bz2.compress}[compression](bomb)
+    tracemalloc.start()
+    assert bytes(decompressed(memoryview(data), compression, 1000)) == bytes(1000)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 8 << 20
+
+
+def test_sizes_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match=r"expected a chunk of at most \d+ bytes, got 18446744073709551615"):
+        decompressed(memoryview(b""), "zstd", 2**64 - 1)
+    with pytest.raises(ValueError, match="expected a chunk of 5 bytes, got 4"):
+        decompressed(memoryview(b"abcd"), "", 5)
+    with pytest.raises(ValueError, match="expected a compression of lz4, zstd, bz2 or none, got 'brotli'"):
+        decompressed(memoryview(b"abcd"), "brotli", 5)
+
+
+def test_a_length_that_leads_out_of_the_file(tmp_path: Path) -> None:
+    path = _mcap(tmp_path)
+    data = bytearray(path.read_bytes())
+    length = int.from_bytes(data[9:17], "little")
+    place = 17 + length  # the record behind the header
+    data[place + 1 : place + 9] = struct.pack("<Q", 2**63)
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match="expected records up to the end, one of them cannot be followed"):
+        list(Recording(path, topic=TOPIC))
+
+
+def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
+    """Its header has no place of an index yet."""
+    data = bytearray(_bag(tmp_path).read_bytes())
+    place = data.index(b"index_pos=") + len(b"index_pos=")
+    end = int.from_bytes(data[place : place + 8], "little")
+    data[place : place + 8] = bytes(8)
+    path = tmp_path / "drive.bag.active"
+    path.write_bytes(data[:end])
+    source = Recording(path)
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
+    with pytest.raises(ValueError, match=r"drive\.bag: truncated bag, its index is missing or cut"):
+        Recording(path.rename(tmp_path / "drive.bag"))

@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from foreglow.lab.evaluation import (
+    BoxQuality,
+    Predictions,
+    annotation_quality,
+    evaluate_boxes,
+    evaluate_split,
+    read_predictions,
+)
+from tests.datasets.tiny_pvdn import make_pvdn
+from tests.shared_data import shared_file
+
+Keypoints = dict[int, NDArray[Any]]
+
+
+def _points(*points: tuple[float, float]) -> NDArray[np.float64]:
+    return np.array(points, np.float64).reshape(-1, 2)
+
+
+def _predictions(**images: list[tuple[float, float, float, float, float]]) -> Predictions:
+    """Boxes with scores by image, named i7 for 7."""
+    rows = {int(name[1:]): np.array(boxes, np.float64).reshape(-1, 5) for name, boxes in images.items()}
+    return Predictions({key: row[:, :4] for key, row in rows.items()}, {key: row[:, 4] for key, row in rows.items()})
+
+
+def _same(left: BoxQuality, right: BoxQuality) -> bool:
+    return left.to_json() == right.to_json()
+
+
+def test_a_case_worked_by_hand() -> None:
+    # Image 1: a box around both keypoints and a second one around the first of them, a third around none.
+    # Image 2: one keypoint, missed. Image 3: nothing, and no boxes.
+    keypoints = {1: _points((10, 10), (20, 10)), 2: _points((50, 50)), 3: _points()}
+    quality = evaluate_boxes(
+        keypoints, _predictions(i1=[(0, 0, 30, 30, 0.9), (5, 5, 15, 15, 0.8), (80, 80, 90, 90, 0.7)], i2=[])
+    )
+    assert (quality.tp, quality.fp, quality.fn) == (2, 1, 1)
+    assert quality.precision == quality.recall == quality.f1 == 2 / 3
+    # n_K = 2 and 1; n_B = 2 and 1.
+    assert quality.q_k == quality.q_b == 0.75
+    assert quality.q_k_std == quality.q_b_std == 0.25
+    assert quality.q == 0.5625
+    assert (quality.num_images, quality.num_missing, quality.num_unknown) == (3, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "is_inside"),
+    [(10, 20, 1), (30, 20, 1), (30, 40, 1), (10, 40, 1), (9, 20, 0), (31, 20, 0), (10, 19, 0), (10, 41, 0)],
+)
+def test_all_four_edges_belong_to_the_box(x: float, y: float, is_inside: int) -> None:
+    assert evaluate_boxes({1: _points((x, y))}, _predictions(i1=[(10, 20, 30, 40, 1.0)])).tp == is_inside
+
+
+@pytest.mark.parametrize(("score", "counts"), [(0.5, 0), (np.nextafter(0.5, 1), 1), (0.49, 0)])
+def test_a_score_must_be_above_the_threshold(score: float, counts: int) -> None:
+    assert evaluate_boxes({1: _points((1, 1))}, _predictions(i1=[(0, 0, 2, 2, score)]), 0.5).tp == counts
+
+
+def test_empty_sets_are_nan_and_null() -> None:
+    nothing = evaluate_boxes({1: _points()}, _predictions())
+    rates = ("precision", "recall", "f1", "q", "q_k", "q_k_std", "q_b", "q_b_std")
+    assert all(math.isnan(getattr(nothing, name)) for name in rates)
+    assert all(nothing.to_json()[name] is None for name in rates)
+    assert json.loads(json.dumps(nothing.to_json(), allow_nan=False))["tp"] == 0
+    missed = evaluate_boxes({1: _points((1, 1))}, _predictions())
+    assert (missed.recall, missed.f1) == (0.0, 0.0)
+    assert math.isnan(missed.precision)
+    assert math.isnan(missed.rounded_as_published().q)
+
+
+def test_no_images_at_all() -> None:
+    assert evaluate_boxes({}, _predictions(i1=[(0, 0, 1, 1, 1)])).num_unknown == 1
+
+
+def test_unknown_images_are_ignored_but_counted() -> None:
+    keypoints = {1: _points((1, 1))}
+    quality = evaluate_boxes(keypoints, _predictions(i1=[(0, 0, 2, 2, 1)], i9=[(0, 0, 2, 2, 1)], i8=[]))
+    assert (quality.tp, quality.fp, quality.num_unknown) == (1, 0, 2)
+
+
+def test_boxes_without_scores_all_count_and_the_result_says_so() -> None:
+    boxes = Predictions({1: np.array([[0.0, 0, 2, 2]])}, {1: np.ones(1)}, is_scored=False)
+    quality = evaluate_boxes({1: _points((1, 1))}, boxes, threshold=1.0)
+    assert quality.tp == 1
+    assert not quality.is_scored
+
+
+def test_the_published_rounding_rounds_before_it_multiplies() -> None:
+    keypoints = {1: _points((1, 1), (2, 1), (3, 1))}  # n_K = 3, 1: q_K = 2/3; n_B = 2, 1, 1: q_B = 5/6
+    quality = evaluate_boxes(keypoints, _predictions(i1=[(0, 0, 9, 9, 1), (0, 0, 1, 1, 1)]))
+    rounded = quality.rounded_as_published()
+    assert quality.q == pytest.approx(5 / 9)
+    assert (rounded.q_k, rounded.q_b, rounded.q) == (0.6667, 0.8333, round(0.6667 * 0.8333, 4))
+    assert (rounded.tp, rounded.num_images) == (quality.tp, quality.num_images)
+
+
+@pytest.mark.parametrize("name", ["keypoints", "threshold"])
+def test_bad_arguments(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        evaluate_boxes(
+            {1: np.zeros((1, 3 if name == "keypoints" else 2))},
+            _predictions(),
+            math.nan if name == "threshold" else 0.5,
+        )
+    with pytest.raises(ValueError, match=r"expected shape \(N, 4\)"):
+        Predictions({1: np.zeros((1, 5))}, {1: np.zeros(1)})
+    with pytest.raises(ValueError, match=r"expected shape \(1,\)"):
+        Predictions({1: np.zeros((1, 4))}, {1: np.zeros(2)})
+
+
+_COORDINATES = st.integers(0, 12).map(float)
+_BOXES = st.lists(st.tuples(_COORDINATES, _COORDINATES, _COORDINATES, _COORDINATES, st.floats(0, 1)), max_size=5)
+_IMAGES = st.dictionaries(
+    st.integers(0, 9), st.tuples(st.lists(st.tuples(_COORDINATES, _COORDINATES), max_size=5), _BOXES), max_size=4
+)
+_CASES = _IMAGES.map(
+    lambda images: (
+        {key: _points(*points) for key, (points, _) in images.items()},
+        _predictions(**{f"i{key}": boxes for key, (_, boxes) in images.items()}),
+    )
+)
+_quick = settings(derandomize=True, max_examples=100, deadline=None)
+
+
+@_quick
+@given(_CASES)
+def test_counts_agree_with_plain_loops(case: tuple[Keypoints, Predictions]) -> None:
+    keypoints, predictions = case
+    tp = fp = fn = 0
+    for image_id, points in keypoints.items():
+        scored = zip(predictions.boxes_xyxy_px[image_id], predictions.scores[image_id], strict=True)
+        boxes = [box for box, score in scored if score > 0.5]
+        inside = [[b[0] <= p[0] <= b[2] and b[1] <= p[1] <= b[3] for b in boxes] for p in points]
+        tp += sum(any(row) for row in inside)
+        fn += sum(not any(row) for row in inside)
+        fp += sum(not any(row[place] for row in inside) for place in range(len(boxes)))
+    quality = evaluate_boxes(keypoints, predictions)
+    assert (quality.tp, quality.fp, quality.fn) == (tp, fp, fn)
+
+
+def _backwards(images: Mapping[int, NDArray[Any]]) -> Keypoints:
+    return dict(reversed(list(images.items())))
+
+
+@_quick
+@given(_CASES)
+def test_the_order_of_images_does_not_matter(case: tuple[Keypoints, Predictions]) -> None:
+    keypoints, predictions = case
+    backwards = Predictions(_backwards(predictions.boxes_xyxy_px), _backwards(predictions.scores))
+    turned = evaluate_boxes(_backwards(keypoints), backwards)
+    quality = evaluate_boxes(keypoints, predictions)
+    for name, value in quality.to_json().items():
+        assert turned.to_json()[name] == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+@_quick
+@given(_CASES, st.integers(-1000, 1000), st.integers(-1000, 1000))
+def test_moving_everything_changes_nothing(case: tuple[Keypoints, Predictions], dx: int, dy: int) -> None:
+    keypoints, predictions = case
+    moved = Predictions(
+        {key: boxes + np.array([dx, dy, dx, dy]) for key, boxes in predictions.boxes_xyxy_px.items()},
+        predictions.scores,
+    )
+    moved_keypoints = {key: points + np.array([dx, dy]) for key, points in keypoints.items()}
+    assert _same(evaluate_boxes(moved_keypoints, moved), evaluate_boxes(keypoints, predictions))
+
+
+@_quick
+@given(_CASES)
+def test_a_higher_threshold_never_finds_more(case: tuple[Keypoints, Predictions]) -> None:
+    found = [evaluate_boxes(*case, threshold) for threshold in (0.0, 0.3, 0.6, 1.0)]
+    assert [one.tp for one in found] == sorted((one.tp for one in found), reverse=True)
+    assert [one.fp for one in found] == sorted((one.fp for one in found), reverse=True)
+    assert [one.fn for one in found] == sorted(one.fn for one in found)
+
+
+@_quick
+@given(_CASES)
+def test_truth_against_itself_is_perfect(case: tuple[Keypoints, Predictions]) -> None:
+    keypoints = {key: np.unique(points, axis=0) for key, points in case[0].items()}
+    exact = Predictions(
+        {key: np.hstack([points, points]) for key, points in keypoints.items()},
+        {key: np.ones(len(points)) for key, points in keypoints.items()},
+    )
+    quality = evaluate_boxes(keypoints, exact)
+    assert (quality.fp, quality.fn) == (0, 0)
+    if quality.tp:
+        perfect = dataclasses.replace(quality, precision=1, recall=1, f1=1, q=1, q_k=1, q_k_std=0, q_b=1, q_b_std=0)
+        assert quality == perfect
+
+
+_PUBLISHED = {
+    "precision": "precision",
+    "recall": "recall",
+    "f1_score": "f1",
+    "box_quality": "q",
+    "qk": "q_k",
+    "qk_std": "q_k_std",
+    "qb": "q_b",
+    "qb_std": "q_b_std",
+}
+
+
+def test_the_published_code_gives_the_same(tmp_path: Path) -> None:
+    golden = json.loads(shared_file("reference/golden/metrics_cases.json").read_text())
+    keypoints = {
+        int(image_id): _points(*(one["pos"] for vehicle in vehicles for one in vehicle["instances"]))
+        for image_id, vehicles in golden["gt"].items()
+    }
+    for name, case in golden["cases"].items():
+        path = tmp_path / f"{name}.json"
+        path.write_text(json.dumps(case["preds"]))
+        quality = evaluate_boxes(keypoints, read_predictions(path), case["conf"]).rounded_as_published()
+        assert [quality.tp, quality.fp, quality.fn] == list(case["totals"].values()), name
+        for theirs, ours in _PUBLISHED.items():
+            expected = case["result"][theirs]
+            assert quality.to_json()[ours] == (None if expected == -1 else expected), (name, ours)
+
+
+def test_a_split_and_a_file(tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path)
+    path = tmp_path / "frames.jsonl"
+    lines = [
+        {"frame": 11, "proposals_xyxy_px": [[36, 29, 46, 33], [0, 0, 5, 5]], "scores": [0.9, 0.4]},
+        {"frame": 99, "proposals_xyxy_px": [], "scores": []},
+    ]
+    path.write_text("\n".join(map(json.dumps, lines)))
+    quality = evaluate_split(split, path)
+    assert (quality.tp, quality.fp, quality.fn) == (2, 0, 1)
+    assert (quality.num_images, quality.num_missing, quality.num_unknown) == (5, 4, 1)
+    assert evaluate_split(split, path, threshold=0.3).fp == 1
+    assert evaluate_split(split / "images" / "S00001", path).num_images == 2
+    for image in split.rglob("*.png"):
+        image.unlink()
+    assert _same(evaluate_split(split, path), quality)
+    (split / "labels/keypoints/000005.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"000005\.json: no such file, expected the keypoints of image 5"):
+        evaluate_split(split, path)
+
+
+def test_the_splits_own_boxes(tmp_path: Path) -> None:
+    quality = annotation_quality(make_pvdn(tmp_path))
+    assert (quality.tp, quality.fp, quality.fn) == (2, 0, 1)
+    assert (quality.precision, quality.q_k) == (1.0, 0.5)

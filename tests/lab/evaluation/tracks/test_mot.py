@@ -1,0 +1,123 @@
+"""MOTChallenge files: rows worked by hand, and TrackEval's figures of tracks that are known to be right or wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation.tracks.mot import export_mot, score_mot
+from foreglow.types import Tracks, TrackState
+from tests.datasets.tiny_pvdn import make_pvdn, write
+from tests.lab.evaluation.scored_boxes import predictions_of
+from tests.stand_ins import tracks_of
+
+IMAGES = (11, 12, 13)
+
+
+def light(iid: int, x: int, y: int) -> dict[str, Any]:
+    return {"pos": [x, y], "iid": iid, "direct": False, "rear": False}
+
+
+@pytest.fixture(name="dataset")
+def fixture_dataset(tmp_path: Path) -> PVDN:
+    """Sequence 3: two lights of vehicle 7, the second one from the second image on, and a doubtful one at the end."""
+    root = make_pvdn(tmp_path / "set")
+    for image_id in (5, 7):
+        write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": []})
+    for place, image_id in enumerate(IMAGES):
+        lights = [light(4, 20 + place, 30), light(9, 60, 30)][: 1 + (place > 0)]
+        vehicles = [{"pos": [50, 50], "oid": 7, "direct": False, "instances": lights}]
+        document = {"image_id": image_id, "annotations": vehicles}
+        if place == 2:
+            document["doubtful"] = [light(-1, 90, 50)]
+        write(root / f"labels/keypoints/{image_id:06d}.json", document)
+    return PVDN(root)
+
+
+BOXES = predictions_of(
+    {
+        5: [],
+        7: [],
+        11: [(10, 20, 30, 40, 0.9), (0, 0, 70, 50, 0.2)],
+        12: [(11, 20, 31, 40, 0.9)],
+        13: [(12, 20, 32, 40, 0.9), (50, 20, 70, 40, 0.1)],
+    }
+)
+
+
+def followed(*ids: int, last: TrackState = TrackState.CONFIRMED) -> dict[int, Tracks]:
+    """The first light's box in each image, under these track ids."""
+    tracks = {
+        image_id: tracks_of(
+            [BOXES.boxes_xyxy_px[image_id][0]], [last if place == 2 else TrackState.CONFIRMED], ids=[its]
+        )
+        for place, (image_id, its) in enumerate(zip(IMAGES, ids, strict=True))
+    }
+    return tracks | {5: tracks_of([]), 7: tracks_of([])}
+
+
+def test_rows(dataset: PVDN, tmp_path: Path) -> None:
+    tracks = followed(0, 0, 0, last=TrackState.TENTATIVE)
+    export_mot(dataset, BOXES, tracks, tmp_path, "ours")
+    assert (tmp_path / "gt/S00003/gt/gt.txt").read_text().splitlines() == [
+        "1,1,10.000,20.000,20.000,20.000,1,1,1",
+        "2,1,11.000,20.000,20.000,20.000,1,1,1",
+        "2,2,52.000,22.000,16.000,16.000,1,1,1",  # no proposal contains it
+        "3,1,12.000,20.000,20.000,20.000,1,1,1",
+        "3,2,50.000,20.000,20.000,20.000,1,1,1",
+    ]
+    assert (tmp_path / "trackers/ours/data/S00003.txt").read_text().splitlines() == [
+        "1,1,10.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
+        "2,1,11.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
+    ]
+    assert "seqLength=3" in (tmp_path / "gt/S00003/seqinfo.ini").read_text()
+    assert not (tmp_path / "gt/S00001").exists()  # no light
+
+
+def test_a_track_of_doubtful_light_is_left_out(dataset: PVDN, tmp_path: Path) -> None:
+    tracks = followed(0, 0, 0)
+    tracks[13] = tracks_of([[80, 40, 99, 60], [0, 40, 99, 60], [12, 20, 95, 60]])  # doubtful twice; a light, too
+    export_mot(dataset, BOXES, tracks, tmp_path)
+    rows = (tmp_path / "trackers/foreglow/data/S00003.txt").read_text().splitlines()
+    assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "3"]]
+
+
+def test_lights_in_one_box_are_one_object(dataset: PVDN, tmp_path: Path) -> None:
+    wide = predictions_of({5: [], 7: [], **{image_id: [(0, 0, 95, 60, 0.5)] for image_id in IMAGES}})
+    export_mot(dataset, wide, followed(0, 0, 0), tmp_path)
+    rows = (tmp_path / "gt/S00003/gt/gt.txt").read_text().splitlines()
+    assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "1"]]
+
+
+def test_an_image_that_the_run_lacks(dataset: PVDN, tmp_path: Path) -> None:
+    tracks = {image_id: its for image_id, its in followed(0, 0, 0).items() if image_id != 12}
+    with pytest.raises(ValueError, match="tracks: expected image 12 of S00003, the run does not have it"):
+        export_mot(dataset, BOXES, tracks, tmp_path)
+
+
+def test_trackeval_of_known_tracks(dataset: PVDN, tmp_path: Path) -> None:
+    """Five objects; the first light is followed in all three images."""
+    pytest.importorskip("trackeval")
+    export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path, "whole")
+    export_mot(dataset, BOXES, followed(0, 1, 1), tmp_path, "switched")
+    whole, switched = score_mot(tmp_path, "whole"), score_mot(tmp_path, "switched")
+    assert (whole.num_switches, switched.num_switches) == (0, 1)
+    assert whole.mota == pytest.approx(3 / 5)
+    assert switched.mota == pytest.approx((3 - 1) / 5)
+    assert whole.idf1 == pytest.approx(2 * 3 / (5 + 3))
+    assert switched.idf1 == pytest.approx(2 * 2 / (5 + 3))
+    # Three of five are detected, exactly; each of them is associated in all of its light's three images.
+    assert whole.det_a == pytest.approx(3 / 5)
+    assert whole.ass_a == pytest.approx(1.0)
+    assert whole.hota == pytest.approx((3 / 5) ** 0.5)
+    assert switched.ass_a == pytest.approx((1 / 3 + 2 * 2 / 3) / 3)
+    assert switched.det_a == whole.det_a
+
+
+def test_trackeval_without_files(tmp_path: Path) -> None:
+    pytest.importorskip("trackeval")
+    with pytest.raises(ValueError, match="expected the files of export-mot with a tracker foreglow, found none"):
+        score_mot(tmp_path)

@@ -1,0 +1,99 @@
+"""What tracks are worth, on cases counted by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.lab.evaluation.boxes.lights import Light
+from foreglow.lab.evaluation.tracks.track_quality import SequenceTracks, match_tracks
+from foreglow.types import Tracks, TrackState
+from tests.lab.evaluation.scored_boxes import light, split_labels
+
+TENTATIVE, CONFIRMED, COASTING = TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING
+HERE, THERE = (0.0, 0.0, 10.0, 10.0), (50.0, 0.0, 60.0, 10.0)
+BOXES = np.array([HERE, THERE])
+
+
+def tracks_of(*rows: tuple[int, TrackState, int]) -> Tracks:
+    """Rows of id, state and place of the detection."""
+    count = len(rows)
+    ids, states, places = np.array(rows, np.int64).reshape(-1, 3).T
+    ones, zeros = np.ones(count, np.int64), np.zeros(count)
+    boxes = np.tile([0.0, 0.0, 1.0, 1.0], (count, 1))
+    unknown = np.full(count, np.nan)
+    return Tracks(ids, states, boxes, zeros, ones, ones, zeros, unknown, unknown, places)
+
+
+def matched(
+    lights: Mapping[int, Sequence[Light]], tracks: dict[int, Tracks], **fields: Any
+) -> tuple[SequenceTracks, ...]:
+    labels = split_labels(lights, **fields)
+    return match_tracks(labels, tracks, dict.fromkeys(lights, BOXES))
+
+
+def test_first_confirmation_and_false_tracks() -> None:
+    """Track 0 holds the light from the second image on and is plausible in the third; track 1 never holds any."""
+    (one,) = matched(
+        {0: [light(0, 5, 5)], 1: [light(1, 5, 5)], 2: [light(2, 5, 5)], 3: []},
+        {
+            0: tracks_of((1, CONFIRMED, 1)),
+            1: tracks_of((0, TENTATIVE, 0), (1, CONFIRMED, 1)),
+            2: tracks_of((0, COASTING, -1)),
+            3: tracks_of((0, COASTING, -1)),
+        },
+    )
+    (vehicle,) = one.vehicles
+    assert (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.num_frames) == (0.0, 1.0, 0.0, 2.0)
+    assert (one.num_plausible, one.num_false, one.duration_s) == (2, 1, 2.0)
+
+
+def test_tentative_tracks_are_not_false() -> None:
+    (one,) = matched({0: []}, {0: tracks_of((0, TENTATIVE, 0))})
+    assert (one.num_plausible, one.num_false) == (0, 0)
+
+
+@pytest.mark.parametrize("when", [0, 2])
+def test_any_light_at_any_time_makes_it_true(when: int) -> None:
+    """Doubtful light and rear lamps too, before or after it was plausible; neither of them is a vehicle found."""
+    tracks = {number: tracks_of((0, CONFIRMED if number == 1 else TENTATIVE, 0)) for number in range(3)}
+    empty: dict[int, Sequence[Light]] = {0: [], 1: [], 2: []}
+    (doubtful,) = matched(empty, tracks, doubtful_px={when: [(5.0, 5.0)]})
+    (rear,) = matched(empty | {when: [light(when, 5, 5, is_rear=True)]}, tracks)
+    for one in (doubtful, rear):
+        assert (one.num_plausible, one.num_false, one.vehicles) == (1, 0, ())
+
+
+def test_a_vehicle_that_is_never_confirmed() -> None:
+    (one,) = matched({0: [light(0, 99, 99, kind="rail")]}, {0: tracks_of((0, CONFIRMED, 0))})
+    (vehicle,) = one.vehicles
+    assert math.isnan(vehicle.found_s)
+    assert math.isnan(vehicle.lamp_s)
+    assert math.isnan(vehicle.num_frames)
+
+
+def test_sequences_are_apart() -> None:
+    """The same id in another sequence is another track."""
+    first, second = matched(
+        {0: [light(0, 5, 5)], 100: []}, {0: tracks_of((0, CONFIRMED, 0)), 100: tracks_of((0, CONFIRMED, 0))}
+    )
+    assert (first.sequence_id, first.num_false) == (0, 0)
+    assert (second.sequence_id, second.num_false) == (1, 1)
+
+
+def test_false_tracks_where_nobody_is() -> None:
+    """Track 1 comes up in an image without light, track 2 in one with light; both stay and hold none."""
+    (one,) = matched(
+        {0: [], 1: [light(1, 5, 5)], 2: []},
+        {
+            0: tracks_of((1, CONFIRMED, 1)),
+            1: tracks_of((1, CONFIRMED, 1), (2, CONFIRMED, 1)),
+            2: tracks_of((1, COASTING, -1), (2, COASTING, -1)),
+        },
+        empty=[0, 2],
+    )
+    assert (one.num_false, one.num_false_empty, one.empty_s) == (2, 1, 1.0)

@@ -1,0 +1,190 @@
+"""Boxes of a whole data set: the files, what is in them, and going on after an interruption."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation import annotation_quality
+from foreglow.lab.learning.annotate import RECORD_NAME, annotate_split, splits_to_annotate
+from foreglow.parallel import Local
+from foreglow.proposals import make_proposer
+from tests.cli.commands import complaint, foreglow_command
+from tests.datasets.tiny_pvdn import edit
+from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
+
+PAPER = preset("paper")
+NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    return make_night_set(tmp_path, ("val",)) / "night" / "val"
+
+
+def box_files(split: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (split / "labels" / "bounding_boxes").iterdir()}
+
+
+def changed(split: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in (split / "labels" / "bounding_boxes").iterdir()}
+
+
+def test_files_have_the_layout_of_pvdn(split: Path) -> None:
+    annotate_split(split, PAPER)
+    document = json.loads((split / "labels" / "bounding_boxes" / "000100.json").read_text())
+    assert list(document) == ["bounding_boxes", "labels"]
+    # Paper: both lamps in one box; the doubtful light's box is the third one.
+    assert len(document["bounding_boxes"]) == 2
+    assert document["labels"] == [1.0, 1.0]
+    assert all(isinstance(value, int) for box in document["bounding_boxes"] for value in box)
+
+
+def test_every_proposal_is_in_the_file_or_left_out_for_doubt(split: Path) -> None:
+    made = annotate_split(split, PAPER)
+    dataset, proposer = PVDN(split), make_proposer(PAPER.proposals)
+    for frame in dataset:
+        labels = dataset.boxes(frame.frame)
+        assert labels is not None
+        proposed = {tuple(box) for box in proposer.propose(frame.image).boxes_xyxy_px.tolist()}
+        x, y = dataset.doubtful(frame.frame)[0].position_px
+        doubtful = {(x1, y1, x2, y2) for x1, y1, x2, y2 in proposed if x1 <= x <= x2 and y1 <= y <= y2}
+        assert set(labels.boxes_xyxy_px) == proposed - doubtful
+    assert (made.num_images, made.num_boxes, made.num_positive, made.num_ignored) == (
+        NUM_ALL,
+        2 * NUM_ALL,
+        2 * NUM_ALL,
+        NUM_ALL,
+    )
+    assert made.boxes_per_image == 2.0
+
+
+def test_quality_is_that_of_the_files(split: Path) -> None:
+    made = annotate_split(split, PAPER)
+    assert made.quality == annotation_quality(split)
+    # By hand: two boxes an image, of two lamps and of one reflection.
+    assert (made.quality.precision, made.quality.recall, made.quality.q) == (1.0, 1.0, 0.75)
+
+
+def test_boxes_without_light_are_labelled_zero(split: Path) -> None:
+    path = split / "labels" / "keypoints" / "000100.json"
+    edit(path, "annotations", value=[])
+    annotate_split(split, PAPER)
+    labels = PVDN(split).boxes(100)
+    assert labels is not None
+    assert labels.labels == (0.0, 0.0)
+
+
+def test_processes_change_nothing(split: Path) -> None:
+    first = annotate_split(split, PAPER), box_files(split)
+    (split / "labels" / RECORD_NAME).unlink()
+    assert (annotate_split(split, PAPER, workers=Local(2)), box_files(split)) == first
+
+
+def test_second_call_keeps_the_files(split: Path) -> None:
+    first, times = annotate_split(split, PAPER, "paper"), changed(split)
+    told: list[tuple[int, int]] = []
+    again = annotate_split(split, PAPER, "paper", progress=lambda _, done, whole: told.append((done, whole)))
+    assert again == first
+    assert changed(split) == times
+    assert told == [(NUM_ALL, NUM_ALL)]
+
+
+def test_other_parameters_replace_the_files(split: Path) -> None:
+    annotate_split(split, PAPER)
+    made = annotate_split(split, PipelineConfig(proposals=ProposalConfig(gap_px=1)))
+    assert made.num_boxes == 3 * NUM_ALL
+    assert made.quality.q == 1.0
+    assert read_toml(split / "labels" / RECORD_NAME)["proposals"]["gap_px"] == 1
+
+
+def test_interrupted_call_goes_on(split: Path) -> None:
+    def interrupt(_: str, done: int, __: int) -> None:
+        if done == NUM_IMAGES:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        annotate_split(split, PAPER, progress=interrupt)
+    record = read_toml(split / "labels" / RECORD_NAME)
+    assert (record["is_complete"], len(record["sequences"])) == (False, 1)
+    times = changed(split)
+    made = annotate_split(split, PAPER)
+    assert made.num_boxes == 2 * NUM_ALL
+    assert {name: time for name, time in changed(split).items() if name in times} == times
+    assert read_toml(split / "labels" / RECORD_NAME)["is_complete"]
+
+
+@pytest.mark.parametrize("name", ["labels/keypoints/000100.json", "images/S00001/000100.png"])
+def test_sequence_with_newer_files_is_made_again(split: Path, name: str) -> None:
+    annotate_split(split, PAPER)
+    times = changed(split)
+    later = np.max(list(times.values())) + 10**9
+    os.utime(split / name, ns=(later, later))
+    annotate_split(split, PAPER)
+    new = {name for name, time in changed(split).items() if time != times[name]}
+    assert new == {f"{100 + place:06d}.json" for place in range(NUM_IMAGES)}
+
+
+def test_missing_box_file_is_made_again(split: Path) -> None:
+    annotate_split(split, PAPER)
+    before = box_files(split)
+    (split / "labels" / "bounding_boxes" / "000203.json").unlink()
+    annotate_split(split, PAPER)
+    assert box_files(split) == before
+
+
+def test_broken_record_is_an_error(split: Path) -> None:
+    annotate_split(split, PAPER)
+    (split / "labels" / RECORD_NAME).write_text("version = 1\n")
+    with pytest.raises(ValueError, match=r"bounding_boxes\.toml: version"):
+        annotate_split(split, PAPER)
+
+
+def test_missing_image(split: Path) -> None:
+    (split / "images" / "S00002" / "000200.png").unlink()
+    with pytest.raises(FileNotFoundError, match="no such image"):
+        annotate_split(split, PAPER)
+
+
+def test_splits_to_annotate(tmp_path: Path) -> None:
+    data = make_night_set(tmp_path, ("train", "val"), num_images=1)
+    train, val = data / "night" / "train", data / "night" / "val"
+    assert splits_to_annotate(data) == (train, val)
+    assert splits_to_annotate(data, ("val", "train")) == (train, val)
+    assert splits_to_annotate(data, ("val",)) == (val,)
+    assert splits_to_annotate(val) == splits_to_annotate(val, ("val",)) == (val,)
+    for names, error in (
+        (("test",), "expected the split test"),
+        (("all",), "split: expected one of train, val, test, got 'all'"),
+    ):
+        with pytest.raises((FileNotFoundError, ValueError), match=error):
+            splits_to_annotate(data, names)
+    with pytest.raises(ValueError, match="single split, got train"):
+        splits_to_annotate(val, ("train",))
+    with pytest.raises(FileNotFoundError, match="expected a split, or a data set"):
+        splits_to_annotate(tmp_path / "nothing")
+
+
+def test_command(tmp_path: Path) -> None:
+    data = make_night_set(tmp_path, ("train", "val"), num_images=2)
+    config, numbers = tmp_path / "gap.toml", tmp_path / "numbers.json"
+    config.write_text("[proposals]\ngap_px = 1\n")
+    result = foreglow_command("annotate", data, "--config", config, "--json", numbers)
+    assert result.exit_code == 0, result.output
+    assert "left out: doubtful light only" in result.stdout
+    found = json.loads(numbers.read_text())
+    assert list(found) == ["train", "val"]
+    assert found["val"]["num_boxes"] == 3 * NUM_SEQUENCES * 2
+    assert found["val"]["quality"]["q"] == 1.0
+    assert read_toml(data / "night" / "train" / "labels" / RECORD_NAME)["preset"] == "paper"
+
+
+def test_command_complains(tmp_path: Path) -> None:
+    assert "expected a split" in complaint("annotate", tmp_path / "nothing")
+    assert "preset: expected one of" in complaint("annotate", tmp_path, "--preset", "mine")

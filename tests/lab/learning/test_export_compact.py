@@ -1,0 +1,97 @@
+"""Our network as ONNX: the same logits as in torch, and a model that the classifier reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier
+from foreglow.config import ClassifierConfig
+from foreglow.types import Frame, Proposals
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from foreglow.lab.learning.export_compact import write_compact  # noqa: E402
+from foreglow.lab.learning.model_counts import count_model  # noqa: E402
+from foreglow.lab.learning.model_export import calibrated, write_model  # noqa: E402
+from foreglow.lab.learning.networks import CompactNetwork  # noqa: E402
+from foreglow.lab.learning.score_calibrator import Calibrator  # noqa: E402
+
+SPEC = InputSpec(32, 2, 0.25, len(FEATURES))
+
+
+def network(seed: int = 0, num_outputs: int = 1) -> CompactNetwork:
+    """A network whose batch normalisations have seen something."""
+    torch.manual_seed(seed)
+    made = CompactNetwork(SPEC.num_channels, SPEC.num_features, num_outputs)
+    made.train()
+    for _ in range(3):
+        made(torch.rand(64, 2, 32, 32), torch.rand(64, SPEC.num_features))
+    return made.eval()
+
+
+@pytest.mark.parametrize("num_outputs", [1, 2])
+def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
+    import onnxruntime as ort
+
+    made = network(num_outputs=num_outputs)
+    write_compact(made, SPEC, tmp_path / "model.onnx", {})
+    crops, features = torch.rand(9, 2, 32, 32), torch.rand(9, SPEC.num_features)
+    with torch.no_grad():
+        wanted = made(crops, features).numpy()
+    session = ort.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
+    (found,) = session.run(None, {"crops": crops.numpy(), "features": features.numpy()})
+    assert found.shape == (9, num_outputs)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
+def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:
+    write_compact(network(), SPEC, tmp_path / "model.onnx", {"recipe": "test"})
+    classifier = OnnxClassifier(ClassifierConfig(model=tmp_path / "model.onnx"))
+    assert classifier.spec == SPEC
+    random = np.random.default_rng(0)
+    boxes = Proposals(np.array([[40, 30, 60, 42], [70, 50, 90, 60]], np.int32))
+    scores = []
+    for number in range(2):
+        image = random.integers(0, 256, (96, 128)).astype(np.uint8)
+        scores.append(classifier.classify(Frame(image, number * 250_000_000), boxes).scores)
+    classifier.reset()
+    alone = classifier.classify(Frame(image, 250_000_000), boxes).scores
+    assert not np.array_equal(alone, scores[1]), "the earlier frame makes a difference"
+
+
+def test_the_second_output_says_what_is_direct(tmp_path: Path) -> None:
+    """Calibrating the first moves the scores alone."""
+    boxes = Proposals(np.array([[40, 30, 60, 42], [70, 50, 90, 60]], np.int32))
+    frame = Frame(np.random.default_rng(0).integers(0, 256, (96, 128)).astype(np.uint8), 0)
+    found = []
+    for name, made in (("as_is", network(0, 2)), ("calibrated", calibrated(network(0, 2), Calibrator(2.0, 1.0)))):
+        write_model(made, SPEC, tmp_path / f"{name}.onnx", {})
+        found.append(OnnxClassifier(ClassifierConfig(model=tmp_path / f"{name}.onnx")).classify(frame, boxes))
+    assert np.isfinite(found[0].direct_probabilities).all()
+    np.testing.assert_allclose(found[1].direct_probabilities, found[0].direct_probabilities, atol=1e-6)
+    logits = [np.log(one.scores) - np.log1p(-one.scores) for one in found]
+    np.testing.assert_allclose(logits[1], logits[0] / 2 + 1, atol=1e-5)
+    write_compact(network(), SPEC, tmp_path / "one.onnx", {})
+    one = OnnxClassifier(ClassifierConfig(model=tmp_path / "one.onnx")).classify(frame, boxes)
+    assert np.isnan(one.direct_probabilities).all()
+
+
+def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_compact(network(3), SPEC, tmp_path / f"{name}.onnx", {"seed": "3"})
+    assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
+
+
+def test_within_the_budget_of_one_core(tmp_path: Path) -> None:
+    made = network()
+    assert sum(one.numel() for one in made.parameters()) <= 60_000
+    write_compact(made, SPEC, tmp_path / "model.onnx", {})
+    counts = count_model(tmp_path / "model.onnx")
+    assert counts.num_parameters <= 60_000
+    assert counts.num_multiply_adds <= 10_000_000
+    # conv 16x16x16x(2x5x5), 8x8x32x(16x3x3), 8x8x32x(32x3x3), 4x4x32x(32x3x3), 519x48, 48
+    assert counts.num_multiply_adds == 204_800 + 294_912 + 589_824 + 147_456 + 24_912 + 48

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.config import PipelineConfig, preset
+from foreglow.datasets import shipped_drive
+from foreglow.distance.hypotheses import parameters_of, read_hypotheses
+from foreglow.lab.learning.ranges import FITTED, PRIOR, fit_ranges, ranged_views, write_hypotheses
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set whose train and val are the drive that ships."""
+    folder = tmp_path_factory.mktemp("drives")
+    for split in ("train", "val"):
+        shutil.copytree(shipped_drive(), folder / split)
+    return folder
+
+
+CONFIG = preset("foreglow")
+
+
+def test_views_hold_every_light_with_a_box_and_a_range(data: Path) -> None:
+    views = list(ranged_views(data / "val", CONFIG))
+    assert views
+    for one in views:
+        assert len(one.truth_m) == len(one.view.boxes.directions_rad)
+        assert (one.truth_m > 0).all()
+        assert one.view.road is not None
+
+
+def test_fitting_moves_what_is_fitted_and_nothing_else(data: Path) -> None:
+    told: list[str] = []
+    start = read_hypotheses(PRIOR)
+    model = fit_ranges(data, CONFIG, seed=1, progress=lambda step, done, total: told.append(f"{step} {done}/{total}"))
+    before, after = parameters_of(start), parameters_of(model)
+    for name in before._fields:
+        is_same = np.array_equal(getattr(before, name), getattr(after, name))
+        assert is_same == (name not in FITTED), name
+    assert told[-1] == "epochs 12/12"
+    assert "lights of" in model.origin
+
+
+def test_a_model_survives_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    model = read_hypotheses()
+    write_hypotheses(path, model)
+    assert read_hypotheses(path) == model
+
+
+def test_drives_without_known_ranges_cannot_be_fitted_on(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        fit_ranges(tmp_path, PipelineConfig())

@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow import _native
+from foreglow.datasets import PVDN, Selection
+from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light
+from foreglow.lab.learning import sample_cache
+from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
+from foreglow.lab.learning.samples import (
+    ARRAYS,
+    Jitter,
+    SampleConfig,
+    Samples,
+    box_groups,
+    collect_samples,
+    jittered,
+    no_samples,
+)
+from foreglow.lab.simulation.world.materials import KINDS as SIMULATED_KINDS
+from foreglow.proposals import make_proposer
+from foreglow.types import Frame
+from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
+from tests.lab.learning.tiny_training import make_samples
+
+PLAIN = SampleConfig(proposals=CONFIG)
+FRAME = Frame(np.zeros((120, 160), np.uint8), timestamp_ns=0)
+JITTERED = SampleConfig(proposals=CONFIG, jitter=Jitter(num_copies=2, seed=5))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_drives(tmp_path_factory.mktemp("drives"))
+
+
+@pytest.fixture
+def own(data: Path, tmp_path: Path) -> PVDN:
+    """A copy of the training split that may be changed."""
+    return PVDN(shutil.copytree(data / "day/train", tmp_path / "train"))
+
+
+def test_samples_are_what_the_pipeline_would_classify(data: Path) -> None:
+    dataset = PVDN(data / "day/train")
+    found = collect_samples(dataset, PLAIN)
+    assert np.unique(found.image_ids).tolist() == list(dataset.frame_ids)
+    assert found.num_labelled(1) == 8  # one light an image
+    assert found.num_labelled(0) == 16  # and two that are none
+    for image_id in dataset.frame_ids:
+        its = found[found.image_ids == image_id]
+        image = dataset.read(image_id).image
+        boxes = make_proposer(CONFIG).propose(image).boxes_xyxy_px
+        assert np.array_equal(its.boxes_xyxy_px, boxes)
+        crops, _ = _native.extract_crops(image, np.array(boxes), 2, 64, None)
+        assert np.abs(its.crops / 255 - crops).max() <= 0.5001 / 255
+        x, y = dataset.keypoints_px(image_id)[0]
+        x1, y1, x2, y2 = boxes.T
+        assert (its.labels == 1).tolist() == ((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).tolist()
+        assert set(its.sequence_ids.tolist()) == {dataset.sequence(image_id).id}
+
+
+def test_doubtful_light_is_marked(own: PVDN) -> None:
+    doubt(own.root, 101)
+    found = collect_samples(own, PLAIN)
+    assert (found.labels[found.image_ids == 101] == -1).sum() == 1
+    assert found.num_labelled(1) == 7
+    assert found.num_labelled(0) == 16
+
+
+def test_groups_are_kind_and_sight(data: Path) -> None:
+    found = collect_samples(PVDN(data / "day/train"), PLAIN)
+    lights = {image_id: found.groups[(found.image_ids == image_id) & (found.labels == 1)] for image_id in (100, 101)}
+    assert lights[100].tolist() == [2 * LIGHT_KINDS.index("indirect") + 1]  # hidden: no lamp yet
+    assert lights[101].tolist() == [2 * LIGHT_KINDS.index("lamp")]
+    assert (found.groups[found.labels == 0] == -1).all()
+    assert set(SIMULATED_KINDS) <= set(LIGHT_KINDS)
+
+
+def test_the_strongest_light_names_the_group() -> None:
+    def light(kind: str, rank: int, x: float) -> Light:
+        return Light(1, 1, 1, (x, 5.0), kind, is_direct=rank < 0, is_rear=False, is_hidden=rank >= 0, rank=rank)
+
+    boxes = np.array([[0, 0, 10, 10], [20, 0, 30, 10], [40, 0, 50, 10]], np.int32)
+    lights = (light("rail", 1, 5.0), light("road", 0, 6.0), light("lamp", -1, 21.0), light("road", 0, 22.0))
+    groups = box_groups(boxes, lights)
+    assert groups.tolist() == [2 * LIGHT_KINDS.index("road") + 1, 2 * LIGHT_KINDS.index("lamp"), -1]
+
+
+def test_jittered_copies_follow_their_boxes(data: Path) -> None:
+    dataset = PVDN(data / "day/train")
+    plain, found = collect_samples(dataset, PLAIN), collect_samples(dataset, JITTERED)
+    assert len(found) == 3 * len(plain)
+    again = collect_samples(dataset, JITTERED)
+    assert all(np.array_equal(getattr(found, name), getattr(again, name)) for name in ARRAYS)
+    for image_id in dataset.frame_ids:
+        its, copies = plain[plain.image_ids == image_id], found[found.image_ids == image_id]
+        num_boxes = len(its)
+        assert np.array_equal(copies.boxes_xyxy_px[:num_boxes], its.boxes_xyxy_px)
+        assert copies.labels.tolist() == 3 * its.labels.tolist()
+        assert not np.array_equal(copies.boxes_xyxy_px[num_boxes : 2 * num_boxes], its.boxes_xyxy_px)
+
+
+def test_jitter_keeps_to_its_bounds_and_to_the_frame() -> None:
+    boxes = np.repeat(np.array([[100, 60, 140, 80], [0, 0, 4, 3], [150, 110, 160, 120]], np.int32), 200, axis=0)
+    found = jittered(boxes, FRAME, Jitter(num_copies=1), np.random.default_rng(0))
+    assert found.dtype == np.int32
+    assert (found[:, :2] >= 0).all()
+    assert (found[:, 2:] <= (160, 120)).all()
+    assert (found[:, :2] < found[:, 2:]).all()
+    inner, sizes = found[:200], found[:200, 2:] - found[:200, :2]
+    assert (np.abs(sizes - (40, 20) * np.array([0.85])).min(axis=0) <= 3).all()  # both ends are reached
+    assert (sizes >= (33, 16)).all()
+    assert (sizes <= (49, 25)).all()
+    moved = np.abs((inner[:, :2] + inner[:, 2:]) / 2 - (120, 70))
+    assert (moved <= (6.5, 3.5)).all()
+    assert (moved.max(axis=0) > (5, 2.5)).all()
+
+
+def test_the_cache_holds_the_same_and_is_used(own: PVDN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = collect_samples(own, JITTERED)
+    seen: list[tuple[int, int]] = []
+    first = cached_samples(own, JITTERED, tmp_path / "cache", lambda *done: seen.append(done))
+    assert seen[0] == (0, 8)
+    assert seen[-1] == (8, 8)
+    monkeypatch.setattr(sample_cache, "samples_by_image", None)  # would fail if it were called
+    second = cached_samples(own, JITTERED, tmp_path / "cache")
+    for found in (first, second):
+        assert found.digest == samples_digest(own, JITTERED)
+        for name in ARRAYS:
+            assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+    assert isinstance(second.crops, np.memmap)
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == [first.digest[:16]]
+
+
+def test_whatever_matters_changes_the_digest(own: PVDN) -> None:
+    digests = [samples_digest(own, PLAIN), samples_digest(own, JITTERED)]
+    other = PLAIN.model_copy(update={"proposals": CONFIG.model_copy(update={"kappa": 0.5})})
+    digests.append(samples_digest(own, other))
+    digests.append(samples_digest(PVDN(own.root, select=Selection(scenes=[1])), PLAIN))
+    doubt(own.root, 101)
+    digests.append(samples_digest(own, PLAIN))
+    image = own.image_path(102)
+    image.write_bytes(own.image_path(103).read_bytes())
+    digests.append(samples_digest(own, PLAIN))
+    assert len(set(digests)) == len(digests)
+    assert samples_digest(own, PLAIN) == digests[-1]
+
+
+@pytest.mark.parametrize("name", ["samples.json", "labels.npy", "crops.npy"])
+def test_a_damaged_cache_is_made_again(own: PVDN, tmp_path: Path, name: str) -> None:
+    first = cached_samples(own, PLAIN, tmp_path)
+    labels = first.labels.copy()
+    path = tmp_path / first.digest[:16] / name
+    path.write_bytes(path.read_bytes()[:-20])
+    assert cached_samples(own, PLAIN, tmp_path).labels.tolist() == labels.tolist()
+
+
+def test_an_interrupted_collection_leaves_nothing(own: PVDN, tmp_path: Path) -> None:
+    def interrupt(num_done: int, num_images: int) -> None:  # noqa: ARG001
+        if num_done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cached_samples(own, PLAIN, tmp_path / "cache", interrupt)
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_a_split_without_proposals_has_no_samples(own: PVDN, tmp_path: Path) -> None:
+    blind = PLAIN.model_copy(update={"proposals": CONFIG.model_copy(update={"min_deviation": 1.0})})
+    for found in (collect_samples(own, blind), cached_samples(own, blind, tmp_path), no_samples(blind.inputs)):
+        assert found.crops.shape == (0, 1, 64, 64)
+        assert found.boxes_xyxy_px.shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("labels", np.full(10, 2, np.int8), "labels: expected 1, 0 or -1"),
+        ("crops", np.zeros((10, 1, 16, 16), np.float32), r"crops: expected uint8 of shape .*, got float32"),
+        ("boxes_xyxy_px", np.zeros((10, 3), np.int32), r"boxes_xyxy_px: expected int32 of shape \(10, 4\), got int32"),
+        ("features", np.zeros((9, 0), np.float32), r"features: expected float32 of shape \(10, 'any'\)"),
+    ],
+)
+def test_arrays_that_do_not_fit(name: str, array: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"Samples.{message}"):
+        dataclasses.replace(make_samples(10, seed=0), **dict[str, Any]({name: array}))
+
+
+def test_selection() -> None:
+    some = make_samples(30, seed=0)
+    assert isinstance(some[some.labels == 1], Samples)
+    assert len(some[::3]) == 10
+    assert some[[4, 2]].image_ids.tolist() == [4, 2]

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from foreglow.lab.learning import training
+from foreglow.lab.learning.batches import epoch_indices, is_direct, sample_weights
+from foreglow.lab.learning.recipes import Recipe, changed
+from foreglow.lab.learning.samples import Samples
+from foreglow.lab.learning.scores import direct_accuracy
+from foreglow.lab.learning.training import Epoch, TrainingResult, train
+from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
+
+TRAIN, VAL = make_samples(300, seed=1), make_samples(150, seed=2)
+
+
+def run(folder: Path, recipe: Recipe = RECIPE, **changes: Any) -> TrainingResult:
+    options: dict[str, Any] = {"make_network": make_tiny, "device": "cpu"} | changes
+    return train(recipe, options.pop("train", TRAIN), options.pop("val", VAL), folder, **options)
+
+
+def weights(result: TrainingResult) -> dict[str, bytes]:
+    return {name: value.numpy().tobytes() for name, value in result.network.state_dict().items()}
+
+
+def figures(result: TrainingResult) -> list[str]:
+    """All epochs without their duration, NaN equal to itself."""
+    return [repr(dataclasses.replace(epoch, seconds=0.0)) for epoch in result.epochs]
+
+
+class StopAfter:
+    """Ctrl-C in the middle of an epoch."""
+
+    def __init__(self, epoch: int, step: int = 2) -> None:
+        self.at = (epoch, step)
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:  # noqa: ARG002
+        if (epoch, num_done) == self.at:
+            raise KeyboardInterrupt
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None: ...
+
+
+def test_learns_a_blob_and_keeps_the_best_epoch(tmp_path: Path) -> None:
+    result = run(tmp_path, changed(RECIPE, {"epochs": 12, "best_by": "f1"}))
+    assert result.best.f1 > 0.9
+    assert result.best.f1 == max(epoch.f1 for epoch in result.epochs)
+    assert result.num_train == 270
+    assert result.num_val == 135
+    used = VAL.labels != -1
+    is_right = (result.val_logits[used, 0] > 0) == (VAL.labels[used] == 1)
+    assert is_right.mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"optimiser": "adam", "schedule": "plateau", "warmup_epochs": 0.0, "plateau_patience": 0, "ema_decay": 0.0},
+        {"max_negatives_per_positive": 1.0, "group_balance": 0.5, "label_smoothing": 0.1, "max_gradient": 1.0},
+    ],
+)
+def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, fields: dict[str, Any]) -> None:
+    recipe = changed(RECIPE, fields)
+    whole = run(tmp_path / "whole", recipe)
+    for epoch in (2, 4):
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path / "parts", recipe, progress=StopAfter(epoch))
+    resumed = run(tmp_path / "parts", recipe)
+    assert weights(resumed) == weights(whole)
+    assert figures(resumed) == figures(whole)
+    curves = [(tmp_path / name / training.CURVES).read_text().splitlines() for name in ("whole", "parts")]
+    assert [line.rpartition(",")[0] for line in curves[0]] == [line.rpartition(",")[0] for line in curves[1]]
+    assert len(curves[0]) == 1 + RECIPE.epochs
+
+
+def test_seed_decides_everything(tmp_path: Path) -> None:
+    torch.manual_seed(99)
+    first = run(tmp_path / "a")
+    torch.manual_seed(7)
+    state = torch.get_rng_state()
+    assert weights(run(tmp_path / "b")) == weights(first)
+    assert torch.equal(torch.get_rng_state(), state)  # the caller's own generator is as it was
+    assert weights(run(tmp_path / "c", changed(RECIPE, {"seed": 4}))) != weights(first)
+
+
+def test_a_finished_training_is_read_not_repeated(tmp_path: Path) -> None:
+    first = run(tmp_path)
+    again = run(tmp_path, progress=StopAfter(1, 1))
+    assert weights(again) == weights(first)
+    assert figures(again) == figures(first)
+
+
+def test_validation_is_clean_whatever_the_augmentation(tmp_path: Path) -> None:
+    """Validation sees the samples themselves: a network that cannot learn validates alike under any augmentation."""
+    still = {"learning_rate": 1e-12, "epochs": 1, "ema_decay": 0.0, "warmup_epochs": 0.0}
+    recipes = [
+        changed(RECIPE, still | {"augmentation": {"rotation_deg": angle, "noise": noise}})
+        for angle, noise in ((0.0, 0.0), (180.0, 1.0))
+    ]
+    seen: list[np.ndarray[Any, Any]] = []
+
+    def watched(recipe: Recipe) -> torch.nn.Module:
+        network = make_tiny(recipe)
+        network.register_forward_pre_hook(
+            lambda module, inputs: None if module.training else seen.append(inputs[0].numpy().copy())
+        )
+        return network
+
+    for number, recipe in enumerate(recipes):
+        run(tmp_path / str(number), recipe, make_network=watched)
+    crops = np.concatenate(seen).reshape(4, len(VAL), *VAL.crops.shape[1:])  # two trainings: an epoch, then the best
+    for passed in crops:
+        np.testing.assert_array_equal(passed, VAL.crops.astype(np.float32) / 255)
+
+
+def with_lamps(samples: Samples) -> Samples:
+    """The samples with light that is a lamp where a feature says so."""
+    is_lamp = samples.image_ids % 2 == 0
+    groups = np.where(samples.labels == 1, np.where(is_lamp, 0, 2), -1).astype(np.int8)
+    return dataclasses.replace(samples, groups=groups, features=is_lamp[:, None].astype(np.float32))
+
+
+def test_lamps_are_learnt_beside_light(tmp_path: Path) -> None:
+    lamps = {"train": with_lamps(TRAIN), "val": with_lamps(VAL)}
+    recipe = changed(RECIPE, {"epochs": 12, "direct_weight": 0.5})
+    result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 1, 2), **lamps)
+    assert result.val_logits.shape == (len(VAL), 2)
+    assert result.best.f1 > 0.9
+    assert result.best.direct_accuracy > 0.9
+    truth = is_direct(lamps["val"])
+    assert direct_accuracy(result.val_logits, truth) == result.best.direct_accuracy
+    assert np.isnan(direct_accuracy(result.val_logits[:, :1], truth))
+
+
+def test_only_light_whose_group_is_known_tells_lamps() -> None:
+    groups = np.array([0, 1, 2, -1, 0, 0], np.int8)
+    samples = dataclasses.replace(TRAIN[:6], labels=np.array([1, 1, 1, 1, 0, -1], np.int8), groups=groups)
+    np.testing.assert_array_equal(is_direct(samples), [1, 1, 0, np.nan, np.nan, np.nan])
+
+
+def test_both_kinds_are_needed_to_tell_them_apart(tmp_path: Path) -> None:
+    lamps = dataclasses.replace(TRAIN, groups=np.where(TRAIN.groups >= 0, 0, -1).astype(np.int8))
+    with pytest.raises(ValueError, match=r"train samples: expected lamps and light on something .* found \d+ and 0"):
+        run(tmp_path, changed(RECIPE, {"direct_weight": 0.5}), train=lamps)
+
+
+def test_a_network_without_the_second_output(tmp_path: Path) -> None:
+    fields = {"network": "paper", "inputs": {"size_px": 64, "lag_s": None, "num_features": 0}, "direct_weight": 1.0}
+    with pytest.raises(ValueError, match="direct_weight: expected 0, the network paper does not say what is direct"):
+        run(tmp_path, changed(RECIPE, fields), make_network=None)
+
+
+def test_ignored_samples_are_never_seen(tmp_path: Path) -> None:
+    """Their content changes nothing: not the weights, not the figures."""
+    for name, samples in (("train", TRAIN), ("val", VAL)):
+        crops = samples.crops.copy()
+        crops[samples.labels == -1] = 255 - crops[samples.labels == -1]
+        other = dataclasses.replace(samples, crops=crops)
+        first, second = run(tmp_path / f"{name}1"), run(tmp_path / f"{name}2", RECIPE, **{name: other})
+        assert weights(first) == weights(second)
+        assert figures(first) == figures(second)
+
+
+def test_epochs_hold_all_positives_and_other_negatives_each_time() -> None:
+    recipe = changed(RECIPE, {"max_negatives_per_positive": 0.5})
+    epochs = [epoch_indices(TRAIN.labels, recipe, number) for number in (1, 2)]
+    num_positive = TRAIN.num_labelled(1)
+    for indices in epochs:
+        assert len(set(indices.tolist())) == len(indices) == num_positive + -(-num_positive // 2)
+        assert (TRAIN.labels[indices] == 1).sum() == num_positive
+        assert (TRAIN.labels[indices] != -1).all()
+    assert set(epochs[0].tolist()) != set(epochs[1].tolist())
+    assert len(epoch_indices(TRAIN.labels, RECIPE, 1)) == (TRAIN.labels != -1).sum()
+
+
+def test_groups_can_count_alike() -> None:
+    positive = TRAIN.labels == 1
+    for balance in (0.0, 0.5, 1.0):
+        found = sample_weights(TRAIN, balance)
+        assert found[~positive].tolist() == [1.0] * int((~positive).sum())
+        assert found[positive].mean() == pytest.approx(1.0)
+    sums = [found[positive & (TRAIN.groups == group)].sum() for group in range(3)]
+    assert sums == pytest.approx([sums[0]] * 3)
+
+
+def test_patience_ends_it(tmp_path: Path) -> None:
+    still = changed(
+        RECIPE, {"schedule": "constant", "learning_rate": 1e-12, "warmup_epochs": 0.0, "ema_decay": 0.0, "patience": 2}
+    )
+    result = run(tmp_path, changed(still, {"epochs": 50, "best_by": "f1"}))
+    assert [epoch.number for epoch in result.epochs][-1] == result.best.number + 2
+
+
+def test_another_training_in_the_folder_is_an_error(tmp_path: Path) -> None:
+    one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
+    run(tmp_path, one)
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: learning_rate: expected .* 0\.01, got 0\.02"):
+        run(tmp_path, changed(one, {"learning_rate": 0.02}))
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: train data: expected that of the training begun here"):
+        run(tmp_path, one, train=make_samples(300, seed=5))
+
+
+@pytest.mark.parametrize("keep", [0, 100, -1])
+def test_damaged_checkpoint(tmp_path: Path, keep: int) -> None:
+    one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
+    run(tmp_path, one)
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
+        run(tmp_path, one)
+
+
+def without(label: int) -> Samples:
+    return TRAIN[TRAIN.labels != label]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"train": without(1)}, "train samples: expected light artifacts among"),
+        ({"val": without(0)}, "val samples: expected boxes without one among"),
+        ({"device": "tpu"}, "device: expected auto, cpu or cuda, got 'tpu'"),
+    ],
+)
+def test_what_cannot_be_trained(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path, **changes)
+
+
+def test_a_loss_that_explodes_is_said(tmp_path: Path) -> None:
+    recipe = changed(RECIPE, {"learning_rate": 10.0, "optimiser": "adam", "weight_decay": 10.0, "epochs": 3})
+
+    def huge(_: Recipe) -> torch.nn.Module:
+        network = TinyNetwork()
+        torch.nn.init.constant_(network.out.weight, 3e38)
+        return network
+
+    with pytest.raises(ValueError, match=r"epoch 1: expected a finite training loss, got .*; try a lower"):
+        run(tmp_path, recipe, make_network=huge)
+
+
+def test_bfloat16_learns_too(tmp_path: Path) -> None:
+    result = run(tmp_path, changed(RECIPE, {"epochs": 12, "precision": "bf16"}))
+    assert result.best.f1 > 0.9
+    assert result.val_logits.dtype == np.float32
+
+
+def test_unknown_network(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"recipe: network: expected one of paper.*, got 'tiny'"):
+        run(tmp_path, make_network=None)

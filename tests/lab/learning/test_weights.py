@@ -1,0 +1,167 @@
+"""`import_weights`: the published scores from the published weights, and one clear line for every bad file."""
+
+from __future__ import annotations
+
+import builtins
+import hashlib
+import json
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+import onnx
+import torch
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.config import ClassifierConfig
+from foreglow.lab.learning import import_weights
+from foreglow.lab.learning.probes import render_probes
+from foreglow.types import Frame, Proposals
+from tests.lab.learning.networks import onnx_logits, random_network
+from tests.shared_data import shared_file
+
+
+@pytest.mark.parametrize(("fold", "tolerance"), [(None, 1e-3), (0.0, 1e-3), (1e-3, 5e-3)])
+def test_published_scores(tmp_path: Path, fold: float | None, tolerance: float) -> None:
+    weights = shared_file("data/pvdn_weights_pretrained.pt")
+    image: Any = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
+    imported = import_weights(weights, tmp_path / "model.onnx", fold)
+    if fold:
+        assert imported.num_multiply_adds < 10e6
+    classifier = OnnxClassifier(ClassifierConfig(model=imported.path))
+    for name in ("optimised", "baseline"):
+        golden = json.loads(shared_file(f"reference/golden/{name}_scores.json").read_text())
+        detections = classifier.classify(Frame(image, 0), Proposals(np.array(golden["boxes"], np.int32)))
+        expected = np.array(golden["dataset_sup2_minmax_score"])
+        np.testing.assert_allclose(detections.scores, expected, rtol=0, atol=tolerance)
+        np.testing.assert_array_equal(detections.is_accepted, expected > 0.5)
+
+
+def test_folding_holds_beyond_its_own_probes(tmp_path: Path) -> None:
+    """Crops from another seed than those that folding tried."""
+    weights = shared_file("data/pvdn_weights_pretrained.pt")
+    crops = render_probes(64, 64, seed=12345)
+    scores = []
+    for name, fold in (("all", None), ("folded", 1e-3)):
+        path = import_weights(weights, tmp_path / name, fold).path
+        scores.append(1 / (1 + np.exp(-onnx_logits(path.read_bytes(), crops).astype(np.float64))))
+    change = np.abs(scores[1] - scores[0])
+    assert np.quantile(change, 0.9) < 1e-3
+    assert change.max() < 5e-3
+
+
+def save(path: Path, **changes: Any) -> Path:
+    """The state of a random network with entries replaced, or left out where None."""
+    state = OrderedDict(random_network().state_dict())
+    for name, value in changes.items():
+        if value is None:
+            del state[name]
+        else:
+            state[name] = value
+    torch.save(state, path)
+    return path
+
+
+def test_metadata_and_figures(tmp_path: Path) -> None:
+    weights = save(tmp_path / "weights.pt")
+    imported = import_weights(weights, tmp_path / "model.onnx")
+    properties = {entry.key: entry.value for entry in onnx.load(imported.path).metadata_props}
+    assert properties["source_sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
+    assert properties["fold_tolerance"] == "none"
+    assert properties["foreglow_version"]
+    assert imported.num_multiply_adds == 195_371_584
+    assert imported.num_parameters == 941_761
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conv3.bias": None}, r"conv3\.bias: expected a float tensor of shape \(64,\), got nothing"),
+        ({"conv1.weight": torch.zeros(32, 1, 3, 3)}, r"conv1\.weight: expected shape \(32, 1, 5, 5\), got"),
+        ({"conv2.bias": torch.zeros(64)}, r"conv2\.bias: expected no such entry"),
+        ({"int_out.afc3.bias": torch.tensor([torch.nan])}, r"int_out\.afc3\.bias: expected finite values"),
+        ({"batch6.running_var": -torch.ones(256)}, r"batch6\.running_var: expected no negative variance"),
+        ({"conv1.bias": torch.zeros(32, dtype=torch.int64)}, r"conv1\.bias: expected a float tensor"),
+        ({"conv1.bias": 3}, r"conv1\.bias: expected a float tensor .* got int"),
+    ],
+)
+def test_wrong_state(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    weights = save(tmp_path / "weights.pt", **changes)
+    with pytest.raises(ValueError, match=message) as caught:
+        import_weights(weights, tmp_path / "model.onnx")
+    assert str(weights) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "model.onnx").exists()
+
+
+def test_missing_weights(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file of weights"):
+        import_weights(tmp_path / "none.pt", tmp_path / "model.onnx")
+
+
+@pytest.mark.parametrize("content", [b"", b"not weights at all", b"PK\x03\x04 broken", bytes(300)])
+def test_not_a_checkpoint(tmp_path: Path, content: bytes) -> None:
+    weights = tmp_path / "weights.pt"
+    weights.write_bytes(content)
+    with pytest.raises(ValueError, match=r"weights\.pt: expected a plain torch state dict") as caught:
+        import_weights(weights, tmp_path / "model.onnx")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+def test_truncated_checkpoint(tmp_path: Path, share: float) -> None:
+    weights = save(tmp_path / "weights.pt")
+    content = weights.read_bytes()
+    weights.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ValueError, match="expected a plain torch state dict"):
+        import_weights(weights, tmp_path / "model.onnx")
+
+
+class _Code:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (print, ("this must never run",))
+
+
+def test_code_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weights = tmp_path / "weights.pt"
+    torch.save({"conv1.weight": _Code()}, weights)
+    with pytest.raises(ValueError, match="expected a plain torch state dict without code"):
+        import_weights(weights, tmp_path / "model.onnx")
+    assert capsys.readouterr().out == ""
+
+
+def test_not_a_mapping(tmp_path: Path) -> None:
+    torch.save([1, 2], tmp_path / "weights.pt")
+    with pytest.raises(ValueError, match="expected a state dict, got list"):
+        import_weights(tmp_path / "weights.pt", tmp_path / "model.onnx")
+
+
+def test_bad_arguments(tmp_path: Path) -> None:
+    weights = save(tmp_path / "weights.pt")
+    with pytest.raises(ValueError, match="fold: expected a tolerance"):
+        import_weights(weights, tmp_path / "model.onnx", fold=-1)
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        import_weights(weights, tmp_path / "none" / "model.onnx")
+    with pytest.raises(ValueError, match="got a folder"):
+        import_weights(weights, tmp_path)
+
+
+def test_train_extra_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = save(tmp_path / "weights.pt")
+    original = builtins.__import__
+
+    def without_torch(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name == "torch":
+            raise ModuleNotFoundError("No module named 'torch'", name="torch")
+        return original(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without_torch)
+    with pytest.raises(ModuleNotFoundError, match="needs the `train` extra"):
+        import_weights(weights, tmp_path / "model.onnx")

@@ -1,0 +1,209 @@
+"""A whole search on a small data set: what it finds, and that interruptions and company change nothing."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from foreglow.config import read_config
+from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
+from foreglow.lab.learning.tuning.measurement import Bench, read_material
+from foreglow.lab.learning.tuning.search import _splits
+from foreglow.lab.learning.tuning.spaces import PAPER
+from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
+from foreglow.parallel import Local
+from tests.cli.commands import complaint, foreglow_command
+from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
+
+NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_night_set(tmp_path_factory.mktemp("data"), ("train", "val", "test"))
+
+
+def searched(data: Path, out: Path, num_trials: int, **settings: object) -> Tuning:
+    return tune(data, out, TuningSettings(num_trials=num_trials, seed=SEED, **settings))  # type: ignore[arg-type]
+
+
+def drawn(trials: tuple[TrialRecord, ...]) -> list[tuple[str, float, dict[str, object]]]:
+    """What does not depend on interruptions."""
+    return [(one.state, one.loss, dict(one.parameters)) for one in trials]
+
+
+@pytest.fixture(scope="module")
+def straight(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Tuning:
+    """A search in one go."""
+    return searched(data, tmp_path_factory.mktemp("straight"), 24)
+
+
+def test_finds_better_parameters_than_the_papers(straight: Tuning) -> None:
+    assert (straight.paper.train.quality.q, straight.paper.train_loss) == (0.75, 0.25)
+    assert straight.chosen.config.gap_px < 4
+    assert straight.chosen.val_loss == 0.0
+    for found in (straight.chosen.val, straight.chosen.test):
+        assert found is not None
+        assert found.quality.q == 1.0
+    assert straight.paper.test is not None
+    assert straight.paper.test.quality.q == 0.75
+
+
+def test_paper_comes_first_and_is_a_finalist(straight: Tuning) -> None:
+    assert straight.trials[0].parameters == SPACES["paper"].first
+    assert straight.paper in straight.finalists
+    assert len(straight.finalists) <= 11
+
+
+def test_test_split_is_for_the_chosen_one_only(straight: Tuning) -> None:
+    rated = [one.config for one in straight.finalists if one.test is not None]
+    assert set(rated) == {straight.chosen.config, PAPER}
+
+
+def test_bad_trials_end_early(straight: Tuning) -> None:
+    pruned = [one for one in straight.trials if one.state == "PRUNED"]
+    assert pruned
+    assert all(one.measurement["num_images"] < NUM_ALL for one in pruned)
+    complete = [one for one in straight.trials if one.state == "COMPLETE"]
+    assert all(one.measurement["num_images"] == NUM_ALL for one in complete)
+    assert min(one.loss for one in pruned) > min(one.loss for one in complete)
+
+
+def test_same_seed_same_result(straight: Tuning, data: Path, tmp_path: Path) -> None:
+    again = searched(data, tmp_path, 24)
+    assert drawn(again.trials) == drawn(straight.trials)
+    assert again.finalists == straight.finalists
+    other = tune(data, tmp_path / "other", TuningSettings(num_trials=3, seed=SEED + 1))
+    assert drawn(other.trials)[1:] != drawn(straight.trials)[1:3]
+
+
+def test_goes_on_as_if_never_stopped(straight: Tuning, data: Path, tmp_path: Path) -> None:
+    def interrupt(what: str, done: int, _: int) -> None:
+        if (what, done) == ("trials", 13):
+            raise KeyboardInterrupt
+
+    searched(data, tmp_path, 5)
+    with pytest.raises(KeyboardInterrupt):
+        tune(data, tmp_path, TuningSettings(num_trials=24, seed=SEED), interrupt)
+    _leave_a_dead_trial(data, tmp_path)
+    resumed = searched(data, tmp_path, 24)
+    assert drawn(resumed.trials) == drawn(straight.trials)
+
+
+def _leave_a_dead_trial(data: Path, out: Path) -> None:
+    """A trial whose process was killed in the middle of it."""
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    study = open_study(plan_of(data, out))
+    trial = study.ask()
+    trial.set_user_attr("process", [socket.gethostname(), dead.pid])
+    trial.suggest_int("gap_px", 1, 9)
+    trial.report(0.0, 0)
+
+
+def plan_of(data: Path, out: Path, num_trials: int = 24) -> StudyPlan:
+    material = read_material(dict(_splits(data))["train"], 600, out / "frames")
+    name = f"q-paper-{NUM_ALL}-{material.digest}"
+    return StudyPlan(str(out / "study.journal"), name, num_trials, "q", "paper", SEED)
+
+
+def test_interrupted_trial_is_given_up(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measure, calls = Bench.measure, iter(range(100))
+
+    def interrupted(self: Bench, config: object) -> object:
+        if next(calls) == 3:  # the first is the reference
+            raise KeyboardInterrupt
+        return measure(self, config)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Bench, "measure", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        searched(data, tmp_path, 5)
+    study = open_study(plan_of(data, tmp_path))
+    assert [one.state.name for one in study.trials] == ["COMPLETE", "COMPLETE", "FAIL"]
+
+
+def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Path) -> None:
+    searched(data, tmp_path, 4)
+    again = searched(data, tmp_path, 3)
+    assert drawn(again.trials) == drawn(straight.trials)[:4]
+
+
+def test_processes_share_a_study(data: Path, tmp_path: Path) -> None:
+    tuning = tune(data, tmp_path, TuningSettings(num_trials=14, seed=SEED), workers=Local(2))
+    assert len(tuning.trials) == 14
+    assert len({tuple(one.parameters.items()) for one in tuning.trials}) > 10
+    study = open_study(plan_of(data, tmp_path))
+    assert num_finished(study) == 14
+
+
+def test_machines_share_a_database(data: Path, tmp_path: Path) -> None:
+    storage = f"sqlite:///{tmp_path}/study.db"
+    searched(data, tmp_path / "one", 2, num_images=4, storage=storage)
+    second = searched(data, tmp_path / "two", 3, num_images=4, storage=storage)
+    assert len(second.trials) == 3
+    assert not list(tmp_path.glob("*/study.journal"))
+
+
+def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) -> None:
+    names = {
+        searched(data, tmp_path, 1, num_images=num_images, objective=objective).study_name
+        for num_images in (4, 5)
+        for objective in ("q", "light")
+    }
+    assert len(names) == 4
+
+
+def test_without_val_the_best_on_train_is_chosen(tmp_path: Path) -> None:
+    tuning = searched(make_night_set(tmp_path, ("train",), num_images=2), tmp_path / "out", 12)
+    assert tuning.chosen.val is None
+    assert tuning.chosen.train_loss == min(one.train_loss for one in tuning.finalists)
+
+
+def test_bad_settings(data: Path, tmp_path: Path) -> None:
+    for name in ("num_trials", "num_images", "num_finalists"):
+        with pytest.raises(ValueError, match=f"{name}: expected at least 1, got 0"):
+            TuningSettings(**{name: 0})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="objective: expected one of"):
+        TuningSettings(objective="best")
+    with pytest.raises(ValueError, match="storage: nodatabase://x"):
+        searched(data, tmp_path, 1, storage="nodatabase://x")
+
+
+def test_command(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = foreglow_command("tune", data, "--trials", 24, "--seed", SEED, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "chosen: " in result.stdout
+    assert "test: q 1.000 (paper 0.750)" in result.stdout
+    names = {path.name for path in out.iterdir()}
+    assert names >= {"best.toml", "trials.csv", "summary.json", "parallel.png", "report.md", "study.journal"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["num_finished"], summary["settings"]["seed"]) == (24, SEED)
+    assert summary["version"]
+    chosen = read_config(out / "best.toml").proposals
+    assert chosen.model_dump(include=set(summary["chosen"]["parameters"])) == summary["chosen"]["parameters"]
+    rows = (out / "trials.csv").read_text().splitlines()
+    assert len(rows) == 25
+    assert rows[1].startswith("0,COMPLETE,0.25,0.4,19,0.01,4,16,48,0.75,")
+    assert "| test, paper | – | 0.750 |" in (out / "report.md").read_text()
+
+
+def test_command_with_too_few_trials_for_importances(data: Path, tmp_path: Path) -> None:
+    arguments = ("--trials", 2, "--images", 4, "--objective", "light", "--out", tmp_path)
+    assert foreglow_command("tune", data, *arguments).exit_code == 0
+    assert not (tmp_path / "importance.png").exists()
+    assert "Too few finished trials" in (tmp_path / "report.md").read_text()
+
+
+def test_command_complains(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "expected the split train" in complaint("tune", data / "night" / "val", "--out", tmp_path)
+    assert "space: expected one of paper, wide" in complaint("tune", data, "--space", "all", "--out", tmp_path)
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    assert "pip install 'foreglow[train]'" in complaint("tune", data, "--out", tmp_path)
+    assert not list(tmp_path.iterdir())

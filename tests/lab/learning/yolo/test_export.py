@@ -1,0 +1,148 @@
+"""The YOLO data set: which boxes, in which numbers, and what an interrupted export leaves."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreglow.config import preset
+from foreglow.datasets import PVDN
+from foreglow.lab.learning.annotation import label_boxes
+from foreglow.lab.learning.yolo.export import export_yolo, is_export, label_lines, positive_boxes, read_export, squashed
+from foreglow.proposals import make_proposer
+from tests.datasets.tiny_pvdn import IDS, make_pvdn, write
+from tests.lab.learning.yolo.night_data import HEIGHT_PX, WIDTH_PX, make_night_data
+from tests.stand_ins import night_image
+
+
+@pytest.fixture
+def annotated(tmp_path: Path) -> Path:
+    """The tiny split with boxes of every image; those of image 11 are a positive and a negative one."""
+    root = make_pvdn(tmp_path / "data")
+    for image_id in itertools.chain(*IDS.values()):
+        if image_id != 11:
+            write(root / f"labels/bounding_boxes/{image_id:06d}.json", {"bounding_boxes": [], "labels": []})
+    return tmp_path / "data"
+
+
+def test_boxes_as_annotated(annotated: Path, tmp_path: Path) -> None:
+    export = export_yolo(annotated, tmp_path / "out", size_px=48)
+    assert export.settings.boxes == "as annotated"
+    assert export.num_images == {"val": 5}
+    assert export.num_boxes == {"val": 1}
+    # The box 36, 29, 46, 33 of an image of 96 x 72 pixels.
+    expected = f"0 {41 / 96:.6f} {31 / 72:.6f} {10 / 96:.6f} {4 / 72:.6f}\n"
+    assert (tmp_path / "out/labels/val/000011.txt").read_text() == expected
+    assert (tmp_path / "out/labels/val/000005.txt").read_text() == ""
+    image = cv2.imread(str(tmp_path / "out/images/val/000011.png"), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    assert image.shape == (48, 48)
+    assert (tmp_path / "out/data.yaml").read_text() == "val: images/val\nnc: 1\nnames:\n  0: light_artifact\n"
+
+
+def test_boxes_of_a_preset_take_precedence(annotated: Path, tmp_path: Path) -> None:
+    export = export_yolo(annotated, tmp_path / "out", preset_name="baseline", size_px=48)
+    assert export.settings.boxes == "preset baseline"
+
+
+def test_a_missing_annotation(annotated: Path, tmp_path: Path) -> None:
+    (annotated / "night/val/labels/bounding_boxes/000007.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"000007\.json: no such file, expected boxes of every image"):
+        export_yolo(annotated, tmp_path / "out", size_px=48)
+
+
+def test_boxes_that_are_proposed_are_those_of_the_detector(tmp_path: Path) -> None:
+    data = make_night_data(tmp_path / "data")
+    export = export_yolo(data, tmp_path / "out", size_px=64)
+    assert export.settings.boxes == "preset paper"
+    assert export.settings.splits == ("train", "val", "test")
+    assert export.num_boxes["train"] > 0
+    dataset = PVDN(data / "train")
+    proposer = make_proposer(preset("paper").proposals)
+    for frame in dataset:
+        proposed = proposer.propose(frame.image).boxes_xyxy_px
+        is_positive = label_boxes(proposed, dataset.keypoints_px(frame.frame)) == 1
+        assert np.array_equal(positive_boxes(dataset, frame, proposer), proposed[is_positive])
+        text = (tmp_path / f"out/labels/train/{frame.frame:06d}.txt").read_text()
+        assert text == label_lines(proposed[is_positive], WIDTH_PX, HEIGHT_PX)
+
+
+def test_an_interrupted_export_goes_on(tmp_path: Path) -> None:
+    data = make_night_data(tmp_path / "data", ("train", "val"))
+    whole = export_yolo(data, tmp_path / "whole", size_px=64)
+
+    def stop(num_done: int, num_images: int) -> None:
+        if num_done == 5:
+            raise KeyboardInterrupt
+        assert num_images == 16
+
+    folder = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        export_yolo(data, folder, size_px=64, progress=stop)
+    assert is_export(folder)
+    with pytest.raises(FileNotFoundError, match=r"data\.yaml: no such file, expected a complete export"):
+        read_export(folder)
+    done = folder / "labels/train/000010.txt"
+    done.write_text("0 0.5 0.5 0.1 0.1\n")  # is kept: what is done is not done again
+    calls: list[int] = []
+    export = export_yolo(data, folder, size_px=64, progress=lambda num_done, _: calls.append(num_done))
+    assert calls == list(range(1, 17))
+    assert done.read_text() == "0 0.5 0.5 0.1 0.1\n"
+    assert export.num_boxes == whole.num_boxes
+    assert read_export(folder) == export.settings
+    names = {path.relative_to(folder) for path in folder.rglob("*")}
+    assert names == {path.relative_to(tmp_path / "whole") for path in (tmp_path / "whole").rglob("*")}
+
+
+def test_another_export_needs_another_folder(tmp_path: Path) -> None:
+    data = make_night_data(tmp_path / "data", ("val",))
+    export_yolo(data, tmp_path / "out", size_px=64)
+    with pytest.raises(ValueError, match=r"export\.json: size_px: expected 96 to go on with this export, it has 64"):
+        export_yolo(data, tmp_path / "out", size_px=96)
+    with pytest.raises(ValueError, match=r"boxes: expected 'preset baseline'"):
+        export_yolo(data, tmp_path / "out", preset_name="baseline", size_px=64)
+
+
+def test_no_such_data_set(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such folder, expected a data set"):
+        export_yolo(tmp_path / "absent", tmp_path / "out")
+    with pytest.raises(FileNotFoundError, match="expected one of the splits train, val, test, found none"):
+        export_yolo(tmp_path, tmp_path / "out")
+    data = make_night_data(tmp_path / "data", ("val",))
+    with pytest.raises(ValueError, match="expected one of paper"):
+        export_yolo(data, tmp_path / "out", preset_name="papers")
+
+
+@given(
+    st.lists(st.tuples(*[st.integers(-50, 250)] * 4), max_size=6),
+    st.integers(1, 200),
+    st.integers(1, 200),
+)
+def test_lines_are_relative_and_inside(boxes: list[tuple[int, int, int, int]], width_px: int, height_px: int) -> None:
+    lines = label_lines(np.array(boxes).reshape(-1, 4), width_px, height_px).splitlines()
+    inside = [b for b in boxes if max(b[0], 0) < min(b[2], width_px) and max(b[1], 0) < min(b[3], height_px)]
+    assert len(lines) == len(inside)
+    for line, (x1, y1, x2, y2) in zip(lines, inside, strict=True):
+        number, *values = line.split()
+        centre_x, centre_y, width, height = map(float, values)
+        assert number == "0"
+        assert 0 < width <= 1
+        assert 0 < height <= 1
+        assert (centre_x - width / 2) * width_px == pytest.approx(max(x1, 0), abs=2e-4)
+        assert (centre_x + width / 2) * width_px == pytest.approx(min(x2, width_px), abs=2e-4)
+        assert (centre_y - height / 2) * height_px == pytest.approx(max(y1, 0), abs=2e-4)
+        assert (centre_y + height / 2) * height_px == pytest.approx(min(y2, height_px), abs=2e-4)
+
+
+def test_squashing_averages_each_axis_on_its_own() -> None:
+    image = np.zeros((60, 80), np.uint8)
+    image[:30, :40] = 200
+    assert squashed(image, 2).tolist() == [[200, 0], [0, 0]]
+    with pytest.raises(ValueError, match=r"frame\.png: expected an image of 8 bits for a YOLO, got uint16"):
+        squashed(night_image(dtype=np.uint16), 64, "frame.png")

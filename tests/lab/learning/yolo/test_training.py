@@ -1,0 +1,228 @@
+"""Training and prediction through stand-ins of the libraries, and once through libreyolo where it is installed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation import read_predictions
+from foreglow.lab.learning.yolo import BACKENDS, YoloConfig, export_yolo, predict_yolo, read_yolo_run, train_yolo
+from foreglow.lab.learning.yolo.backends import make_backend
+from foreglow.lab.learning.yolo.interface import MIN_SCORE
+from foreglow.lab.learning.yolo.prediction import detect_in_frame
+from foreglow.runs.predictions import write_predictions
+from foreglow.types import Frame
+from tests.lab.learning.yolo.fakes import BOXES, SCORES, Calls, fake_libreyolo, fake_ultralytics, small_network
+from tests.lab.learning.yolo.night_data import HEIGHT_PX, WIDTH_PX, make_night_data
+
+FAKES: dict[str, Callable[[Calls], ModuleType]] = {"libreyolo": fake_libreyolo, "ultralytics": fake_ultralytics}
+
+
+def config(backend: str = "libreyolo", **fields: Any) -> YoloConfig:
+    return YoloConfig.model_validate({"backend": backend, "image_size_px": 64, "device": "cpu", **fields})
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return make_night_data(tmp_path / "data", num_images=2)
+
+
+@pytest.fixture(params=FAKES)
+def calls(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = Calls(request.param)
+    monkeypatch.setitem(sys.modules, request.param, FAKES[request.param](calls))
+    return calls
+
+
+def test_every_back_end_has_a_stand_in() -> None:
+    assert FAKES.keys() == BACKENDS.keys()
+
+
+def test_train_and_predict(calls: Calls, data: Path, tmp_path: Path) -> None:
+    name = calls.name
+    run = train_yolo(data, tmp_path / "run", config(name))
+    assert run == read_yolo_run(tmp_path / "run")
+    assert run.boxes == "preset paper"
+    assert run.weights.name == "best.pt"
+    assert run.num_parameters == 8
+    assert run.num_multiply_adds == 64 * 64 * 6
+    (told,) = calls.trained
+    assert Path(told["data"]) == (tmp_path / "run/dataset/data.yaml").resolve()
+    assert told["epochs"] == 3
+    assert told["imgsz"] == 64
+    assert told["seed"] == 0
+    assert told["pretrained"] is False
+    record = json.loads((tmp_path / "run/config.json").read_text())
+    assert record["data"] == str(data)
+    assert f"{name}_version" in record
+    assert "commit" in record
+    assert not (tmp_path / "run/dataset/images/test").exists()
+
+    split = PVDN(data / "test")
+    found = predict_yolo(run, split, num_threads=1)
+    assert found.predictions.boxes_xyxy_px.keys() == set(split.frame_ids)
+    assert found.frame_ms.shape == (len(split),)
+    assert calls.predicted[-1]["shape"] == (64, 64, 3)
+    assert calls.predicted[-1]["conf"] == MIN_SCORE
+    scale = np.array([WIDTH_PX, HEIGHT_PX] * 2) / 64
+    boxes = found.predictions.boxes_xyxy_px[split.frame_ids[0]]
+    assert boxes.tolist() == [[0.0, 0.0, WIDTH_PX, HEIGHT_PX], (np.array(BOXES[0]) * scale).tolist()]
+    assert found.predictions.scores[split.frame_ids[0]].tolist() == sorted(SCORES, reverse=True)
+
+
+def test_a_finished_run_is_not_trained_again(calls: Calls, data: Path, tmp_path: Path) -> None:
+    first = train_yolo(data, tmp_path / "run", config(calls.name))
+    assert train_yolo(data, tmp_path / "run", config(calls.name)) == first
+    assert len(calls.trained) == 1
+
+
+def test_an_interrupted_run_goes_on(calls: Calls, data: Path, tmp_path: Path) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    calls.interrupt = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        train_yolo(data, tmp_path / "run", config(calls.name))
+    with pytest.raises(FileNotFoundError, match=r"results\.json: no such file, expected a finished run"):
+        read_yolo_run(tmp_path / "run")
+    calls.interrupt = lambda: None
+    train_yolo(data, tmp_path / "run", config(calls.name))
+    checkpoint = tmp_path / "run/training/run/weights/last.pt"
+    if calls.name == "libreyolo":
+        assert calls.trained[1]["resume"] == str(checkpoint)
+    else:
+        assert (calls.made[1], calls.trained[1]) == ((str(checkpoint),), {"resume": True})
+    (tmp_path / "run/results.json").unlink()  # killed after the last epoch
+    train_yolo(data, tmp_path / "run", config(calls.name))
+    assert len(calls.trained) == 2
+
+
+def test_other_settings_need_another_folder(calls: Calls, data: Path, tmp_path: Path) -> None:
+    train_yolo(data, tmp_path / "run", config(calls.name))
+    with pytest.raises(ValueError, match=r"config\.json: epochs: expected 4 to go on with this run, it has 3"):
+        train_yolo(data, tmp_path / "run", config(calls.name, epochs=4))
+
+
+def test_train_on_an_export(calls: Calls, data: Path, tmp_path: Path) -> None:
+    export_yolo(data, tmp_path / "export", preset_name="baseline", size_px=96)
+    run = train_yolo(tmp_path / "export", tmp_path / "run", config(calls.name))
+    assert (run.boxes, run.export_size_px) == ("preset baseline", 96)
+    assert calls.trained[0]["imgsz"] == 64
+    predict_yolo(run, PVDN(data / "val"))
+    assert calls.predicted[-1]["shape"] == (96, 96, 3)
+
+
+def test_an_export_without_train_cannot_be_trained_on(calls: Calls, tmp_path: Path) -> None:
+    data = make_night_data(tmp_path / "data", ("val",), num_images=1)
+    export_yolo(data, tmp_path / "export", size_px=64)
+    with pytest.raises(ValueError, match="splits: expected train and val to train on, got val"):
+        train_yolo(tmp_path / "export", tmp_path / "run", config(calls.name))
+
+
+def test_a_network_that_found_nothing_is_as_it_was_last(
+    monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(Calls(""), best=0.0))
+    assert train_yolo(data, tmp_path / "run", config()).weights.name == "last.pt"
+
+
+def test_a_broken_checkpoint(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(Calls("")))
+    weights = tmp_path / "run/training/run/weights"
+    weights.mkdir(parents=True)
+    for content in (b"", b"half", b"PK\x03\x04"):
+        (weights / "last.pt").write_bytes(content)
+        with pytest.raises(ValueError, match=r"last\.pt: expected a checkpoint"):
+            train_yolo(data, tmp_path / "run", config())
+
+
+def test_missing_weights(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    run.weights.unlink()
+    with pytest.raises(FileNotFoundError, match=r"best\.pt: no such file, expected the weights"):
+        predict_yolo(run, PVDN(data / "val"))
+
+
+@pytest.mark.parametrize("name", FAKES)
+def test_a_library_that_is_not_installed_is_missed_at_once(
+    name: str, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ModuleNotFoundError):
+        train_yolo(data, tmp_path / "run", config(name))
+    assert not (tmp_path / "run").exists()
+
+
+def test_unknown_back_end_and_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="backend: expected one of libreyolo, ultralytics, got 'darknet'"):
+        make_backend("darknet")
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
+    with pytest.raises(ValueError, match="size: expected one of n, s, m, l, x for ultralytics, got 't'"):
+        train_yolo(data, tmp_path / "run", config("ultralytics", size="t"))
+
+
+class OneBox:
+    """Finds the whole image."""
+
+    num_parameters = num_multiply_adds = 0
+
+    def detect(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return np.array([[0.0, 0.0, *image.shape[::-1]]]), np.array([0.5])
+
+
+def test_the_whole_square_is_the_whole_frame() -> None:
+    boxes, scores = detect_in_frame(OneBox(), Frame(np.zeros((96, 200), np.uint8), 0), 64)
+    assert boxes.tolist() == [[0.0, 0.0, 200.0, 96.0]]
+    assert scores.tolist() == [0.5]
+
+
+def test_threads_are_given_back(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    before = torch.get_num_threads()
+    seen = []
+    predict_yolo(run, PVDN(data / "val"), num_threads=3, progress=lambda *_: seen.append(torch.get_num_threads()))
+    assert set(seen) == {3}
+    assert torch.get_num_threads() == before
+
+
+def test_predictions_go_to_a_file_and_back(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    found = predict_yolo(run, PVDN(data / "val")).predictions
+    write_predictions(tmp_path / "found.json", found)
+    again = read_predictions(tmp_path / "found.json")
+    assert again.is_scored
+    for image_id, boxes in found.boxes_xyxy_px.items():
+        assert np.array_equal(again.boxes_xyxy_px[image_id], boxes)
+        assert np.array_equal(again.scores[image_id], found.scores[image_id])
+
+
+def test_counting_leaves_the_network_as_it_was() -> None:
+    from foreglow.lab.learning.yolo.interface import count_multiply_adds
+
+    network = small_network().train()
+    assert count_multiply_adds(network, 32) == 32 * 32 * 6
+    assert network.training
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_libreyolo_itself(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("libreyolo")
+    from tests.torchvision_cpu import install
+
+    install()
+    run = train_yolo(data, tmp_path / "run", config(size="n", epochs=1, batch=2))
+    assert run.num_parameters == pytest.approx(0.9e6, rel=0.05)  # YOLOX-Nano: 0.91 million with 80 classes
+    found = predict_yolo(run, PVDN(data / "val"), num_threads=1).predictions
+    for boxes in found.boxes_xyxy_px.values():
+        assert (boxes >= 0).all()
+        assert (boxes <= np.array([WIDTH_PX, HEIGHT_PX] * 2)).all()

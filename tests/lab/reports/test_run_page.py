@@ -1,0 +1,161 @@
+"""The page about a run: whole, by itself, and about what was in the run."""
+
+from __future__ import annotations
+
+import base64
+import html.parser
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from foreglow.datasets import shipped_drive
+from foreglow.lab.reports import run_page
+from foreglow.lab.reports.run_page import key_moments, write_report
+from foreglow.types import Frame
+from tests.cli.commands import foreglow_command
+from tests.runs.test_recorded_run import made_up, write_run
+from tests.stand_ins import night_image, result_of
+
+VOID = {"meta", "img", "br", "link"}
+
+
+class Page(html.parser.HTMLParser):
+    """Checks that every element is closed where it should be, and gathers texts and references."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.references: list[str] = []
+        self.texts: list[str] = []
+        self.feed(path.read_text())
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.references += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.texts)
+
+    def pictures(self, kind: str) -> list[np.ndarray]:
+        """All embedded ones of a kind, decoded."""
+        start = f"data:image/{kind};base64,"
+        found = [base64.b64decode(one.removeprefix(start)) for one in self.references if one.startswith(start)]
+        return [np.asarray(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)) for one in found]
+
+
+def check_self_contained(page: Page, path: Path) -> None:
+    assert all(one.startswith("data:image/") for one in page.references)
+    plain = re.sub(r"data:image/[^\"]*", "", path.read_text())
+    assert not re.search(r"url\(|@import|https?://|<script|<link", plain)
+
+
+def test_a_made_up_run(tmp_path: Path) -> None:
+    made = [made_up(1, "A"), made_up(2, "A", ("camera_dark",)), made_up(3, "B <b>")]
+    path = write_report(write_run(tmp_path / "run", made, source="no & longer"))
+    assert path == tmp_path / "run" / "report.html"
+    page = Page(path)
+    check_self_contained(page, path)
+    for words in ("Run of no & longer", "Sequence A", "Sequence B <b>", "camera dark", "33.3%", "Foreglow 1.0"):
+        assert words in page.text
+    assert "There are no pictures: the frames are no longer at no & longer." in page.text
+    assert len(page.pictures("png")) == 3
+    assert page.pictures("jpeg") == []
+
+
+def test_a_run_of_proposals_alone(tmp_path: Path) -> None:
+    frames = [Frame(night_image(k), 50_000_000 * k, k) for k in range(3)]
+    path = write_report(
+        write_run(tmp_path, [(one, result_of(one, [(1, 2, 9, 9)])) for one in frames]), tmp_path / "x.html"
+    )
+    page = Page(path)
+    assert "Over time" in page.text
+    assert "None were looked for: the run commanded no beam." in page.text
+
+
+def test_a_live_run(tmp_path: Path) -> None:
+    events = [
+        {"fault": "camera_gone", "from_ns": 2_050_000_000, "until_ns": 2_550_000_000, "detail": "no frame <for> 0.2 s"},
+        {"fault": "bus_failed", "from_ns": 3_050_000_000, "until_ns": None, "detail": ""},
+    ]
+    live = {"num_dropped": 7, "num_late": 2, "fault_counts": {"camera_gone": 1, "bus_failed": 1}, "faults": events}
+    page = Page(write_report(write_run(tmp_path, [made_up(1)], live=live)))
+    cells = [one.strip() for one in page.texts]
+    row = cells.index("camera gone")
+    assert cells[row : row + 4] == ["camera gone", "2.00", "0.50", "no frame <for> 0.2 s"]
+    assert cells[cells.index("bus failed") + 2] == "–"
+    assert cells[cells.index("dropped for a newer frame") + 1] == "7"
+
+
+def test_only_so_many_sequences_have_a_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_page, "MAX_SEQUENCES", 2)
+    made = [made_up(number, f"S{number}") for number in range(1, 5)]
+    page = Page(write_report(write_run(tmp_path, made)))
+    assert "Left out after the first 2 sequences: S3, S4." in page.text
+    assert len(page.pictures("png")) == 3
+
+
+def test_key_moments() -> None:
+    results = [made_up(number, faults=("x",) if number < 3 else ())[1] for number in range(1, 5)]
+    moments = [(one.words, one.result.frame, one.time_s) for one in key_moments(results)]
+    assert moments[:3] == [
+        ("first light artifact", 1, 0.0),
+        ("first confirmed track", 1, 0.0),
+        ("first dark gap", 3, 0.1),
+    ]
+    assert moments[3][0] == "slowest frame, 0.2 ms"
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The end of the first second of the drive that ships, with the beam."""
+    out = tmp_path_factory.mktemp("shipped") / "run"
+    assert foreglow_command("beam", shipped_drive(), "--out", out, "--limit", 50).exit_code == 0
+    return out
+
+
+def test_the_drive_that_ships(shipped: Path) -> None:
+    result = foreglow_command("report", shipped)
+    assert result.exit_code == 0, result.output
+    path = shipped / "report.html"
+    assert result.stdout == f"look in {path}\n"
+    page = Page(path)
+    check_self_contained(page, path)
+    assert [one.shape[1] for one in page.pictures("jpeg")] == [960] * 4
+    assert "first dark gap" in page.text
+    assert path.stat().st_size < 2e6
+    again = shipped / "again.html"
+    assert foreglow_command("report", shipped, "--out", again).exit_code == 0
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
+    frames = shipped / "frames.jsonl"
+    for name in ("summary.json", "config.toml", "times.jsonl"):
+        (tmp_path / name).write_bytes((shipped / name).read_bytes())
+    (tmp_path / "frames.jsonl").write_text(frames.read_text().replace('"timestamp_ns":', '"timestamp_ns":1'))
+    page = Page(write_report(tmp_path))
+    assert "expected the frames of the run, there are others now." in page.text
+    assert page.pictures("jpeg") == []
+
+
+def test_a_report_that_cannot_be_written(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", [made_up(1)])
+    result = foreglow_command("report", run, "--out", tmp_path / "nowhere" / "x.html")
+    assert result.exit_code == 2
+    assert "nowhere/x.html" in result.stderr
+    assert "expected the folder of a run" in foreglow_command("report", tmp_path).stderr

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import functools
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from foreglow.lab.simulation.scenes import planning
+from foreglow.lab.simulation.scenes.encounter import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
+from foreglow.lab.simulation.scenes.scenarios import (
+    SCENARIOS,
+    SPLITS,
+    draw_scenes,
+    resized,
+    scenario,
+    with_beam,
+    without_traffic,
+)
+from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
+from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge, Wall
+from foreglow.lab.simulation.world.road import Road
+
+WIDE = Corridor(60.0, 60.0)
+
+
+@functools.cache
+def fifty() -> tuple[Scene, ...]:
+    with patch.object(planning, "MAX_PLANS", 1):  # quick: as the first draw comes
+        return draw_scenes(50, 1)
+
+
+def test_same_seed_same_scenes() -> None:
+    assert draw_scenes(3, 7) == draw_scenes(3, 7)
+    assert draw_scenes(3, 7)[:2] == draw_scenes(2, 7)  # more scenes leave the first as they are
+
+
+def test_seeds_and_splits_differ() -> None:
+    seen = [draw_scenes(1, seed, split)[0] for seed in (1, 2) for split in SPLITS]
+    assert len({one.model_dump_json() for one in seen}) == len(seen)
+
+
+def test_all_scenarios_come_up() -> None:
+    assert {one.name for one in fifty()} == set(SCENARIOS)
+
+
+def test_some_drives_are_empty() -> None:
+    empty = [not one.vehicles for one in fifty()]
+    assert 0 < sum(empty) < 20
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_everybody_stays_on_the_road(name: str) -> None:
+    for seed in range(2):
+        one = scenario(name, seed)
+        (_, first_m), (last_s, last_m) = one.ego.timetable[0], one.ego.timetable[-1]
+        end_m = first_m + (last_m - first_m) / last_s * one.duration_s
+        assert 0 < first_m < end_m < one.road.length_m
+        for sign in one.surroundings.signs:
+            assert 0 < sign.s_m < one.road.length_m
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(ValueError, match="expected one of curve"):
+        scenario("nothing")
+    with pytest.raises(ValueError, match="split"):
+        draw_scenes(1, 1, "exam")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="scenes"):
+        draw_scenes(0, 1)
+
+
+def test_resizing_keeps_the_field_of_view() -> None:
+    one = resized(scenario("curve"), 640, 480)
+    full = scenario("curve")
+    assert one.camera.focal_px / 640 == pytest.approx(full.camera.focal_px / 1280)
+    assert resized(full, 1280, 960) == full
+    assert resized(Scene(), 320, 240).camera.centre_px is None
+
+
+def test_a_straight_level_road_is_open() -> None:
+    road = Road(RoadSpec())
+    assert is_in_sight(road, 10.0, 400.0, WIDE)
+
+
+def test_a_crest_hides_until_close() -> None:
+    # A parabola of radius R hides eyes and lamps beyond sqrt(2 R eye) + sqrt(2 R lamp).
+    road = Road(RoadSpec(elevation_m=((0.0, 0.0), (200.0, 5.0), (400.0, 0.0))))
+    assert not is_in_sight(road, 50.0, 350.0, WIDE)
+    assert is_in_sight(road, 180.0, 220.0, WIDE)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_an_obstacle_inside_a_bend_hides(sign: int) -> None:
+    road = Road(RoadSpec(curvature_per_m=((0.0, sign / 150.0),)))
+    narrow = Corridor(6.0, 60.0) if sign > 0 else Corridor(60.0, 6.0)
+    assert is_in_sight(road, 50.0, 200.0, WIDE)
+    assert not is_in_sight(road, 50.0, 200.0, narrow)
+
+
+def test_time_in_sight_by_hand() -> None:
+    # Meeting after 5 s at 20 m/s each; on an open road they see each other all the time.
+    road = Road(RoadSpec())
+    ego, other = ((0.0, 0.0), (10.0, 200.0)), ((0.0, 200.0), (10.0, 0.0))
+    assert sight_time_s(road, WIDE, ego, other) == pytest.approx(5.0, abs=0.21)
+
+
+def test_the_corridor_is_the_nearest_obstacle() -> None:
+    spec = SurroundingsSpec(
+        left=Verge(bank_m=3.0, bank_offset_m=4.0),
+        right=Verge(bank_m=0.0),
+        walls=(Wall(side="left", span_m=(0.0, 9.0), offset_m=2.0, height_m=2.0),
+               Wall(side="right", span_m=(0.0, 9.0), offset_m=2.0, height_m=0.5)),
+    )  # fmt: skip
+    free = corridor(spec, 3.5)
+    assert free.left_m == pytest.approx(5.5)
+    assert free.right_m > 50.0  # one looks over the low wall
+
+
+def test_cars_come_into_sight_as_planned_and_their_light_soon_before() -> None:
+    times, leads = [], []
+    for one in draw_scenes(10, 5):
+        oncoming = [vehicle for vehicle in one.vehicles if vehicle.lane == "oncoming"]
+        if one.name in ("curve", "s_bend", "forest", "crest") and oncoming:
+            road = Road(one.road)
+            free = corridor(one.surroundings, road.half_width_m)
+            ego, other = one.ego.timetable, oncoming[0].timetable
+            rate = (ego[1][1] - ego[0][1] + other[0][1] - other[1][1]) / 10.0
+            meeting = (other[0][1] - ego[0][1]) / rate
+            seen = sight_time_s(road, free, ego, other)
+            times.append(meeting - seen)
+            leads.append(sight_time_s(road, free, ego, other, is_light_in_sight) - seen)
+    assert len(times) >= 4
+    assert 2.0 < np.median(times) < 5.0
+    assert min(leads) >= 0.0  # who sees the car, sees what it lights
+    assert np.median(leads) < 1.5
+
+
+def test_another_beam_changes_nothing_else() -> None:
+    one = fifty()[0]
+    changed = with_beam(one, "matrix")
+    assert (one.ego.beam, changed.ego.beam) == ("low", "matrix")
+    assert with_beam(changed, "low") == one
+
+
+def test_without_traffic_dark_cars_stay() -> None:
+    one = fifty()[0]
+    parked = VehicleSpec(timetable=((0.0, 50.0), (10.0, 50.0)), beam="off")
+    driven = VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0)))
+    assert without_traffic(one.model_copy(update={"vehicles": (driven, parked)})).vehicles == (parked,)

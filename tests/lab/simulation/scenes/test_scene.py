@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, scenario
+from foreglow.lab.simulation.scenes.scene import Scene, read_scene, scene_to_toml
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_survives_toml_and_json(name: str, tmp_path: Path) -> None:
+    scene = scenario(name, seed=3)
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_to_toml(scene))
+    assert read_scene(path) == scene
+    assert Scene.model_validate_json(scene.model_dump_json()) == scene
+
+
+def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text("")
+    assert read_scene(path) == Scene()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[road]\nlenght_m = 3.0\n", "road.lenght_m: unknown, expected one of length_m"),
+        ("[[vehicles]]\ntimetable = [[1.0, 2.0], [0.0, 3.0]]\n", "timetable: expected growing positions"),
+        ("[camera]\nfocal_px = -1.0\n", "camera.focal_px"),
+        ("[camera]\nfocal_px = nan\n", "camera.focal_px"),
+        ("[road]\ncurvature_per_m = [[0.0, 0.2]]\n", "radii of at least 20 m, got 5.0 m"),
+        ('[[vehicles]]\nlane = "branch"\n', "side road below 0, got 0"),
+        ("[road\n", "expected TOML"),
+        ("[surroundings]\nrails = [{side = 'up', span_m = [1.0, 2.0]}]\n", "surroundings.rails.0.side"),
+        ("duration_s = true\n", "duration_s"),
+    ],
+)
+def test_errors_name_file_and_field(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        read_scene(path)
+    assert str(path) in str(error.value)
+
+
+def test_missing_file() -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
+        read_scene(Path("nowhere.toml"))
+
+
+def test_number_of_frames() -> None:
+    assert Scene(duration_s=2.0, rate_hz=18.0).num_frames == 36
+    assert Scene(duration_s=0.001, rate_hz=18.0).num_frames == 1
+
+
+def test_the_example_of_the_guide_is_a_scene(tmp_path: Path) -> None:
+    guide = (Path(__file__).parents[4] / "docs" / "scenes.md").read_text(encoding="utf-8")
+    path = tmp_path / "scene.toml"
+    path.write_text(guide.split("```toml\n")[1].split("```")[0])
+    assert read_scene(path).name == "my_bend"

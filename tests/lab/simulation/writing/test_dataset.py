@@ -1,0 +1,291 @@
+from __future__ import annotations
+
+import errno
+import functools
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.datasets import PVDN, ImageCategory, open_source
+from foreglow.datasets.pvdn_schema import Cycle
+from foreglow.files import write_atomic
+from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
+from foreglow.lab.simulation.truth import DriveFrame
+from foreglow.lab.simulation.writing import dataset
+from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
+from foreglow.lab.simulation.writing.truth_files import read_truth
+from foreglow.parallel import Local
+from tests.lab.simulation.stub_drive import drive, scene
+
+SCENES = [scene(1), scene(2, num_frames=2)]
+
+
+def digest(folder: Path) -> dict[str, str]:
+    """Every file below `folder`, hidden ones too, with a hash of its bytes."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set made in one go."""
+    folder = tmp_path_factory.mktemp("whole") / "DATA"
+    simulate_dataset(folder, SCENES, drive)
+    return folder
+
+
+def test_pvdn_reads_what_was_driven(whole: Path) -> None:
+    split = PVDN(whole / "night" / "train")
+    assert split.frame_ids == (10000, 10001, 10002, 20000, 20001)
+    assert [one.directory for one in split.sequences] == ["S00001", "S00002"]
+    assert (split.sequences[0].start_time_ms, split.sequences[1].num_images) == (500, 2)
+    frames = iter(split)
+    for number, given in enumerate(SCENES, start=1):
+        for known in drive(given):
+            frame = next(frames)
+            assert np.array_equal(frame.image, known.frame.image)
+            assert (frame.frame, frame.sequence) == (number * 10000 + known.frame.frame, f"S{number:05d}")
+            assert frame.timestamp_ns == known.frame.timestamp_ns
+            assert split.categories(frame.frame) == (known.category,)
+            assert split.cycle_of(frame.frame) is split.camera_configuration(frame.frame).cycle is Cycle.NIGHT
+    assert split.categories(10000) == (ImageCategory.NONE,)
+
+
+def test_labels_are_the_artifacts_that_are_sure(whole: Path) -> None:
+    split = PVDN(whole / "night" / "train")
+    known = list(drive(SCENES[0]))[1]
+    artifacts = known.vehicles[0].artifacts
+    (vehicle,) = split.annotations(10001)
+    assert (vehicle.oid, vehicle.is_direct) == (0, True)
+    positions = [tuple(int(one) for one in artifact.position_px) for artifact in artifacts]
+    assert [(one.position_px, one.iid, one.is_direct) for one in vehicle.instances] == [
+        (positions[0], 0, True),
+        (positions[1], 1, False),
+    ]
+    assert [(one.position_px, one.iid) for one in split.doubtful(10001)] == [(positions[2], -1)]
+    # The first vehicle's only light is doubtful in the third frame, so PVDN would not know of it.
+    assert [one.oid for one in split.annotations(10002)] == [1]
+    assert len(split.doubtful(10002)) == 2
+    assert split.annotations(10000) == () == split.doubtful(10000)
+    assert split.labels.images_file.info["label_rule"]["min_grey"] == LabelRule().min_grey
+
+
+def test_a_vehicle_is_where_its_box_is(whole: Path) -> None:
+    known = list(drive(SCENES[0]))[1]
+    vehicle = known.vehicles[0]
+    seen_px = known.camera.project(known.camera_pose.to_body(vehicle.pose.to_outer(vehicle.box_centre_m)))
+    (labelled,) = PVDN(whole / "night" / "train").annotations(10001)
+    np.testing.assert_allclose(np.array(labelled.position_px) + 0.5, seen_px, atol=0.5)
+
+
+def test_the_only_split_of_a_folder_is_meant(whole: Path, tmp_path: Path) -> None:
+    for folder in (whole, whole / "night"):
+        assert open_source(folder).num_frames == len(PVDN(folder)) == 5
+    shutil.copytree(whole, tmp_path / "two")
+    shutil.copytree(whole / "night" / "train", tmp_path / "two" / "day" / "train")
+    with pytest.raises(ValueError, match=r"expected one split of PVDN, such as .*two/day/train"):
+        open_source(tmp_path / "two")
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_a_drive_that_is_interrupted_goes_on(whole: Path, tmp_path: Path, frame: int) -> None:
+    with pytest.raises(RuntimeError, match="interrupted here"):
+        simulate_dataset(tmp_path, SCENES, functools.partial(drive, fail_at=(2, frame)))
+    assert not list(tmp_path.rglob("*.partial"))
+    driven: list[int] = []
+    summary = simulate_dataset(tmp_path, SCENES, functools.partial(_noted, driven))
+    assert (summary.num_kept, driven) == (1, [2])
+    assert digest(tmp_path) == digest(whole)
+
+
+def _noted(driven: list[int], given: Scene) -> Iterator[DriveFrame]:
+    driven.append(given.seed)
+    return drive(given)
+
+
+class StoppedError(Exception):
+    """Stands for whatever stops a run."""
+
+
+class FileMoves:
+    """Counts every file and folder that gets its final name, and stops instead of move number `stop_at`."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, stop_at: int | None = None) -> None:
+        self.num = 0
+        self._stop_at = stop_at
+        for name in ("replace", "rename"):
+            patch.setattr(Path, name, self._counting(getattr(Path, name)))
+
+    def _counting(self, move: Callable[[Path, Path], Path]) -> Callable[[Path, Path], Path]:
+        def counted(source: Path, target: Path) -> Path:
+            if self.num == self._stop_at:
+                raise StoppedError
+            self.num += 1
+            return move(source, target)
+
+        return counted
+
+
+def test_a_run_that_is_interrupted_anywhere_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [scene(1, num_frames=1), scene(2, num_frames=1)]
+    with monkeypatch.context() as patch:
+        moves = FileMoves(patch)
+        simulate_dataset(tmp_path / "whole", scenes, drive)
+    expected = digest(tmp_path / "whole")
+    assert moves.num >= len(expected)
+    for stop_at in range(moves.num):
+        folder = tmp_path / str(stop_at)
+        with monkeypatch.context() as patch:
+            FileMoves(patch, stop_at)
+            with pytest.raises(StoppedError):
+                simulate_dataset(folder, scenes, drive)
+        assert not (folder / "night/train/labels/sequences.json").exists()
+        simulate_dataset(folder, scenes, drive)
+        assert digest(folder) == expected, stop_at
+
+
+def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "DATA")
+    root = tmp_path / "DATA" / "night" / "train"
+    shutil.rmtree(root / "simulation" / "S00002")  # killed after the images got their place
+    (root / "images" / "S00002" / "099999.png").write_bytes(b"stale")
+    (root / "simulation" / ".S00002.partial").mkdir()
+    (root / "simulation" / ".S00002.partial" / "frames.jsonl").write_text("{")
+    (root / "labels" / ".sequences.json.1-2.tmp").write_text("{")
+    simulate_dataset(tmp_path / "DATA", SCENES, drive)
+    assert digest(tmp_path / "DATA") == digest(whole)
+
+
+def test_processes_change_nothing(whole: Path, tmp_path: Path) -> None:
+    told: list[tuple[int, int, int]] = []
+    summary = simulate_dataset(tmp_path, SCENES, drive, workers=Local(2), progress=lambda *one: told.append(one))
+    assert digest(tmp_path) == digest(whole)
+    assert sorted(told) == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
+    assert (summary.labels.num_sequences, summary.labels.num_images, summary.num_kept) == (2, 5, 0)
+
+
+def test_an_error_in_a_process_keeps_the_other_scene(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="interrupted here"):
+        simulate_dataset(tmp_path, SCENES, functools.partial(drive, fail_at=(1, 1)), workers=Local(2))
+    assert read_truth(tmp_path / "night/train").sequence_ids == (2,)
+    assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
+    assert digest(tmp_path) == digest(whole)
+
+
+def test_summary_and_progress(tmp_path: Path) -> None:
+    told: list[tuple[int, int, int]] = []
+    summary = simulate_dataset(tmp_path, SCENES, drive, progress=lambda *one: told.append(one))
+    assert told == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
+    labels = summary.labels
+    assert (labels.num_empty_images, labels.num_direct, labels.num_indirect, labels.num_doubtful) == (2, 3, 3, 4)
+    told.clear()
+    assert simulate_dataset(tmp_path, SCENES, drive, progress=lambda *one: told.append(one)).num_kept == 2
+    assert told == [(1, 3, 3), (2, 2, 2)]
+
+
+def test_more_scenes_join_and_fewer_do_not(whole: Path, tmp_path: Path) -> None:
+    simulate_dataset(tmp_path, SCENES[:1], drive)
+    assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
+    assert digest(tmp_path) == digest(whole)
+    with pytest.raises(ValueError, match=r"S00002: expected at most the 1 scenes of this run; choose another folder"):
+        simulate_dataset(tmp_path, SCENES[:1], drive)
+
+
+def test_other_scenes_are_not_mixed_in(whole: Path) -> None:
+    other = SCENES[1].model_copy(update={"seed": 9})
+    with pytest.raises(ValueError, match=r"S00002/scene\.json: scene\.seed: expected 9 as in this run, found 2; cho"):
+        simulate_dataset(whole, [SCENES[0], other], drive)
+    with pytest.raises(ValueError, match=r"S00001/scene\.json: made_with\.generator: expected 'else'.*, found 'foreg"):
+        simulate_dataset(whole, SCENES, drive, DatasetConfig(generator="else"))
+
+
+def test_cycle_split_and_rate(tmp_path: Path) -> None:
+    exposures: list[str] = []
+
+    def noting(given: Scene) -> Iterator[DriveFrame]:
+        exposures.append(given.sensor.exposure)
+        return drive(given)
+
+    for cycle in Cycle:
+        config = DatasetConfig(cycle=cycle, split="val", seed=7, production={"latency_s": 0.5})
+        root = simulate_dataset(tmp_path, [scene(1, rate_hz=25.0)], noting, config).root
+        assert root == tmp_path / cycle / "val"
+        split = PVDN(root)
+        assert (split.rate_hz, split.cycle, split.cycle_of(10000)) == (25.0, cycle, cycle)
+        assert [frame.timestamp_ns for frame in split] == [500_000_000, 540_000_000, 580_000_000]
+        info = json.loads((root / "simulation" / "info.json").read_text())
+        assert (info["seed"], info["cycle"], info["production"]) == (7, cycle, {"latency_s": 0.5})
+        assert info["label_rule"]["max_instances"] == LabelRule().max_instances
+    assert exposures == ["day", "night"]
+
+
+@pytest.mark.parametrize(
+    ("scenes", "message"),
+    [
+        ([], "scenes: expected at least one"),
+        ([scene(1), scene(1, rate_hz=20.0)], "scenes: rate_hz: expected one .* scene 2 differs"),
+        ([scene(1), scene(1).model_copy(update={"labels": LabelRule(min_grey=3.0)})], "scenes: labels: .* scene 2"),
+        ([scene(1).model_copy(update={"duration_s": 600.0})], "expected up to 10000 frames each, scene 1 has 10800"),
+    ],
+)
+def test_scenes_that_do_not_fit(tmp_path: Path, scenes: list[Scene], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        simulate_dataset(tmp_path / "out", scenes, drive)
+    assert not (tmp_path / "out").exists()
+
+
+def test_drives_that_contradict_their_scene(tmp_path: Path) -> None:
+    def short(given: Scene) -> Iterator[DriveFrame]:
+        return iter(list(drive(given))[:-1])
+
+    def long(given: Scene) -> Iterator[DriveFrame]:
+        return iter([*drive(given), *drive(given)])
+
+    for wrong, message in (
+        (short, "S00001: drive: expected 3 frames, got 2"),
+        (long, "S00001: drive: frame 3: expected 3 frames, got more"),
+        (functools.partial(drive, lag_ns=700_000), "frame 2: timestamp_ns: expected about 611111111, got 612511111"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulate_dataset(tmp_path, SCENES, wrong)
+    assert read_truth(tmp_path / "night/train").sequence_ids == ()
+    assert not list(tmp_path.rglob("*.png"))
+
+
+def test_another_data_set_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "night/train/images/S1").mkdir(parents=True)
+    (tmp_path / "night/train/images/S1/000001.png").write_bytes(b"real")
+    with pytest.raises(ValueError, match=r"train: expected a new folder or a simulated split, this is another data"):
+        simulate_dataset(tmp_path, SCENES, drive)
+    assert list(digest(tmp_path)) == ["night/train/images/S1/000001.png"]
+
+
+def test_a_file_in_the_way(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(OSError, match="out"):
+        simulate_dataset(tmp_path / "out", SCENES, drive)
+
+
+def test_a_full_disk_is_one_error_and_finished_scenes_stay(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, data: bytes) -> None:
+        if path.name == "020001.png":
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        write_atomic(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dataset, "write_atomic", full)
+        with pytest.raises(OSError, match=r"No space left on device: '.*020001\.png'"):
+            simulate_dataset(tmp_path, SCENES, drive)
+    assert not list(tmp_path.rglob(".S00002*"))
+    assert simulate_dataset(tmp_path, SCENES, drive).num_kept == 1
+    assert digest(tmp_path) == digest(whole)

@@ -1,0 +1,233 @@
+"""The table of detectors: which rows there are, what they hold, and that a repeated call changes nothing."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.config import PRESETS, preset
+from foreglow.datasets import PVDN
+from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
+from foreglow.lab.learning.annotation import label_boxes
+from foreglow.lab.studies.detector.models import missing_reason, split_digest
+from foreglow.lab.studies.detector.pictures import choose, pictures
+from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
+from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
+from foreglow.proposals import make_proposer
+from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
+from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
+
+pytest.importorskip("onnx")
+
+
+@pytest.fixture(autouse=True)
+def presets(monkeypatch: pytest.MonkeyPatch) -> None:
+    if "foreglow" not in PRESETS:
+        monkeypatch.setitem(PRESETS, "foreglow", preset("paper"))
+
+
+@pytest.fixture
+def trainings(monkeypatch: pytest.MonkeyPatch) -> Trainings:
+    from foreglow.lab.learning import training_run
+
+    trainings = Trainings()
+    monkeypatch.setattr(training_run, "train_model", trainings.train_model)
+    return trainings
+
+
+def given(folder: Path, *names: str) -> dict[str, Path]:
+    return {name: make_model(folder / f"{name}.onnx") for name in names}
+
+
+def without_times(results: DetectorResults) -> dict[str, Any]:
+    document = results.to_json()
+    for row in document["rows"]:
+        row["run_time_ms"] = row["examination"]["run_time_ms"] = None
+    return document
+
+
+def test_a_row_of_a_given_model(tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(rows=("paper", "published"), given=given(tmp_path, "paper"), may_train=False)
+    results = run_experiment(data, tmp_path / "out", plan)
+    paper, published = results.rows
+    assert paper.reason is None
+    assert published.reason == "not given (--published FILE.onnx, made by import-weights)"
+
+    # The model accepts every proposal, so everything can be counted by hand.
+    dataset = PVDN(data / "test")
+    proposer = make_proposer(preset("paper").proposals)
+    proposed = {frame.frame: proposer.propose(frame.image).boxes_xyxy_px for frame in dataset}
+    num_proposals = sum(map(len, proposed.values()))
+    assert num_proposals > 0
+    assert paper.num_proposals == paper.num_boxes == num_proposals / 6
+    positive = {one: label_boxes(boxes, dataset.keypoints_px(one)) == 1 for one, boxes in proposed.items()}
+    quality = paper.examination["quality"]
+    assert quality["fp"] == num_proposals - sum(int(one.sum()) for one in positive.values())
+    assert paper.ceiling["precision"] == 1.0
+    assert paper.ceiling["recall"] == quality["recall"]
+    assert paper.num_multiply_adds_frame == paper.num_multiply_adds * num_proposals / 6
+    assert 0 < paper.run_time_ms["median"] <= paper.run_time_ms["p99"]
+    kept = read_predictions(tmp_path / "out/predictions/paper.json")
+    assert {one: boxes.tolist() for one, boxes in kept.boxes_xyxy_px.items()} == {
+        one: boxes.tolist() for one, boxes in proposed.items()
+    }
+    assert paper.note.startswith("given: paper.onnx, SHA-256 ")
+
+
+def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(with_yolo=False, epochs={"paper": 7}, patience=3, seed=5)
+    results = run_experiment(data, tmp_path / "out", plan)
+    by_name = {row.name: row for row in results.rows}
+    assert list(by_name) == list(ROWS)
+    assert [asked["folder"].name for asked in trainings.asked] == ["baseline", "paper", "compact", "ours"]
+    for asked in trainings.asked:
+        spec = ROWS[asked["folder"].name]
+        assert asked["config"] == preset(spec.preset)
+        assert asked["recipe"].network == ("paper" if spec.recipe == "paper" else "compact")
+        assert (asked["recipe"].seed, asked["recipe"].patience) == (5, 3)
+    assert trainings.asked[0]["recipe"].epochs == 7
+    assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
+    assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
+    assert {(one["row"], one["other"]) for one in results.comparisons} == {
+        ("compact", "paper"),
+        ("ours", "paper"),
+        ("ours", "baseline"),
+    }
+
+
+def test_a_repeated_call_measures_nothing_twice(trainings: Trainings, tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(rows=("paper", "compact"))
+    calls: list[tuple[str, int, int]] = []
+    first = run_experiment(data, tmp_path / "out", plan, progress=lambda *told: calls.append(told))
+    assert calls[-1] == ("compact: images", 6, 6)
+    calls.clear()
+    again = run_experiment(data, tmp_path / "out", plan, progress=lambda *told: calls.append(told))
+    assert calls == []
+    assert len(trainings.asked) == 2
+    assert again.to_json() == first.to_json()
+
+
+def test_the_same_seed_gives_the_same_table(trainings: Trainings, tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(rows=("paper", "compact"))
+    results = [run_experiment(data, tmp_path / name, plan) for name in ("one", "two")]
+    assert len(trainings.asked) == 4
+    assert without_times(results[0]) == without_times(results[1])
+    json.dumps(results[0].to_json(), allow_nan=False)
+
+
+def test_another_model_or_other_data_make_a_row_anew(tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(rows=("paper",), given=given(tmp_path, "paper"))
+    (accepting,) = run_experiment(data, tmp_path / "out", plan).rows
+    assert accepting.num_boxes > 0
+    make_model(tmp_path / "paper.onnx", bias=-1.0)
+    (rejecting,) = run_experiment(data, tmp_path / "out", plan).rows
+    assert rejecting.num_boxes == 0
+    before = split_digest(data / "test")
+    label = next((data / "test/labels/keypoints").glob("*.json"))
+    label.write_text(label.read_text() + "\n")
+    assert split_digest(data / "test") != before
+    (again,) = run_experiment(data, tmp_path / "out", plan).rows
+    assert again.key != rejecting.key
+
+
+def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Trainings, tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
+    folder = tmp_path / "first/models/paper"
+    plan = DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False)
+    (row,) = run_experiment(data, tmp_path / "second", plan).rows
+    assert row.note.startswith("network paper, 2 of 300 epochs")
+    assert len(trainings.asked) == 1
+    wrong = DetectorPlan(rows=("baseline",), given={"baseline": folder})
+    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of the preset baseline"):
+        run_experiment(data, tmp_path / "third", wrong)
+    (folder / "summary.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
+        run_experiment(data, tmp_path / "fourth", plan)
+
+
+def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls = Calls("libreyolo")
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(calls))
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(
+        rows=("paper", "yolo-small"), given=given(tmp_path, "paper"), yolo_image_size_px=64, device="cpu"
+    )
+    results = run_experiment(data, tmp_path / "out", plan)
+    paper, yolo = results.rows
+    assert yolo.note == (
+        "libreyolo, size s, 64 px, 3 epochs (paper: 960 px and 300 epochs), boxes: preset paper, seed 1"
+    )
+    assert yolo.ceiling == paper.ceiling
+    assert (yolo.num_parameters, yolo.num_multiply_adds) == (8, 64 * 64 * 6)
+    assert (yolo.num_boxes, yolo.num_proposals) == (1, 2)  # scores 0.75 and 0.25 in every image
+    (trained,) = calls.trained
+    assert trained["seed"] == 1
+    plan = DetectorPlan(rows=("yolo-small",), given={"yolo-small": tmp_path / "out/models/yolo-small"}, may_train=False)
+    (same,) = run_experiment(data, tmp_path / "other", plan).rows
+    assert same.examination == yolo.examination
+
+
+def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = DetectorPlan(device="cpu")
+    monkeypatch.setattr("foreglow.lab.studies.detector.models.has_library", lambda: False)
+    assert missing_reason("yolo-small", plan) == "needs pip install 'foreglow[yolo]'"
+    monkeypatch.setattr("foreglow.lab.studies.detector.models.has_library", lambda: True)
+    assert missing_reason("yolo-small", plan) is None
+    reason = missing_reason("yolo-large", plan)
+    assert reason is not None
+    assert reason.startswith("needs a GPU: run there foreglow yolo train DATA --size x")
+    assert missing_reason("paper", plan) is None
+    off = missing_reason("paper", DetectorPlan(may_train=False))
+    assert off == "not given (--paper-model), and nothing is trained (--no-training)"
+
+
+def test_bad_plans(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="rows: expected some of baseline, paper, published"):
+        DetectorPlan(rows=("papers",))
+    with pytest.raises(ValueError, match="rows: expected each once"):
+        DetectorPlan(rows=("paper", "paper"))
+    with pytest.raises(FileNotFoundError, match=r"absent\.onnx: no such model, given with --paper-model"):
+        DetectorPlan(given={"paper": tmp_path / "absent.onnx"})
+
+
+def test_a_missing_split(tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data", ("train", "val"))
+    with pytest.raises(FileNotFoundError, match="expected the split test"):
+        run_experiment(data, tmp_path / "out", DetectorPlan(rows=("paper",)))
+    (tmp_path / "folder").mkdir()
+    plan = DetectorPlan(rows=("paper",), given={"paper": tmp_path / "folder"}, split="val")
+    with pytest.raises(FileNotFoundError, match=r"model\.onnx: no such file, expected an ONNX model"):
+        run_experiment(data, tmp_path / "out", plan)
+
+
+def test_best_and_worst_images(tmp_path: Path) -> None:
+    dataset = PVDN(make_data(tmp_path / "data") / "test")
+    labels = read_split_labels(dataset)
+    first, second, empty, *others = dataset.frame_ids
+    points = {one: dataset.keypoints_px(one) for one in dataset.frame_ids}
+    boxes = {one: np.empty((0, 4)) for one in dataset.frame_ids}
+    boxes[first] = boxes_around(points[first].tolist())  # found
+    boxes[second] = boxes_around([[20.0, 20.0], [60.0, 20.0]])  # missed, and two false ones
+    boxes[empty] = boxes_around([[20.0, 20.0]])
+    predictions = Predictions(boxes, {one: np.full(len(its), 0.9) for one, its in boxes.items()})
+    chosen = choose("paper", labels, predictions)
+    assert [(one.image_id, one.is_best) for one in chosen] == [(first, True), (second, False), (others[0], False)]
+    assert (chosen[0].num_found, chosen[0].num_missed, chosen[0].num_false) == (1, 0, 0)
+    assert (chosen[1].num_found, chosen[1].num_missed, chosen[1].num_false) == (0, 1, 2)
+
+    plan = DetectorPlan(rows=("paper",))
+    results = DetectorResults("data", labels, plan, (), {"paper": predictions}, ())
+    shown = list(pictures(results, dataset))
+    assert [one.is_found.tolist() for one in shown] == [[True], [False], [False]]
+    assert len(shown[1].result.proposals) == 2

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from foreglow.config import preset, read_config
+from foreglow.lab.studies.distance.findings import find
+from foreglow.lab.studies.distance.page import headline, write_report
+from foreglow.lab.studies.distance.run import DistancePlan, DistanceResults, run_experiment
+from tests.lab.studies.ranged_drives import make_split
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> DistanceResults:
+    root = tmp_path_factory.mktemp("drives")
+    make_split(root)
+    return run_experiment(root, DistancePlan(estimators=("gp", "psd_2d")))
+
+
+def test_the_folder(results: DistanceResults, tmp_path: Path) -> None:
+    report = write_report(results, tmp_path / "out")
+    assert report == tmp_path / "out" / "report.html"
+    figures = {"methods", "series", "range", "localisation", "terrain", "pitch", "heuristics_gp", "heuristics_psd_2d"}
+    files = {"report.html", "results.json", "lights.csv", "config.toml", "tables.md"}
+    assert {path.name for path in report.parent.iterdir()} == files | {f"{name}.png" for name in figures}
+    assert read_config(report.parent / "config.toml") == preset("foreglow")
+    record = json.loads((report.parent / "results.json").read_text())
+    assert (record["num_lights"], record["made_with"]["seed"], len(record["findings"])) == (12, 1, len(find(results)))
+    page = report.read_text()
+    assert page.count("<img ") == len(figures)
+    assert "positive where the light seems too far" in page
+    assert "paper +0.12" in page
+
+
+def test_a_line_for_each_light(results: DistanceResults, tmp_path: Path) -> None:
+    with (write_report(results, tmp_path).parent / "lights.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12
+    assert rows[0]["kind"] == "lamp"
+    for row, light, range_m in zip(rows, results.lights, results.ranges_m[results.methods[0]], strict=True):
+        assert int(row["image_id"]) == light.image_id
+        assert (int(row["x1_px"]), int(row["y2_px"])) == (light.box_xyxy_px[0], light.box_xyxy_px[3])
+        assert float(row["gp, centre: range_m"]) == pytest.approx(range_m, abs=1e-3)
+
+
+def test_the_same_results_give_the_same_files(results: DistanceResults, tmp_path: Path) -> None:
+    first, second = write_report(results, tmp_path / "a"), write_report(results, tmp_path / "b")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_headline_stands_beside_the_paper(results: DistanceResults) -> None:
+    lines = headline(find(results))
+    assert [line.split(":")[0] for line in lines] == ["GP, direct", "GP, indirect"]
+    assert lines[1].endswith("(paper -0.32)")
+    assert headline([finding for finding in find(results) if finding.method.estimator != "gp"]) == []

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import struct
+from pathlib import Path
+
+import pytest
+
+from foreglow.lab.studies.glare.figures import README_WIDTH_PX
+from foreglow.lab.studies.glare.limits import R123
+from foreglow.lab.studies.glare.metrics import score_glare
+from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_report
+from foreglow.lab.studies.glare.results import GlareResults, SensitivityPoint
+from tests.lab.evaluation.glare_drives import approach, empty_drive
+
+pytest.importorskip("matplotlib")
+
+DRIVES = (approach(0), approach(1), approach(9, is_oncoming=False), empty_drive(0))
+
+
+@pytest.fixture(scope="module")
+def results() -> GlareResults:
+    results = score_glare("made up", DRIVES)
+    points = [
+        SensitivityPoint.of("detector threshold", "", value, results.policy("foreglow")) for value in (0.0, 100.0)
+    ]
+    return dataclasses.replace(results, sensitivity=tuple(points))
+
+
+@pytest.fixture(scope="module")
+def folder(results: GlareResults, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    shown = [dataclasses.replace(DRIVES[0], pictures={"Both beams <b>": "b.mp4", "Still": "s.png"}), DRIVES[3]]
+    root = tmp_path_factory.mktemp("glare") / "out"
+    assert write_report(results, shown, root, [score_glare("made up", DRIVES, R123)]) == root / "report.html"
+    return root
+
+
+def test_the_folder(folder: Path, results: GlareResults) -> None:
+    figures = {"boxes", "bins", "sensitivity_detector_threshold", "lux_approach_00", "corridor_approach_00"}
+    names = {f"{name}.png" for name in (*figures, "readme")} | {"report.html", "results.json", "drives.csv"}
+    assert {path.name for path in folder.iterdir()} == names
+    record = json.loads((folder / "results.json").read_text())
+    assert record["made_with"]["version"]
+    assert record["others"][0]["limits"] == "UN R123"
+    assert GlareResults.from_json(record).to_json() == results.to_json()
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/png") == len(figures)
+    assert '<video controls style="max-width: 100%" src="b.mp4">' in page
+    assert "Both beams &lt;b&gt;" in page
+    assert 'src="s.png"' in page
+    assert "statement of compliance" in page
+    assert "Against other limits: UN R123" in page
+
+
+def test_the_readme_figure_is_as_wide_as_its_column(folder: Path) -> None:
+    width, _ = struct.unpack(">II", (folder / "readme.png").read_bytes()[16:24])
+    assert width == README_WIDTH_PX
+
+
+def test_a_row_for_each_policy_and_drive(folder: Path, results: GlareResults) -> None:
+    with (folder / "drives.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 6 * 4
+    high = [row for row in rows if row["policy"] == "high"]
+    dose_lxs = results.policy("high").drives[0].dose_lxs(is_oncoming=True)
+    assert float(high[0]["oncoming_dose_lxs"]) == pytest.approx(dose_lxs, rel=1e-5)
+    assert (high[0]["own_lane_kept"], high[0]["preceding_dose_lxs"]) == ("1", "")
+    assert (high[3]["oncoming_dose_lxs"], high[3]["wrong_dimmings"]) == ("", "0")
+
+
+def test_the_same_results_give_the_same_files(results: GlareResults, tmp_path: Path) -> None:
+    first, second = (write_report(results, DRIVES[:1], tmp_path / name) for name in "ab")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> None:
+    runs = {name: DRIVES[3].runs[name] for name in ("low", "high")}
+    drive = dataclasses.replace(DRIVES[3], runs=runs)
+    page = write_report(score_glare("empty", [drive]), [drive], tmp_path).read_text()
+    assert "Preceding drivers" not in page
+    assert page.count("data:image/png") == 2
+
+
+def test_in_words(results: GlareResults) -> None:
+    lines = summary_lines(results)
+    assert lines[0].startswith("foreglow: glare dose of 2 oncoming drivers ")
+    assert "100% dark from the beginning" in lines[1]
+    assert "(low beam 25%), after it 100%" in lines[2]
+
+
+def test_the_driver_to_look_at() -> None:
+    drive = DRIVES[0]
+    follows = dataclasses.replace(drive.eyes[0], vehicle_id=5, is_oncoming=False)
+    later = dataclasses.replace(drive.eyes[0], vehicle_id=4)
+    drive = dataclasses.replace(drive, eyes=(follows, later, *drive.eyes))
+    assert eye_to_show(drive).vehicle_id == 1
+    with pytest.raises(ValueError, match="there is none"):
+        eye_to_show(DRIVES[3])

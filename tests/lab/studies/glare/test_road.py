@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
+from foreglow.lab.studies.glare.road import phase_light, phases, road_share, switching, wrong_dimming
+
+NUM = 20
+SEEN = range(6, 10)
+"""In one frame a second, a vehicle is in range from 4 to 9 s, sees us from 6 to 9 s, its light is there from 5 s on."""
+
+
+def drive(**changes: Any) -> GlareDrive:
+    frames = np.arange(NUM)
+    is_known = (frames >= 4) & (frames <= 9)
+    eye = DriverEye(
+        vehicle_id=3,
+        kind="car",
+        is_oncoming=True,
+        ranges_m=np.where(is_known, 100.0, math.nan),
+        azimuths_rad=np.where(is_known, 0.0, math.nan),
+        is_in_sight=np.isin(frames, SEEN),
+        base_lx=np.zeros(NUM),
+        leds_lx=np.zeros((NUM, 2, 1), np.float32),
+    )
+    # Own lane: low beam 2, full 10 lx; verge: 1 and 2 lx.
+    leds_lx = np.tile(np.array([[[4.0], [4.0]], [[0.5], [0.5]]], np.float32), (NUM, 1, 1, 1))
+    fields: dict[str, Any] = {"eyes": (eye,), "light_s": {3: 5.0}, "speeds_mps": np.full(NUM, 20.0)} | changes
+    road = RoadLight(np.tile([2.0, 1.0], (NUM, 1)), leds_lx)
+    return GlareDrive("a", "curve", 1.0, frames.astype(float), road=road, runs={}, **fields)
+
+
+def run(**dimmed: float) -> PolicyRun:
+    """Full beam, but for the frames in `dimmed`, such as f3=0.5."""
+    levels = np.ones((NUM, 2, 1))
+    for frame, level in dimmed.items():
+        levels[int(frame[1:])] = level
+    return PolicyRun.of("x", levels)
+
+
+def frames_of(mask: np.ndarray[Any, np.dtype[np.bool_]]) -> list[int]:
+    return np.flatnonzero(mask).tolist()
+
+
+def test_phases() -> None:
+    found = phases(drive(), restore_s=2.0)
+    assert frames_of(found.is_present) == [5, 6, 7, 8, 9]
+    assert frames_of(found.is_passed) == list(range(12, 20))
+    assert frames_of(found.is_free) == [0, 1, *range(12, 20)]
+
+
+def test_without_a_labelled_light_the_first_sight_begins() -> None:
+    assert frames_of(phases(drive(light_s={})).is_present) == [6, 7, 8, 9]
+
+
+def test_a_vehicle_that_stays_is_present_to_the_end() -> None:
+    eye = drive().eyes[0]
+    stays = dataclasses.replace(eye, ranges_m=np.full(NUM, 50.0), azimuths_rad=np.zeros(NUM))
+    found = phases(drive(eyes=(stays,)))
+    assert frames_of(found.is_present) == list(range(5, 20))
+    assert not found.is_passed.any()
+    lit = phases(drive(light_s={3: 5.0, 4: 17.0}))  # a light without an eye
+    assert frames_of(lit.is_passed) == [12, 13, 14, 15, 16]
+    assert frames_of(lit.is_free) == [0, 1, 12, 13]
+
+
+def test_a_drive_without_vehicles_is_free() -> None:
+    found = phases(drive(eyes=(), light_s={}))
+    assert found.is_free.all()
+    assert not found.is_present.any()
+    assert not found.is_passed.any()
+
+
+def test_slow_frames_are_in_no_phase() -> None:
+    speeds = np.full(NUM, 20.0)
+    speeds[[0, 7, 15]] = 8.8  # 31.7 km/h
+    speeds[1] = math.nan
+    found = phases(drive(speeds_mps=speeds))
+    assert frames_of(found.is_present) == [5, 6, 8, 9]
+    assert frames_of(found.is_free) == [1, 12, 13, 14, 16, 17, 18, 19]
+
+
+def test_light_kept() -> None:
+    its = drive()
+    found = phase_light(its, run(f5=0.5, f6=0.0, f15=0.0), phases(its).is_present)
+    assert found.seconds == 5.0
+    assert found.kept_lxs == (6.0 + 2.0 + 30.0, 1.5 + 1.0 + 6.0)
+    assert found.full_lxs == (50.0, 10.0)
+    assert found.low_lxs == (10.0, 5.0)
+
+
+def test_switching() -> None:
+    # Both areas together: low beam 3, full 12 lx.
+    found = switching(drive(), run(f3=0.0, f4=0.5, f5=0.9))
+    assert (found.seconds, found.num_falls, found.num_rises) == (19.0, 1, 2)
+    assert found.change == pytest.approx(2 * 0.75)
+    assert found.level_change == pytest.approx(2.0)
+    still = switching(drive(), run())
+    assert (still.change, still.num_falls, still.num_rises, still.level_change) == (0.0, 0, 0, 0.0)
+
+
+def test_the_roads_own_ups_and_downs_are_no_switching() -> None:
+    its = drive()
+    wave = 1.0 + 0.5 * np.sin(np.arange(NUM))[:, np.newaxis]
+    leds_lx = (its.road.leds_lx * wave[..., np.newaxis, np.newaxis]).astype(np.float32)
+    road = RoadLight(its.road.base_lx * wave, leds_lx)
+    assert switching(dataclasses.replace(its, road=road), run(f0=0.5, f1=0.5)).change == pytest.approx(0.375, abs=1e-6)
+
+
+def test_no_light_on_the_road_at_all() -> None:
+    its = drive()
+    dark = RoadLight(np.zeros((NUM, 2)), np.zeros((NUM, 2, 2, 1), np.float32))
+    assert road_share(dataclasses.replace(its, road=dark), run(f3=0.0)).tolist() == [1.0] * NUM
+
+
+def test_wrong_dimming() -> None:
+    its = drive()
+    is_free = phases(its).is_free
+    # Twice without anybody; the one for the vehicle, and what lasts of it beyond 12 s, is no event.
+    found = wrong_dimming(its, run(f1=0.5, f9=0.0, f10=0.0, f11=0.0, f12=0.5, f15=0.0, f16=0.0), is_free)
+    assert found.seconds == 10.0
+    assert found.num_events == 2
+    assert found.dimmed_s == 4.0
+    assert found.leds_off_s == pytest.approx(0.5 + 0.5 + 1.0 + 1.0)
+    assert found.road_lost_s == pytest.approx(0.75 * 3.0)
+
+
+def test_low_beam_has_no_event_but_is_dimmed_all_the_time() -> None:
+    its = drive()
+    low = PolicyRun.of("low", np.zeros((NUM, 2, 1)))
+    found = wrong_dimming(its, low, phases(its).is_free)
+    assert (found.num_events, found.dimmed_s, found.leds_off_s) == (0, 10.0, 10.0)
+    almost = wrong_dimming(its, run(f15=0.991), phases(its).is_free)
+    assert (almost.num_events, almost.dimmed_s) == (0, 0.0)

@@ -1,0 +1,215 @@
+"""The closed loop on glare: its light against the simulator's own, its delays, and whole small experiments."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.beam import Gap, GapWriter
+from foreglow.config import BeamConfig, PipelineConfig, preset
+from foreglow.geometry import Floats
+from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without_traffic
+from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
+from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
+from foreglow.lab.simulation.writing.truth_files import SceneFile, write_scenes
+from foreglow.lab.studies.glare.drive_file import read_glare_drive
+from foreglow.lab.studies.glare.driving import RUN_IN_S, settings_of
+from foreglow.lab.studies.glare.light import OurLight, seen_lamps
+from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
+from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
+from foreglow.lab.studies.occurrence.metrics import Sighting, lead_scores
+from foreglow.photometry import NUM_LEDS, read_headlamps
+from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
+from tests.lab.simulation.light.rendering import need_renderer
+
+BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
+ONCOMING = VehicleSpec(timetable=((0.0, 150.0), (10.0, -50.0)))
+AHEAD = VehicleSpec(lane="own", timetable=((0.0, 60.0), (10.0, 260.0)))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _ready() -> None:
+    need_renderer()
+
+
+def scene(duration_s: float = 3 / 18, **changes: object) -> Scene:
+    """A car comes towards us, another drives ahead of us; 160x120 pixels."""
+    fields: dict[str, object] = {
+        "duration_s": duration_s,
+        "road": RoadSpec(length_m=300.0),
+        "surroundings": SurroundingsSpec(left=BARE, right=BARE, delineator_spacing_m=0.0),
+        "vehicles": (ONCOMING, AHEAD),
+        "ego": EgoSpec(
+            timetable=((0.0, 20.0), (10.0, 220.0)), brightness=1.2, yaw_aim_deg=0.4, pitch_aim_deg=-0.2, body_motion=1.0
+        ),
+        "camera": CameraSpec(width_px=160, height_px=120, focal_px=164.0),
+    }
+    return Scene(**(fields | changes))  # type: ignore[arg-type]
+
+
+class Constant:
+    """A car that always wants the same levels."""
+
+    def __init__(self, levels: Floats) -> None:
+        self._levels = levels
+
+    def step(self, known: DriveFrame) -> tuple[FrameResult, BeamCommand]:
+        now_ns = known.frame.timestamp_ns
+        result = FrameResult(known.frame.frame, now_ns, Proposals(np.zeros((0, 4), np.int32)), None)
+        return result, BeamCommand(now_ns, BeamMode.GLARE_FREE, self._levels)
+
+    def lit(self, known: DriveFrame, levels: Floats) -> Floats:  # noqa: ARG002
+        return levels
+
+
+def test_light_at_an_eye_is_the_simulators() -> None:
+    """Base and LEDs apart give what the simulator sums up, with mis-aim, brightness and body motion."""
+    levels = np.random.default_rng(3).uniform(size=(2, NUM_LEDS))
+    source = Drive(with_beam(scene(), "matrix"), "fast")
+    source.set_led_levels(levels)
+    for known in source.frames():
+        oncoming = known.vehicles[0]
+        eye = OurLight(source.scene).at_eye(known, oncoming, levels)
+        assert eye.is_in_sight
+        assert eye.base_lx + (levels * eye.leds_lx).sum() == pytest.approx(oncoming.eye_lx["ego"], rel=1e-4)
+        x, y, _ = known.ego_pose.to_body(oncoming.eye_world_m)
+        assert (eye.range_m, eye.azimuth_rad) == pytest.approx((math.hypot(x, y), math.atan2(y, x)))
+
+
+def test_mirrors_of_a_vehicle_ahead_are_lit_from_behind() -> None:
+    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    eye = OurLight(scene()).at_eye(known, known.vehicles[1], np.ones((2, NUM_LEDS)))
+    assert eye.is_in_sight
+    assert known.vehicles[1].eye_lx["ego"] == 0.0  # its driver looks away from us
+    assert eye.base_lx > 0.1
+
+
+@pytest.mark.parametrize("is_seen", [[False, False], [True, False], [False, True], [True, True]])
+def test_seen_lamps_are_told_by_their_sum(is_seen: list[bool]) -> None:
+    expected_lx = np.array([0.4, 0.7])
+    assert seen_lamps(expected_lx, float(expected_lx @ is_seen) * 1.01).tolist() == is_seen
+
+
+def test_road_light_is_linear_and_less_far_away() -> None:
+    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    base, leds = OurLight(scene()).on_road(known)
+    assert base.shape == (2,)
+    assert leds.shape == (2, 2, NUM_LEDS)
+    dark, bright = (OurLight(scene(ego=EgoSpec(brightness=one))).on_road(known)[1] for one in (0.5, 1.0))
+    np.testing.assert_allclose(bright, 2.0 * dark, rtol=1e-6, atol=1e-12)
+
+
+def loop(delays: Delays, num: int = 12) -> list[Shone]:
+    return list(closed_loop(scene(num / 18), Constant(np.full((2, NUM_LEDS), 0.6)), delays, "fast"))
+
+
+@pytest.mark.parametrize("lamp_s", [0.0, 0.1])
+def test_light_follows_after_the_delays(lamp_s: float) -> None:
+    """The receiver wants four commands (one to compare with, three good ones), then the lamps' latency passes."""
+    shone = loop(Delays(camera_s=0.02, lamp_s=lamp_s))
+    first = next(place for place, one in enumerate(shone) if one.levels.any())
+    lit_s = 3 / 18 + 0.02 + lamp_s
+    assert first == math.ceil(lit_s * 18 - 1e-6)
+    assert shone[first].levels.max() == pytest.approx(0.6, abs=1 / 255)
+    assert shone[first].levels.max() <= 0.6
+
+
+def test_commands_may_take_longer_than_a_frame() -> None:
+    assert loop(Delays(camera_s=0.12, lamp_s=0.0))[-1].levels.any()
+
+
+def test_commands_that_come_too_late_end_in_low_beam() -> None:
+    assert not any(one.levels.any() for one in loop(Delays(camera_s=0.4, lamp_s=0.0), num=14))
+
+
+def test_images_are_lit_by_what_was_commanded() -> None:
+    """The picture of the closed loop brightens when the light comes."""
+    shone = loop(Delays(camera_s=0.02, lamp_s=0.0))
+    means = [float(one.known.frame.image.mean()) for one in shone]
+    first = next(place for place, one in enumerate(shone) if one.levels.any())
+    assert means[first] > max(means[:first]) + 0.3
+
+
+def test_exact_gaps_hold_the_body() -> None:
+    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    (gap,) = exact_gaps(known, known.vehicles[:1])
+    x, y, _ = known.ego_pose.to_body(known.vehicles[0].eye_world_m)
+    assert gap.right_rad < math.atan2(y, x) < gap.left_rad
+    assert gap.near_m < math.hypot(x, y) < gap.far_m
+
+
+def test_the_papers_lamps_obey_the_production_system_while_it_reports() -> None:
+    writer = GapWriter(BeamConfig(), read_headlamps())
+    production = writer.command(1, [Gap(0.0, 0.1, 50.0, 60.0)]).levels
+    provident = np.full((2, NUM_LEDS), 0.5)
+    assert both(production, True, provident) is production
+    assert (both(production, False, provident) <= provident).all()
+
+
+def config() -> PipelineConfig:
+    return preset("foreglow")
+
+
+def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
+    from foreglow.lab.simulation.writing.lidar import LidarConfig
+    from foreglow.lab.simulation.writing.street_data import StreetDataError
+    from foreglow.lab.simulation.writing.truth_files import Making
+
+    making = Making(generator="test", lidar=LidarConfig(), street=StreetDataError())
+    files = [SceneFile(sequence=place, made_with=making, scene=one) for place, one in enumerate(scenes, start=1)]
+    write_scenes(folder, files)
+    return folder / "scenes.jsonl"
+
+
+def test_a_small_experiment_and_its_resumption(tmp_path: Path) -> None:
+    scenes = write_scenes_of(tmp_path, scene(RUN_IN_S + 4 / 18))
+    plan, out = GlarePlan(num_empty=1, quality="fast"), tmp_path / "out"
+    told: list[tuple[int, int, int]] = []
+    experiment = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
+    assert [one.name for one in experiment.results.policies] == [
+        "low", "high", "production", "paper", "foreglow", "oracle",
+    ]  # fmt: skip
+    assert len(experiment.results.sensitivity) == len(settings_of(plan.delays))
+    drive = read_glare_drive(out / "drives" / "S00001.npz")
+    assert drive.times_s[0] >= RUN_IN_S
+    assert {one.is_oncoming for one in drive.eyes} == {True, False}
+    assert not read_glare_drive(out / "drives" / "S00001-empty.npz").eyes
+    assert (drive.eyes[0].illuminance_lx(1.0) > drive.eyes[0].illuminance_lx(0.0)).all()
+    told.clear()
+    again = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
+    assert len(told) == 2  # both are there
+    assert again.results.to_json() == experiment.results.to_json()
+    other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
+    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+        run_experiment(scenes, other, plan, out, progress=lambda *_: None)
+
+
+def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
+    file = write_scenes_of(tmp_path, scene(), scene(seed=5))
+    plan = GlarePlan(num_empty=1)
+    named = named_scenes(tmp_path, plan)
+    assert [one.name for one in named] == ["S00001", "S00002", "S00001-empty"]
+    assert named == named_scenes(file, plan)
+    assert named[2].scene == without_traffic(scene())
+    with pytest.raises(FileNotFoundError, match=r"nowhere: no such file; expected the scenes\.jsonl"):
+        named_scenes(tmp_path / "nowhere", plan)
+    file.write_text(json.dumps({"sequence": 1}) + "\n")
+    with pytest.raises(ValueError, match=r"scenes\.jsonl: line 1: scene"):
+        named_scenes(file, plan)
+    file.write_text("")
+    with pytest.raises(ValueError, match="expected at least one scene"):
+        named_scenes(file, plan)
+
+
+def test_lead_scores_leave_out_what_was_not_told() -> None:
+    told = Sighting(0, 1.0, 1.0, 0.2, 3.0, is_covered=True)
+    untold = Sighting.from_json(Sighting(1, 1.0, math.nan, math.nan, math.nan, is_covered=False).to_json())
+    (score,) = lead_scores([told, untold])
+    assert (score.num, score.num_told, score.median_deg, score.covered_share) == (2, 1, 1.0, 1.0)
+    (nothing,) = lead_scores([untold])
+    assert nothing.num_told == 0
+    assert math.isnan(nothing.median_deg)

@@ -1,0 +1,88 @@
+"""Encounters and the time benefit: cases worked by hand."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, shipped_drive
+from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
+from foreglow.lab.evaluation.boxes.first_found import first_found
+from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
+from foreglow.lab.studies.time_benefit.metrics import detection_times_s, time_benefit
+from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
+from tests.lab.evaluation.scored_boxes import predictions_of
+
+NAN = math.nan
+
+
+@pytest.fixture(name="dataset")
+def fixture_dataset(tmp_path: Path) -> PVDN:
+    """Sequence 3, images 11 to 13: rear lamps, then light of hidden vehicle 7, then its lamp and that of vehicle 2."""
+    root = make_pvdn(tmp_path)
+    annotations = {
+        11: [labelled_vehicle(1, (5, 5, True), is_rear=True)],
+        12: [labelled_vehicle(7, (22, 30, False))],
+        13: [labelled_vehicle(2, (80, 20, True)), labelled_vehicle(7, (24, 30, False), (30, 28, True))],
+    }
+    for image_id, its in annotations.items():
+        write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": its})
+    return PVDN(root)
+
+
+def test_the_first_vehicle_is_the_one_whose_light_comes_first(dataset: PVDN) -> None:
+    labels = read_split_labels(dataset)
+    (one,) = [one for one in read_encounters(dataset, labels) if one.sequence == "S00003"]
+    assert (one.sequence_id, one.vehicle_id, one.vehicle, one.scenario) == (3, 7, "vehicle", "")
+    assert (one.light_s, one.sight_s, one.duration_s) == (1 / 18, 2 / 18, 2 / 18)
+    assert one.production_s == 2 / 18  # image 13 is of the category for low beam
+    assert one.is_occluded
+    boxes = predictions_of({11: [(0, 0, 10, 10, 0.9)], 13: [(20, 25, 28, 35, 0.9), (75, 15, 85, 25, 0.9)]})
+    found = first_found(labels, match_lights(labels, boxes), 0.5)
+    assert detection_times_s([one], found) == (2 / 18,)
+    assert math.isnan(detection_times_s([one], [])[0])
+
+
+def test_the_category_of_the_production_system_can_be_chosen(dataset: PVDN) -> None:
+    labels = read_split_labels(dataset)
+    categories = CategoryConfig(low_beam_trigger=ImageCategory.LOW_BEAM)
+    (one,) = [one for one in read_encounters(dataset, labels, categories) if one.sequence == "S00003"]
+    assert math.isnan(one.production_s)
+
+
+def test_a_simulated_encounter_knows_scenario_and_vehicle() -> None:
+    dataset = PVDN(shipped_drive())
+    (one,) = read_encounters(dataset, read_split_labels(dataset))
+    assert (one.scenario, one.vehicle) == ("curve", "car")
+    assert one.light_s < one.sight_s < one.production_s < one.duration_s
+
+
+def encounter(light_s: float, sight_s: float, production_s: float) -> Encounter:
+    return Encounter(1, "S00001", "crest", 0, "car", light_s, sight_s, production_s, 9.0)
+
+
+def test_the_benefit_worked_by_hand() -> None:
+    encounters = [
+        encounter(1.0, 2.0, 4.0),
+        encounter(3.0, 3.0, 4.0),
+        encounter(2.0, 4.0, NAN),
+        encounter(1.0, NAN, 5.0),
+    ]
+    result = time_benefit("tracker", encounters, [1.5, 3.5, NAN, 3.0])
+    assert (result.delays_s.num, result.delays_s.mean, result.delays_s.median) == (3, 1.0, 0.5)
+    assert (result.before_production_s.num, result.before_production_s.mean) == (3, (2.5 + 0.5 + 2.0) / 3)
+    assert (result.occluded_before_production_s.num, result.occluded_before_production_s.mean) == (2, 2.25)
+    assert result.before_human_s.mean == pytest.approx((0.3 + 0.3 - 1.2) / 3)
+    assert (result.before_sight_s.num, result.before_sight_s.mean) == (1, 0.5)  # of the first alone
+    # Of three occluded ones the first and the last, which never comes into sight.
+    assert result.provident_share == pytest.approx(2 / 3)
+    assert result.num_missed == 1
+    assert result.to_json()["detected_s"] == [1.5, 3.5, None, 3.0]
+
+
+def test_no_encounter() -> None:
+    result = time_benefit("tracker", [], [])
+    assert (result.delays_s.num, result.num_missed) == (0, 0)
+    assert math.isnan(result.provident_share)

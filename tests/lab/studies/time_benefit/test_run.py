@@ -1,0 +1,144 @@
+"""The experiment on the time benefit, on the drive that ships, and its report."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from foreglow.config import TrackerConfig, preset
+from foreglow.datasets import PVDN, shipped_drive
+from foreglow.lab.studies.time_benefit.metrics import time_benefit
+from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
+from foreglow.lab.studies.time_benefit.run import (
+    FIVE_FRAMES,
+    RULES,
+    TRACKERS,
+    FalseTracks,
+    Method,
+    TimeBenefitResults,
+    least_delay_s,
+    run_experiment,
+)
+from foreglow.pipeline import Pipeline
+from tests.datasets.tiny_pvdn import make_pvdn, write
+
+
+@pytest.fixture(name="results", scope="module")
+def fixture_results() -> TimeBenefitResults:
+    return run_experiment(PVDN(shipped_drive()), preset("foreglow"))
+
+
+def test_every_method_has_a_row(results: TimeBenefitResults) -> None:
+    (encounter,) = results.encounters
+    assert [one.benefit.name for one in results.methods] == [
+        "single frame", *TRACKERS, "human", "first lamp in sight", "production system",
+    ]  # fmt: skip
+    detected = {one.benefit.name: one.benefit.detected_s[0] for one in results.methods}
+    assert detected["human"] == encounter.light_s + 0.8
+    assert detected["first lamp in sight"] == encounter.sight_s
+    assert detected["production system"] == encounter.production_s
+    assert encounter.light_s <= detected["single frame"] <= detected["tracker, paper"] < encounter.production_s
+    assert results.method("human").false is None
+
+
+def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResults) -> None:
+    dataset = PVDN(shipped_drive())
+    plausible = set()
+    for result in Pipeline().run(dataset):
+        assert result.tracks is not None
+        plausible |= set(result.tracks.ids[result.tracks.is_plausible].tolist())
+    false = results.method("tracker, ours").false
+    assert false is not None
+    assert false.num_plausible == len(plausible)
+    assert false.num <= false.num_plausible
+    assert false.minutes == pytest.approx(len(dataset) / 18.0 / 60.0)
+    assert 0.03 < false.km < 0.2
+
+
+def test_more_frames_confirm_later_and_less(results: TimeBenefitResults) -> None:
+    assert set(results.curves) == set(RULES)
+    frames = results.curves["frames"]
+    numbers = [one.false.num_plausible for one in frames if one.false is not None]
+    times = [one.benefit.detected_s[0] for one in frames]
+    assert numbers == sorted(numbers, reverse=True)
+    assert times == sorted(times)
+    assert numbers[0] > numbers[-1]
+    assert any(one.benefit.name == FIVE_FRAMES for one in frames)
+
+
+def method(name: str, num_false: int, delay_s: float) -> Method:
+    return Method(time_benefit(name, [], []), FalseTracks(num_false, 9, 2.0, math.nan, 0, 0.5), delay_s)
+
+
+def test_the_least_delay_at_a_rate() -> None:
+    curve = [method("1", 8, 0.2), method("2", 4, 0.5), method("3", 3, 0.7)]
+    assert least_delay_s(curve, 4.0) == 0.2
+    assert least_delay_s(curve, 3.9) == 0.5
+    assert least_delay_s(curve, 1.5) == 0.7
+    assert math.isnan(least_delay_s(curve, 1.0))
+    assert curve[0].false is not None
+    assert math.isnan(curve[0].false.per_km)
+
+
+def test_a_set_without_a_vehicle(tmp_path: Path) -> None:
+    root = make_pvdn(tmp_path)
+    for path in (root / "labels/keypoints").glob("*.json"):
+        write(path, {"image_id": int(path.stem), "annotations": []})
+    with pytest.raises(ValueError, match="expected a vehicle whose light is annotated, found none"):
+        run_experiment(PVDN(root), preset("foreglow"))
+
+
+def test_a_configuration_without_a_model() -> None:
+    with pytest.raises(ValueError, match=r"classifier\.model: expected one, the configuration has none"):
+        run_experiment(PVDN(shipped_drive()), preset("paper"))
+
+
+def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    report = write_report(results, tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "results.json", "config.toml", "sequences.csv", "report.md", "benefit.png", "sequences.png", "confirmation.png",
+    }  # fmt: skip
+    text = report.read_text()
+    assert "| tracker, ours |" in text
+    assert "| S00001 | curve | car |" in text
+    (row,) = csv.DictReader((tmp_path / "sequences.csv").read_text().splitlines())
+    assert float(row["light_s"]) == pytest.approx(results.encounters[0].light_s, abs=1e-4)
+    stored = json.loads((tmp_path / "results.json").read_text())
+    assert stored["encounters"][0]["sequence"] == "S00001"
+    assert len(stored["curves"]["evidence"]) == len(RULES["evidence"])
+    assert stored["made_with"]["version"]
+    assert "1 vehicle, 1 of them occluded" in summary_lines(results)[0]
+
+
+def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
+    """PVDN's layout alone: nobody knows the speed, and the production system is a category of the images."""
+    root = make_pvdn(tmp_path)
+    lamp = {"pos": [20, 30], "iid": 0, "direct": True, "rear": False}
+    vehicle = {"pos": [20, 30], "oid": 7, "direct": True, "instances": [lamp]}
+    for image_id in (11, 12, 13):
+        write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
+    results = run_experiment(PVDN(root), preset("foreglow"))
+    one = next(one for one in results.encounters if one.sequence == "S00003")
+    assert (one.vehicle, one.scenario, one.production_s) == ("vehicle", "", 2 / 18)
+    false = results.method("tracker, ours").false
+    assert false is not None
+    assert math.isnan(false.per_km)
+    record = results.to_json()
+    assert record["methods"][3]["false"]["per_km"] is None
+    write_report(results, tmp_path / "report")
+
+
+def test_a_tracker_of_ones_own_has_a_row() -> None:
+    own = TrackerConfig(min_hits=2)
+    config = preset("foreglow").model_copy(update={"tracker": own})
+    results = run_experiment(PVDN(shipped_drive()), config)
+    two_frames, five_frames = (results.method(name).false for name in ("tracker, configured", "tracker, paper"))
+    assert two_frames is not None
+    assert five_frames is not None
+    assert two_frames.num_plausible > five_frames.num_plausible

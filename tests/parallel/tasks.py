@@ -1,0 +1,95 @@
+"""Work for the tests of the workers, in a module that other processes can import."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from foreglow.datasets import PVDN
+from foreglow.parallel import Parent
+from foreglow.types import Frame
+
+
+def square(item: int, parent: Parent) -> int:
+    parent.tell("squared", item)
+    return item * item
+
+
+def process_of(item: float, parent: Parent) -> int:  # noqa: ARG001
+    time.sleep(item)
+    return os.getpid()
+
+
+def fail_at(item: tuple[bool, Path], parent: Parent) -> str:  # noqa: ARG001
+    """Fails at once where it is told to, and else takes until that must be known."""
+    is_bad, folder = item
+    failed = folder.parent / "failed"
+    if is_bad:
+        failed.touch()
+        raise ValueError(f"{folder}: bad item")
+    until_s = time.monotonic() + 20.0
+    while not failed.exists() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    time.sleep(1.5)
+    (folder / "finished").touch()
+    return "good"
+
+
+def die_once(item: Path, parent: Parent) -> int:
+    """Notes each attempt in a folder; the first of an item called `fatal` ends its process as the kernel would."""
+    (item / f"{time.monotonic_ns()}").touch()
+    num_attempts = len(list(item.iterdir()))
+    parent.tell(item.name, num_attempts)
+    if item.name == "fatal" and num_attempts == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.3)
+    return num_attempts
+
+
+def die(item: str, parent: Parent) -> None:  # noqa: ARG001
+    if item == "fatal":
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def wait_for_stop(item: Path, parent: Parent) -> str:
+    """Notes its process in a file, works until it is told to stop, and notes that, too."""
+    item.with_suffix(".started").write_text(str(os.getpid()))
+    parent.tell("started", item.name)
+    until_s = time.monotonic() + 30.0
+    while not parent.is_stopped and time.monotonic() < until_s:
+        time.sleep(0.01)
+        item.with_suffix(".working").touch()
+    item.with_suffix(".stopped").touch()
+    return "stopped" if parent.is_stopped else "late"
+
+
+def read_here(item: str, parent: Parent) -> str:  # noqa: ARG001
+    """The text of a file whose path is relative to the folder of the first process."""
+    return Path(item).read_text()
+
+
+class DeadlySplit(PVDN):
+    """A split that notes which sequences are begun, and whose second one ends the process that reads it first."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        (name,) = self.directories
+        notes = self.root / "begun"
+        notes.mkdir(exist_ok=True)
+        (notes / f"{name}-{time.monotonic_ns()}").touch()
+        is_fatal = name == "S00002" and len(list(notes.glob(f"{name}-*"))) == 1
+        for place, frame in enumerate(super().__iter__()):
+            if is_fatal and place == 2:
+                os.kill(os.getpid(), signal.SIGKILL)
+            yield frame
+
+
+class SlowSplit(PVDN):
+    """A split whose frames take their time."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in super().__iter__():
+            yield frame
+            time.sleep(0.4)

@@ -1,0 +1,152 @@
+"""Work in processes of this machine: lost ones, errors, Ctrl-C, and a parent that is gone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from foreglow.parallel import MAX_DEATHS, Cluster, Local, workers_at
+from tests.parallel import tasks
+
+
+def nobody(*_: object) -> None:
+    pass
+
+
+def folders(root: Path, *names: str) -> dict[str, Path]:
+    for name in names:
+        (root / name).mkdir()
+    return {name: root / name for name in names}
+
+
+def wait_for(*paths: Path) -> None:
+    until_s = time.monotonic() + 20.0
+    while not all(path.exists() and path.stat().st_size for path in paths) and time.monotonic() < until_s:
+        time.sleep(0.02)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return status.rpartition(")")[2].split()[0] != "Z"
+
+
+def wait_until_gone(*pids: int) -> None:
+    until_s = time.monotonic() + 10.0
+    while any(is_running(pid) for pid in pids) and time.monotonic() < until_s:
+        time.sleep(0.02)
+    assert not [pid for pid in pids if is_running(pid)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_all_items_are_worked_on_and_tell(jobs: int) -> None:
+    told: list[tuple[str, int]] = []
+    items = {str(number): number for number in range(9)}
+    found = dict(Local(jobs).each(tasks.square, items, lambda *news: told.append(news)))
+    assert found == {str(number): number * number for number in range(9)}
+    assert sorted(told) == [("squared", number) for number in range(9)]
+
+
+def test_one_job_or_one_item_stays_in_this_process() -> None:
+    assert dict(Local(1).each(tasks.process_of, {"a": 0.0, "b": 0.0}, nobody)) == {"a": os.getpid(), "b": os.getpid()}
+    assert dict(Local(2).each(tasks.process_of, {"a": 0.0}, nobody)) == {"a": os.getpid()}
+    assert dict(Local(2).each(tasks.process_of, {}, nobody)) == {}
+
+
+def test_processes_are_used_again() -> None:
+    items = {str(number): 0.1 for number in range(6)}
+    pids = set(dict(Local(2).each(tasks.process_of, items, nobody)).values())
+    assert len(pids) == 2
+    assert os.getpid() not in pids
+    wait_until_gone(*pids)
+
+
+def test_a_lost_process_costs_its_own_item_only(tmp_path: Path) -> None:
+    items = folders(tmp_path, "before", "fatal", "beside", "after")
+    assert dict(Local(2).each(tasks.die_once, items, nobody)) == {"before": 1, "fatal": 2, "beside": 1, "after": 1}
+
+
+def test_an_item_that_costs_too_many_processes_is_named() -> None:
+    found: list[str] = []
+    with pytest.raises(ChildProcessError, match=f"^fatal: {MAX_DEATHS} processes that worked on it ended unexpectedly"):
+        found.extend(name for name, _ in Local(2).each(tasks.die, {"fine": "fine", "fatal": "fatal"}, nobody))
+    assert found == ["fine"]
+
+
+def test_after_an_error_those_under_way_are_finished_and_no_more_begun(tmp_path: Path) -> None:
+    items = {name: (name == "bad", path) for name, path in folders(tmp_path, "good", "bad", "never").items()}
+    found: list[str] = []
+    with pytest.raises(ValueError, match="bad item"):
+        found.extend(name for name, _ in Local(2).each(tasks.fail_at, items, nobody))
+    assert found == ["good"]
+    assert (tmp_path / "good" / "finished").exists()
+    assert not (tmp_path / "never" / "finished").exists()
+
+
+def test_asked_to_stop_work_returns_what_it_has(tmp_path: Path) -> None:
+    started: list[str] = []
+    items = {name: tmp_path / f"{name}.x" for name in ("a", "b", "c")}
+    found = dict(
+        Local(2).each(
+            tasks.wait_for_stop, items, lambda _, name: started.append(name), is_stopped=lambda: len(started) == 2
+        )
+    )
+    assert found == {"a": "stopped", "b": "stopped"}
+
+
+def test_who_leaves_early_leaves_no_process_behind(tmp_path: Path) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    items = {name: tmp_path / f"{name}.x" for name in ("a", "b", "c")}
+    with pytest.raises(KeyboardInterrupt):
+        list(Local(2).each(tasks.wait_for_stop, items, interrupt))
+    pids = [int(path.read_text()) for path in tmp_path.glob("*.started")]
+    assert pids
+    wait_until_gone(*pids)
+    assert len(list(tmp_path.glob("*.stopped"))) == len(pids)  # they were asked first
+
+
+SCRIPT = """
+import signal
+import sys
+from pathlib import Path
+from foreglow.parallel import Local
+from tests.parallel import tasks
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what runs in the background without
+
+items = {name: Path(sys.argv[1]) / f"{name}.x" for name in ("a", "b")}
+list(Local(2).each(tasks.wait_for_stop, items, lambda *_: None))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_parent_that_is_gone_takes_its_processes_with_it(tmp_path: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path)]  # a script needs no `if __name__ == "__main__":`
+    parent = subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
+    marks = [tmp_path / f"{name}.started" for name in ("a", "b")]
+    wait_for(*marks)
+    pids = [int(mark.read_text()) for mark in marks]
+    assert all(is_running(pid) for pid in pids)
+    parent.send_signal(number)
+    parent.wait(20)
+    wait_until_gone(*pids)
+
+
+def test_workers_by_the_options() -> None:
+    assert workers_at(3, None) == Local(3)
+    assert workers_at(1, "tcp://127.0.0.1:8786") == Cluster("tcp://127.0.0.1:8786")
+    with pytest.raises(ValueError, match="expected --jobs or --cluster, got both"):
+        workers_at(2, "tcp://127.0.0.1:8786")
+    with pytest.raises(ValueError, match="jobs: expected at least 1, got 0"):
+        workers_at(0, None)
