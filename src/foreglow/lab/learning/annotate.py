@@ -21,7 +21,7 @@ from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn_schema import BoxLabels, Sequence
 from foreglow.datasets.splits import SPLIT_NAMES
-from foreglow.files import write_atomic
+from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.learning.annotation import IGNORED, label_boxes
 from foreglow.parallel import Local, Parent, Workers
@@ -66,7 +66,7 @@ class Annotation:
             "root": str(self.root),
             **counts,
             "boxes_per_image": self.boxes_per_image if self.num_images else None,
-            "quality": self.quality.to_json(),
+            "quality": to_json(self.quality),
         }
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from foreglow.files import to_json
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.curves import (
     distinct_thresholds,
@@ -66,7 +67,7 @@ def test_nothing_to_rate() -> None:
     assert all(math.isnan(value) for value in curve.best)
     missed = quality_curve(match_boxes(TWO_IMAGES, empty))
     assert missed.average_precision == 0.0
-    assert missed.to_json()["precision"] == [None]
+    assert to_json(missed)["precision"] == [None]
 
 
 def test_boxes_without_scores_have_no_curve() -> None:

@@ -11,16 +11,13 @@ import pytest
 
 from foreglow.config import TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
-from foreglow.lab.studies.time_benefit.metrics import time_benefit
+from foreglow.lab.studies.time_benefit.metrics import FalseTracks, Method, least_delay_s, time_benefit
 from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
 from foreglow.lab.studies.time_benefit.run import (
     FIVE_FRAMES,
     RULES,
     TRACKERS,
-    FalseTracks,
-    Method,
     TimeBenefitResults,
-    least_delay_s,
     run_experiment,
 )
 from foreglow.pipeline import Pipeline

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels, plain
+from foreglow.files import fields_to_json
+from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels
+from foreglow.lab.evaluation.ratios import share
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +46,8 @@ class FirstFound:
         return self.lamp_s - self.found_s
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and both times by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self) | {"delay_s": self.delay_s, "lead_s": self.lead_s}
-        return {name: plain(value) for name, value in values.items()}
+        """All fields and both times by name."""
+        return fields_to_json(self, "delay_s", "lead_s")
 
 
 def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) -> tuple[FirstFound, ...]:
@@ -76,5 +76,4 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
 
 def share_found_ahead(vehicles: Sequence[FirstFound]) -> float:
     """Share of the vehicles whose light comes before their first lamp that are also found before it; NaN of none."""
-    early = [one for one in vehicles if one.light_s < one.lamp_s]
-    return sum(one.lead_s > 0 for one in early) / len(early) if early else math.nan
+    return share([vehicle.lead_s > 0 for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s])

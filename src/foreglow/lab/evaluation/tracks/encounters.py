@@ -5,13 +5,11 @@ All times of a sequence count from its first image. Its first vehicle is the one
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from foreglow.datasets import PVDN, CategoryConfig
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 from foreglow.lab.simulation import read_truth
 
 HUMAN_DELAY_S = 0.8
@@ -56,10 +54,6 @@ class Encounter:
     def human_s(self) -> float:
         """When a human would report it, on average."""
         return self.light_s + HUMAN_DELAY_S
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
 
 
 def read_encounters(
