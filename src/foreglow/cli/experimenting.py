@@ -121,7 +121,7 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
     from foreglow.datasets import PVDN, split_folder
     from foreglow.display.progress import StepProgress, TrainingBar
     from foreglow.lab.studies.detector.page import write_report
-    from foreglow.lab.studies.detector.pictures import pictures
+    from foreglow.lab.studies.detector.figures import pictures
     from foreglow.lab.studies.detector.run import run_experiment
 
     with contextlib.closing(StepProgress()) as progress, contextlib.closing(TrainingBar()) as training:
@@ -247,22 +247,20 @@ def experiment_occurrence(
     """How well it is told where and when hidden vehicles come into sight, before they do."""
     from foreglow.datasets import split_in
     from foreglow.display.progress import StepProgress
-    from foreglow.lab.studies.detector.tables import markdown
-    from foreglow.lab.studies.glare.tables import occurrence_table
-    from foreglow.lab.studies.occurrence.metrics import lead_scores
+    from foreglow.lab.studies.occurrence.page import report_lines
     from foreglow.lab.studies.occurrence.run import run_experiment
 
     with contextlib.closing(StepProgress()) as progress:
         sightings = run_experiment(
             split_in(data, cast("SplitName", split)), configuration_of(preset, config, model), progress
         )
-    for _, remark, table in occurrence_table(lead_scores(sightings)):
-        typer.echo("\n".join([remark, *markdown(table)]))
+    for line in report_lines(sightings):
+        typer.echo(line)
 
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more and films it."""
-    from foreglow.lab.studies.glare.driving import Drives
+    from foreglow.lab.studies.glare.simulate import Drives
     from foreglow.lab.studies.glare.film import write_film
     from foreglow.photometry import read_headlamps
 

@@ -136,7 +136,7 @@ def paired_bootstrap(
     def difference(weights: NDArray[np.float64]) -> NDArray[np.float64]:
         return figure(weights @ counts_a) - figure(weights @ counts_b)
 
-    drawn = _resampled(difference, len(counts_a), num_resamples, seed)
+    drawn = resampled(difference, len(counts_a), num_resamples, seed)
     if not len(drawn):
         raise ValueError("counts: expected scenes for which the figure is defined, got none")
     low, high = np.percentile(drawn, (2.5, 97.5))
@@ -168,12 +168,12 @@ def percentile_interval(
     """
     if not len(counts):
         return math.nan, math.nan
-    drawn = _resampled(lambda weights: figure(weights @ counts), len(counts), num_resamples, seed)
+    drawn = resampled(lambda weights: figure(weights @ counts), len(counts), num_resamples, seed)
     low, high = percentiles(drawn, (2.5, 97.5))
     return low, high
 
 
-def _resampled(figure: Figure, num_scenes: int, num_resamples: int, seed: int) -> NDArray[np.float64]:
+def resampled(figure: Figure, num_scenes: int, num_resamples: int, seed: int) -> NDArray[np.float64]:
     """The figure of each resample in which it is defined.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup
 from foreglow.lab.evaluation.boxes.directness import Directness
-from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
+from foreglow.lab.evaluation.boxes.examination import Examination, OperatingPoint, Ranking
 from foreglow.lab.evaluation.boxes.first_found import FirstFound, share_found_ahead
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.reports.evaluation_plots import curve_plot, distance_plot, hidden_plot, kinds_plot, reliability_plot
@@ -136,15 +136,15 @@ def _add_ranking(page: Page, ranking: Ranking, breakdown: Breakdown) -> None:
     )
     page.section("Hidden vehicles against false boxes")
     page.figure(Figure(hidden_plot(ranking, breakdown), "Hidden vehicles against false boxes", "hidden.png"))
-    head = ["false boxes a frame without vehicles, at most", "threshold", "recall hidden", "P", "R", "F"]
-    rows = [
-        [
-            f"{point.limit:g}",
-            *map(_number, (point.threshold, point.recall_hidden, point.precision, point.recall, point.f1)),
-        ]
-        for point in ranking.operating_points
-    ]
-    page.table(Table(head, rows))
+    columns: dict[str, Callable[[OperatingPoint], str]] = {
+        "false boxes a frame without vehicles, at most": lambda point: f"{point.limit:g}",
+        "threshold": lambda point: _number(point.threshold),
+        "recall hidden": lambda point: _number(point.recall_hidden),
+        "P": lambda point: _number(point.precision),
+        "R": lambda point: _number(point.recall),
+        "F": lambda point: _number(point.f1),
+    }
+    page.table(Table.of(columns, ranking.operating_points))
     calibration = ranking.calibration
     if calibration is not None:
         page.section("Are scores probabilities?")
@@ -171,13 +171,33 @@ def _add_breakdown(page: Page, breakdown: Breakdown) -> None:
         rows += [[group.name, group.num, *map(_number, (group.recall, group.ceiling, group.f1))] for group in groups]
     page.table(Table(["lights", "number", "recall", "ceiling", "F"], rows))
     page.section("False boxes")
-    head = ["images", "number", "false boxes", "with doubtful light", "a frame", "without doubtful", "a minute"]
-    rows = [_false_row("all", breakdown.false_boxes), _false_row("without vehicles", breakdown.false_boxes_empty)]
-    page.table(Table(head, rows))
+    named = {"all": breakdown.false_boxes, "without vehicles": breakdown.false_boxes_empty}
+    page.table(Table.of(FALSE_COLUMNS, named.items()))
     page.text("A minute has 18 x 60 images, whatever the rate of the data set.")
     page.section("By weather")
-    head = ["weather", "images", "lights", "P", "R", "ceiling", "F", "false boxes a frame"]
-    page.table(Table(head, [_weather_row(group) for group in breakdown.weathers]))
+    page.table(Table.of(WEATHER_COLUMNS, breakdown.weathers))
+
+
+FALSE_COLUMNS: Mapping[str, Callable[[tuple[str, FalseBoxes]], object]] = {
+    "images": lambda named: named[0],
+    "number": lambda named: named[1].num_images,
+    "false boxes": lambda named: named[1].num,
+    "with doubtful light": lambda named: named[1].num_doubtful,
+    "a frame": lambda named: _number(named[1].per_frame),
+    "without doubtful": lambda named: _number(named[1].per_frame_without_doubtful),
+    "a minute": lambda named: f"{named[1].per_minute:.0f}",
+}
+
+WEATHER_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
+    "weather": lambda group: group.name,
+    "images": lambda group: group.false_boxes.num_images,
+    "lights": lambda group: group.lights.num,
+    "P": lambda group: _number(group.precision),
+    "R": lambda group: _number(group.lights.recall),
+    "ceiling": lambda group: _number(group.lights.ceiling),
+    "F": lambda group: _number(group.lights.f1),
+    "false boxes a frame": lambda group: _number(group.false_boxes.per_frame),
+}
 
 
 def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) -> None:
@@ -191,15 +211,15 @@ def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) ->
         f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
         f"all, {_spread(leads_s)} s before it.",
     )
-    rows = [
-        [
-            vehicle.sequence_id,
-            vehicle.vehicle_id,
-            *map(_number, (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.lead_s)),
-        ]
-        for vehicle in vehicles
-    ]
-    page.table(Table(["sequence", "vehicle", "first light, s", "first box, s", "first lamp, s", "lead, s"], rows))
+    columns: dict[str, Callable[[FirstFound], object]] = {
+        "sequence": lambda vehicle: vehicle.sequence_id,
+        "vehicle": lambda vehicle: vehicle.vehicle_id,
+        "first light, s": lambda vehicle: _number(vehicle.light_s),
+        "first box, s": lambda vehicle: _number(vehicle.found_s),
+        "first lamp, s": lambda vehicle: _number(vehicle.lamp_s),
+        "lead, s": lambda vehicle: _number(vehicle.lead_s),
+    }
+    page.table(Table.of(columns, vehicles))
 
 
 def _add_robustness(page: Page, rows: Sequence[RobustnessRow]) -> None:
@@ -208,17 +228,6 @@ def _add_robustness(page: Page, rows: Sequence[RobustnessRow]) -> None:
     head = ["images", "F", "P", "R", "ceiling", "R hidden", "false boxes a frame", "without vehicles", "proposals"]
     names = [name for name in RobustnessRow.__slots__ if name != "name"]
     page.table(Table(head, [[row.name, *(_number(getattr(row, name)) for name in names)] for row in rows]))
-
-
-def _false_row(name: str, boxes: FalseBoxes) -> list[Any]:
-    rates = (boxes.per_frame, boxes.per_frame_without_doubtful)
-    return [name, boxes.num_images, boxes.num, boxes.num_doubtful, *map(_number, rates), f"{boxes.per_minute:.0f}"]
-
-
-def _weather_row(group: ImageGroup) -> list[Any]:
-    lights, false = group.lights, group.false_boxes
-    rates = (group.precision, lights.recall, lights.ceiling, lights.f1, false.per_frame)
-    return [group.name, false.num_images, lights.num, *map(_number, rates)]
 
 
 def _spread(values: Sequence[float]) -> str:

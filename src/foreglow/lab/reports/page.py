@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -51,6 +51,11 @@ class Table:
 
     head: Sequence[str]
     rows: Sequence[Sequence[object]]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any]) -> Table:
+        """A row for each item: `columns` says by head what the item's cell holds."""
+        return cls(list(columns), [[cell(item) for cell in columns.values()] for item in items])
 
     def markdown(self) -> str:
         """The table as Markdown."""

@@ -105,11 +105,8 @@ def test_recall_over_false_boxes_worked_by_hand() -> None:
     assert curve.thresholds.tolist() == [0.0, 0.2, 0.4, 0.6, 0.9]
     assert curve.false_boxes_per_frame.tolist() == [0.2, 0.1, 0.1, 0.0, 0.0]
     assert [round(3 * value) for value in curve.recall.tolist()] == [2, 2, 1, 1, 0]
-    assert math.isclose(curve.recall_at(0.1), 2 / 3)
-    assert math.isclose(curve.recall_at(0.0), 1 / 3)
     assert curve.corners().thresholds.tolist() == [0.2, 0.6, 0.9]
-    assert [curve.corners().recall_at(limit) for limit in (0.0, 0.1)] == [
-        curve.recall_at(limit) for limit in (0.0, 0.1)
-    ]
     assert curve.corners(2).thresholds.tolist() == [0.2, 0.9]
-    assert math.isnan(recall_curve(np.empty(0), np.array([0.5]), 0).recall_at(1.0))
+    nothing = recall_curve(np.empty(0), np.array([0.5]), 0)
+    assert np.isnan(nothing.recall).all()
+    assert np.isnan(nothing.false_boxes_per_frame).all()

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.files import to_json
-from foreglow.lab.studies.distance.metrics import median_interval, range_bins, relative_errors, summarise
+from foreglow.lab.evaluation.boxes.breakdown import range_bins
+from foreglow.lab.studies.distance.metrics import median_interval, relative_errors, summarise
 
 
 def test_by_hand() -> None:

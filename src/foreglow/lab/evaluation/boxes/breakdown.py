@@ -271,6 +271,11 @@ def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
     return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
 
 
+def range_bins(ranges_m: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+    """For each bin of `RANGE_EDGES_M`, by its name such as `30-60 m`, which ranges are in it; shape (N,) each."""
+    return {f"{low:g}-{high:g} m": (low <= ranges_m) & (ranges_m < high) for low, high in pairwise(RANGE_EDGES_M)}
+
+
 def f1_of(precision: float, recall: float) -> float:
     """2 P R / (P + R); 0 where nothing is found, whatever the precision, NaN where nothing was to be found.
 
@@ -293,9 +298,7 @@ def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]
         "sight": {"hidden": is_hidden, "in sight": ~is_hidden},
         "strength": {"strongest three reflections": (rank >= 0) & (rank < NUM_STRONGEST)},
         "hidden kind": {name: is_hidden & (kind == name) for name in LIGHT_KINDS},
-        "distance": {
-            f"{low:g}-{high:g} m": (low <= range_m) & (range_m < high) for low, high in pairwise(RANGE_EDGES_M)
-        },
+        "distance": range_bins(range_m),
     }
 
 

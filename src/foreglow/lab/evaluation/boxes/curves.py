@@ -73,14 +73,6 @@ class RecallCurve:
     recall: Floats
     false_boxes_per_frame: Floats
 
-    def recall_at(self, limit: float) -> float:
-        """The recall at the lowest threshold with at most `limit` false boxes a frame.
-
-        NaN where no such threshold is among those of the curve, or nothing was to be found.
-        """
-        is_within = self.false_boxes_per_frame <= limit
-        return float(self.recall[is_within][0]) if is_within.any() else math.nan
-
     def corners(self, num: int = 400) -> RecallCurve:
         """Of each recall the highest threshold, which has the fewest false boxes; if need be, `num` of them by rank.
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN, split_folder
-from foreglow.lab.studies import Progress
 from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
+from foreglow.lab.studies.progress import Progress
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_run import RunProgress

@@ -28,7 +28,6 @@ from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
-from foreglow.lab.studies import Progress
 from foreglow.lab.studies.detector.models import (
     Workspace,
     classifier_model,
@@ -38,6 +37,7 @@ from foreglow.lab.studies.detector.models import (
     yolo_run,
 )
 from foreglow.lab.studies.detector.plan import COMPARISONS, ROWS, THRESHOLD, DetectorPlan
+from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import make_proposer
 from foreglow.provenance import processor_name, provenance

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,8 @@ from numpy.typing import NDArray
 
 from foreglow.files import fields_to_json
 from foreglow.geometry import Floats
-from foreglow.lab.evaluation.boxes.breakdown import RANGE_EDGES_M
+from foreglow.lab.evaluation.bootstrap import resampled
+from foreglow.lab.evaluation.boxes.breakdown import range_bins
 from foreglow.lab.evaluation.ratios import median, percentiles, share
 from foreglow.lab.studies.distance.run import TILTS_DEG, DistanceResults, Method
 from foreglow.street import ERROR_BOUNDS_M
@@ -95,11 +95,6 @@ def summarise(truth_m: Floats, ranges_m: Floats, sigmas_m: Floats | None = None)
     )
 
 
-def range_bins(truth_m: Floats) -> dict[str, NDArray[np.bool_]]:
-    """For each bin of `RANGE_EDGES_M`, by its name such as `30-60 m`, which lights are in it; shape (N,) each."""
-    return {f"{low:g}-{high:g} m": (truth_m >= low) & (truth_m < high) for low, high in pairwise(RANGE_EDGES_M)}
-
-
 def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) -> tuple[float, float]:
     """The 95 % interval of the median, had other drives of the same sort been driven; NaN without values.
 
@@ -112,18 +107,20 @@ def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) ->
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
     """
-    names, drive_of = np.unique(drives, return_inverse=True)
     is_known = ~np.isnan(values)
     if not is_known.any():
         return math.nan, math.nan
+    names, drive_of = np.unique(drives, return_inverse=True)
     order = np.argsort(values[is_known], kind="stable")
     ordered, drive_of_ordered = values[is_known][order], drive_of[is_known][order]
-    rng = np.random.default_rng(seed)
-    weights = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), NUM_RESAMPLES)
-    cumulative = weights[:, drive_of_ordered].cumsum(axis=1)
-    cumulative = cumulative[cumulative[:, -1] > 0]  # a resample may draw drives without values only
-    medians = ordered[(2 * cumulative >= cumulative[:, -1:]).argmax(axis=1)]
-    low, high = np.percentile(medians, (2.5, 97.5)).tolist()
+
+    def medians(weights: Floats) -> Floats:
+        cumulative = weights[:, drive_of_ordered].cumsum(axis=1)
+        total = cumulative[:, -1:]
+        found = ordered[(2 * cumulative >= total).argmax(axis=1)]
+        return np.where(total[:, 0] > 0, found, math.nan)  # a resample may draw drives without values only
+
+    low, high = percentiles(resampled(medians, len(names), NUM_RESAMPLES, seed), (2.5, 97.5))
     return low, high
 
 

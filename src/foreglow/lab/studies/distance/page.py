@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from foreglow.config import config_to_toml
@@ -12,7 +12,7 @@ from foreglow.lab.reports.numbers import number, percent, signed
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.distance.figures import distance_figures
 from foreglow.lab.studies.distance.lights import RangedLight
-from foreglow.lab.studies.distance.metrics import ALL, PAPERS_GP, REACH_M, Finding, find
+from foreglow.lab.studies.distance.metrics import ALL, PAPERS_GP, REACH_M, ErrorSummary, Finding, find
 from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, DistanceResults
 from foreglow.provenance import processor_name
 
@@ -122,25 +122,25 @@ def _page(results: DistanceResults, findings: Sequence[Finding], figures: Iterab
 
 
 def _table(findings: Sequence[Finding], *, with_group: bool) -> Table:
-    head = ["method", "light", *(["group"] if with_group else []), "lights", "without estimate", "median"]
-    head += ["median absolute", "quartiles", "within 1 sigma", "within 2 sigma"]
-    rows = []
-    for found in findings:
-        errors, interval = found.errors, ""
-        if not math.isnan(errors.absolute_low):
-            interval = f" [{errors.absolute_low:.2f}, {errors.absolute_high:.2f}]"
-        rows.append(
-            [
-                found.method.name,
-                found.light,
-                *([found.group] if with_group else []),
-                errors.num,
-                percent(errors.missing),
-                signed(errors.median, 3),
-                f"{number(errors.median_absolute, 3)}{interval}",
-                f"{signed(errors.lower_quartile, 3)} to {signed(errors.upper_quartile, 3)}",
-                percent(errors.within_one_sigma),
-                percent(errors.within_two_sigma),
-            ]
-        )
-    return Table(head, rows)
+    columns = COLUMNS if with_group else {head: cell for head, cell in COLUMNS.items() if head != "group"}
+    return Table.of(columns, findings)
+
+
+def _median_absolute(errors: ErrorSummary) -> str:
+    """With its interval where it has one."""
+    interval = f" [{errors.absolute_low:.2f}, {errors.absolute_high:.2f}]"
+    return number(errors.median_absolute, 3) + ("" if math.isnan(errors.absolute_low) else interval)
+
+
+COLUMNS: Mapping[str, Callable[[Finding], object]] = {
+    "method": lambda found: found.method.name,
+    "light": lambda found: found.light,
+    "group": lambda found: found.group,
+    "lights": lambda found: found.errors.num,
+    "without estimate": lambda found: percent(found.errors.missing),
+    "median": lambda found: signed(found.errors.median, 3),
+    "median absolute": lambda found: _median_absolute(found.errors),
+    "quartiles": lambda found: f"{signed(found.errors.lower_quartile, 3)} to {signed(found.errors.upper_quartile, 3)}",
+    "within 1 sigma": lambda found: percent(found.errors.within_one_sigma),
+    "within 2 sigma": lambda found: percent(found.errors.within_two_sigma),
+}

@@ -21,8 +21,8 @@ from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
 from foreglow.geometry import Floats
 from foreglow.lab.simulation import read_truth
-from foreglow.lab.studies import Progress
 from foreglow.lab.studies.distance.lights import RangedLight, ranged_lights, tilted
+from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.tracking import make_tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks

@@ -15,18 +15,18 @@ from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
 from foreglow.geometry import Floats
+from foreglow.lab.evaluation.occurrence import is_coming
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, VehicleTruth, with_beam
 from foreglow.lab.simulation.labels.production import ProductionSystem
-from foreglow.lab.studies.occurrence.run import is_coming
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
 from foreglow.pipeline import Pipeline
 from foreglow.types import BeamCommand, FrameResult
 
 EXACT_MARGIN_DEG = 0.5
-"""Around a vehicle whose place is known; the paper's and our own policy have `BeamConfig.margin_deg`."""
+"""Margin of the gap around a vehicle whose position is known exactly; other policies have `BeamConfig.margin_deg`."""
 
 BODY_MARGIN_M = 0.3
-"""Beyond either side of such a vehicle's body."""
+"""Further margin on either side of such a vehicle's body."""
 
 REAR_REACH_M = 150.0
 """The modelled production system knows of a vehicle ahead up to this range, while its rear lamps are in sight."""
@@ -139,7 +139,7 @@ class ProductionCar:
     def levels(self, known: DriveFrame) -> tuple[Floats, bool]:
         """Shape (2, L), in this frame, and whether a vehicle is reported."""
         reported = self._system.update(known.frame.timestamp_ns, known.vehicles)
-        seen = [one for one in known.vehicles if one.vehicle_id in reported or _is_followed(known, one)]
+        seen = [vehicle for vehicle in known.vehicles if vehicle.vehicle_id in reported or _is_followed(known, vehicle)]
         command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, seen))
         self.gaps_rad = command.gaps_rad
         return command.levels, bool(seen)

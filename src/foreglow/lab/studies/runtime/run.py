@@ -19,7 +19,7 @@ import numpy as np
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN
-from foreglow.lab.studies import Progress
+from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.runtime.metrics import COMPLETE, NetworkTimes
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.reports.numbers import DASH
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.simulator.figures import leads_figure, pixels_figure
+from foreglow.lab.studies.simulator.metrics import RuleEffect
 from foreglow.lab.studies.simulator.run import SimulatorResults
 
 
@@ -31,8 +33,7 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
     if results.pixel_rows is None:
         page.text("Without a real image to compare with (`--real-image`).")
     else:
-        rows = [[row.name, *map(_number, (row.real, row.simulated, row.ratio))] for row in results.pixel_rows]
-        page.table(Table(["figure", "real", "simulated", "ratio"], rows))
+        page.table(Table.of(COMPARED, results.pixel_rows))
     return page.write(folder / "report.md", results=results)
 
 
@@ -47,20 +48,15 @@ def _add_leads(page: Page, results: SimulatorResults) -> None:
     page.text(
         "How first times move with the rule of what is perceivable: both thresholds are multiplied by the factor."
     )
-    head = ["factor", "drives with light", "indirect first", "lead, median (quartiles), s"]
-    head += ["first indirect moves by, s", "instances a hidden image"]
-    rows = [
-        [
-            f"{effect.factor:g}",
-            effect.num_drives,
-            _number(effect.share_indirect_first),
-            _spread(effect.lead_s),
-            _spread(effect.shift_s),
-            _number(effect.instances_per_hidden_frame),
-        ]
-        for effect in results.effects
-    ]
-    page.table(Table(head, rows))
+    columns: dict[str, Callable[[RuleEffect], object]] = {
+        "factor": lambda effect: f"{effect.factor:g}",
+        "drives with light": lambda effect: effect.num_drives,
+        "indirect first": lambda effect: _number(effect.share_indirect_first),
+        "lead, median (quartiles), s": lambda effect: _spread(effect.lead_s),
+        "first indirect moves by, s": lambda effect: _spread(effect.shift_s),
+        "instances a hidden image": lambda effect: _number(effect.instances_per_hidden_frame),
+    }
+    page.table(Table.of(columns, results.effects))
 
 
 def _add_labels(page: Page, results: SimulatorResults) -> None:
@@ -69,15 +65,18 @@ def _add_labels(page: Page, results: SimulatorResults) -> None:
         return
     num_close = sum(row.is_close for row in results.label_rows)
     page.text(f"{num_close} of {len(results.label_rows)} figures are within a factor 1.5 of the real ones.")
-    rows = [
-        [
-            row.name.replace("_", " "),
-            *map(_number, (row.real, row.simulated, row.ratio)),
-            "yes" if row.is_close else "**no**",
-        ]
-        for row in results.label_rows
-    ]
-    page.table(Table(["figure", "real", "simulated", "ratio", "within 1.5"], rows))
+    page.table(
+        Table.of({**COMPARED, "within 1.5": lambda row: "yes" if row.is_close else "**no**"}, results.label_rows)
+    )
+
+
+COMPARED: Mapping[str, Callable[[Any], str]] = {
+    "figure": lambda row: row.name.replace("_", " "),
+    "real": lambda row: _number(row.real),
+    "simulated": lambda row: _number(row.simulated),
+    "ratio": lambda row: _number(row.ratio),
+}
+"""Columns of figures of labels or pixels, beside real ones."""
 
 
 def _in_words(what: str, values_s: Sequence[float]) -> str:

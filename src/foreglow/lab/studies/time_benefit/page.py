@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 from foreglow.config import config_to_toml
 from foreglow.lab.reports.numbers import DASH, number, percent, signed
@@ -12,6 +13,8 @@ from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.time_benefit.figures import SHOWN, benefit_figure, confirmation_figure, sequences_figure
 from foreglow.lab.studies.time_benefit.metrics import MeanAndSpread, Method, least_delay_s
 from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, TimeBenefitResults
+
+Columns: TypeAlias = Mapping[str, Callable[[Method], object]]
 
 
 def write_report(results: TimeBenefitResults, folder: Path) -> Path:
@@ -29,7 +32,7 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
         f"{len(occluded)} before its lamps. In {len(unreported)} the production system reports nothing: they are left "
         "out of what is compared with it."
     )
-    page.table(_method_table(results.methods))
+    page.table(Table.of(METHOD_COLUMNS, results.methods))
     page.text(
         "Times are means (medians), seconds. *After light*: from the first annotated artifact. *Before production*, "
         "*human*, *sight*: by how much it is earlier than the production system, a human (0.8 s after the light), the "
@@ -62,27 +65,25 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
     ]
 
 
-def _method_table(methods: Sequence[Method]) -> Table:
-    head = ["method", "after light", "before production", "occluded", "before human", "before sight", "provident"]
-    head += ["missed", "false tracks a minute", "a km", "an empty minute"]
-    rows = []
-    for method in methods:
-        benefit, false = method.benefit, method.false
-        rates = (false.per_minute, false.per_km, false.per_empty_minute) if false else (None, None, None)
-        rows.append(
-            [
-                benefit.name,
-                _mean_and_median(benefit.delays_s),
-                _mean_and_median(benefit.before_production_s),
-                _mean_and_median(benefit.occluded_before_production_s),
-                _mean_and_median(benefit.before_human_s),
-                _mean_and_median(benefit.before_sight_s),
-                percent(benefit.provident_share),
-                benefit.num_missed,
-                *map(number, rates),
-            ]
-        )
-    return Table(head, rows)
+METHOD_COLUMNS: Columns = {
+    "method": lambda method: method.benefit.name,
+    "after light": lambda method: _mean_and_median(method.benefit.delays_s),
+    "before production": lambda method: _mean_and_median(method.benefit.before_production_s),
+    "occluded": lambda method: _mean_and_median(method.benefit.occluded_before_production_s),
+    "before human": lambda method: _mean_and_median(method.benefit.before_human_s),
+    "before sight": lambda method: _mean_and_median(method.benefit.before_sight_s),
+    "provident": lambda method: percent(method.benefit.provident_share),
+    "missed": lambda method: method.benefit.num_missed,
+    "false tracks a minute": lambda method: number(method.false and method.false.per_minute),
+    "a km": lambda method: number(method.false and method.false.per_km),
+    "an empty minute": lambda method: number(method.false and method.false.per_empty_minute),
+}
+
+CURVE_COLUMNS: Columns = {
+    "setting": METHOD_COLUMNS["method"],
+    "mean after light, s": lambda method: number(method.delay_s),
+    **{head: METHOD_COLUMNS[head] for head in ("false tracks a minute", "a km", "provident", "missed")},
+}
 
 
 def _add_curves(page: Page, results: TimeBenefitResults) -> None:
@@ -98,22 +99,12 @@ def _add_curves(page: Page, results: TimeBenefitResults) -> None:
         "Here a vehicle that a rule does not confirm before the production system reports it, or the sequence ends, "
         "counts as confirmed then."
     )
-    head = ["rule", "setting", "mean after light, s", "false tracks a minute", "a km", "provident", "missed"]
     rows = [
-        [
-            rule,
-            method.benefit.name,
-            number(method.delay_s),
-            number(method.false.per_minute),
-            number(method.false.per_km),
-            percent(method.benefit.provident_share),
-            method.benefit.num_missed,
-        ]
+        [rule, *(cell(method) for cell in CURVE_COLUMNS.values())]
         for rule, curve in results.curves.items()
         for method in curve
-        if method.false is not None
     ]
-    page.table(Table(head, rows))
+    page.table(Table(["rule", *CURVE_COLUMNS], rows))
     page.figure(Figure(confirmation_figure(results), "Time to confirm over false confirmed tracks", "confirmation.png"))
 
 

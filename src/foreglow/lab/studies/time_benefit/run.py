@@ -18,7 +18,7 @@ from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_lab
 from foreglow.lab.evaluation.boxes.first_found import first_found
 from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
 from foreglow.lab.evaluation.tracks.track_quality import match_tracks
-from foreglow.lab.studies import Progress, counted
+from foreglow.lab.studies.progress import Progress, counted
 from foreglow.lab.studies.time_benefit.metrics import (
     FalseTracks,
     Method,
