@@ -120,8 +120,8 @@ def _detector_report(data: Path, out: Path, plan: DetectorPlan) -> Path:
     """Runs the experiment and writes its report, whose path it returns."""
     from foreglow.datasets import PVDN, split_folder
     from foreglow.display.progress import StepProgress, TrainingBar
-    from foreglow.lab.studies.detector.page import write_report
     from foreglow.lab.studies.detector.figures import pictures
+    from foreglow.lab.studies.detector.page import write_report
     from foreglow.lab.studies.detector.run import run_experiment
 
     with contextlib.closing(StepProgress()) as progress, contextlib.closing(TrainingBar()) as training:
@@ -260,8 +260,8 @@ def experiment_occurrence(
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more and films it."""
-    from foreglow.lab.studies.glare.simulate import Drives
     from foreglow.lab.studies.glare.film import write_film
+    from foreglow.lab.studies.glare.simulate import Drives
     from foreglow.photometry import read_headlamps
 
     drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)
