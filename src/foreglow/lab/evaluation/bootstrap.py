@@ -185,5 +185,7 @@ def resampled(figure: Figure, num_scenes: int, num_resamples: int, seed: int) ->
     rng = np.random.default_rng(seed)
     shares = np.full(num_scenes, 1.0 / num_scenes)
     chunks = (min(CHUNK, num_resamples - start) for start in range(0, num_resamples, CHUNK))
-    drawn = np.concatenate([figure(rng.multinomial(num_scenes, shares, num).astype(np.float64)) for num in chunks])
+    drawn: NDArray[np.float64] = np.concatenate(
+        [figure(rng.multinomial(num_scenes, shares, num).astype(np.float64)) for num in chunks]
+    )
     return drawn[~np.isnan(drawn)]

@@ -85,7 +85,8 @@ class Sighting:
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> Sighting:
         """What `to_json` made of one, read back."""
-        return cls(**{name: math.nan if value is None else value for name, value in fields.items()})
+        known: dict[str, Any] = {name: math.nan if value is None else value for name, value in fields.items()}
+        return cls(**known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,7 @@ class Expectations:
 
     def add(self, expected: Occurrence | None) -> None:
         """Adds the expectation of the next frame."""
-        row = (math.nan,) * 4
+        row: tuple[float, ...] = (math.nan,) * 4
         if expected is not None:
             row = (expected.azimuth_rad, expected.time_s, *expected.quantiles_rad(self._shares))
         self._rows.append(row)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from foreglow.geometry import Floats
 
 
-def ratio(part: float, whole: float) -> float:
+def ratio(part: SupportsFloat, whole: SupportsFloat) -> float:
     """Part over whole; NaN unless the whole is positive.
 
     >>> ratio(1, 4), ratio(1, 0)
     (0.25, nan)
     """
-    return float(part / whole) if whole > 0 else math.nan
+    return float(part) / float(whole) if float(whole) > 0 else math.nan
 
 
 def ratios(parts: ArrayLike, wholes: ArrayLike) -> Floats:

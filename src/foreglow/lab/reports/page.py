@@ -158,8 +158,8 @@ class Page:
         if figures:
             self._figures += figures
             over = f"<h3>{escape(heading)}</h3>" if heading else ""
-            shown = "\n".join(figure.html() for figure in figures)
-            self._add("\n".join(one.markdown() for one in figures), f'{over}<div class="pictures">\n{shown}\n</div>')
+            markdown, shown = zip(*((figure.markdown(), figure.html()) for figure in figures), strict=True)
+            self._add("\n".join(markdown), "\n".join([f'{over}<div class="pictures">', *shown, "</div>"]))
 
     def media(self, file: str, caption: str) -> None:
         """Adds a picture or a video that lies beside the page already."""

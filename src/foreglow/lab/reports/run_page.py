@@ -111,7 +111,7 @@ def _facts(run: RecordedRun) -> Table:
     made_with = f"Foreglow {summary.version}"
     if summary.commit is not None:
         made_with += f", commit {summary.commit}{' with local changes' if summary.has_local_changes else ''}"
-    rows = [
+    rows: list[list[object]] = [
         ["source", summary.source],
         ["made with", made_with],
         ["processor", summary.processor],

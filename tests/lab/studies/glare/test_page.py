@@ -10,9 +10,11 @@ import pytest
 
 from foreglow.files import to_json
 from foreglow.lab.reports.figures import DPI
+from foreglow.lab.studies.glare.drive import write_glare_drive
 from foreglow.lab.studies.glare.figures import README_WIDTH_IN
 from foreglow.lab.studies.glare.metrics import R123
-from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_report
+from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_experiment, write_report
+from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
 from tests.lab.studies.glare_drives import approach, empty_drive
 
@@ -82,6 +84,16 @@ def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> Non
     page = write_report(score_glare("empty", [drive]), [drive], tmp_path).read_text()
     assert "Preceding drivers" not in page
     assert page.count("data:image/png") == 2
+
+
+def test_a_film_is_in_the_page(tmp_path: Path) -> None:
+    (tmp_path / "drives").mkdir()
+    for drive in DRIVES[:2]:
+        write_glare_drive(tmp_path / "drives" / f"{drive.name}.npz", drive)
+    (tmp_path / "film_approach_01.mp4").write_bytes(b"")
+    page = write_experiment(GlareExperiment(score_glare("made up", DRIVES[:2]), (), (), tmp_path)).read_text()
+    assert page.count("<video ") == 1
+    assert 'src="film_approach_01.mp4"' in page
 
 
 def test_in_words(results: GlareResults) -> None:

@@ -57,8 +57,8 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
     finer than the frames.
     """
     rows = [
-        (light.sequence_id, light.vehicle_id, labels.time_s[light.image_id], light.is_direct, best > threshold, place)
-        for light, best, place in zip(
+        (light.sequence_id, light.vehicle_id, labels.time_s[light.image_id], light.is_direct, best > threshold, index)
+        for light, best, index in zip(
             matched.lights, matched.best_scores.tolist(), matched.matches.image_of_point.tolist(), strict=True
         )
         if not light.is_rear
@@ -66,11 +66,11 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
     rows.sort(key=lambda row: row[:3])
     found = []
     for (sequence_id, vehicle_id), group in itertools.groupby(rows, key=lambda row: row[:2]):
-        its = list(group)
-        light_s, light_place = its[0][2], its[0][5]
-        found_s, found_place = next(((row[2], float(row[5])) for row in its if row[4]), (math.nan, math.nan))
-        lamp_s = next((row[2] for row in its if row[3]), math.nan)
-        found.append(FirstFound(sequence_id, vehicle_id, light_s, found_s, lamp_s, found_place - light_place))
+        lights = list(group)
+        light_s, light_index = lights[0][2], lights[0][5]
+        found_s, found_index = next(((row[2], float(row[5])) for row in lights if row[4]), (math.nan, math.nan))
+        lamp_s = next((row[2] for row in lights if row[3]), math.nan)
+        found.append(FirstFound(sequence_id, vehicle_id, light_s, found_s, lamp_s, found_index - light_index))
     return tuple(found)
 
 

@@ -240,8 +240,8 @@ def _ceiling(proposed: Predictions, labels: SplitLabels) -> dict[str, Any]:
 
 
 def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
-    ones = {image_id: np.ones(len(boxes)) for image_id, boxes in boxes_xyxy_px.items()}
-    return Predictions(boxes_xyxy_px, ones, is_scored=False)
+    scores = {image_id: np.ones(len(boxes)) for image_id, boxes in boxes_xyxy_px.items()}
+    return Predictions(boxes_xyxy_px, scores, is_scored=False)
 
 
 def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:

@@ -46,7 +46,8 @@ def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> l
         Figure(_pitch(findings), "Median relative error when the calibration's pitch is wrong by so much", "pitch.png"),
     ]
     for estimator in results.plan.estimators:
-        columns = {one.heuristic: ranges_m[one] for one in results.methods if one.estimator == estimator}
+        methods_of = [method for method in results.methods if method.estimator == estimator]
+        columns = {method.heuristic: ranges_m[method] for method in methods_of}
         if len(columns) > 1:
             plot, caption = _error_boxes(results, columns), f"{estimator}: relative error by heuristic"
             figures.append(Figure(plot, caption, f"heuristics_{estimator}.png"))

@@ -59,7 +59,7 @@ def ranged_lights(
     """
     known = truth.frame(image_id)
     lights = []
-    for vehicle, artifact in ((one, artifact) for one in known.vehicles for artifact in one.artifacts):
+    for vehicle, artifact in ((seen, artifact) for seen in known.vehicles for artifact in seen.artifacts):
         box = smallest_box(artifact.position_px, boxes_xyxy_px)
         if artifact.is_doubtful:
             left_out[DOUBTFUL] += 1

@@ -175,6 +175,7 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
     main = [method for method in methods if method.is_default and not method.tilt_deg]
     trackers = {(name, method): make_tracker(config) for method in main for name, config in TRACKERS.items()}
+    stages: list[Any] = [detector, *methods.values(), *trackers.values()]
     left_out: Counter[str] = Counter()
     lights: list[RangedLight] = []
     found: dict[Method, list[Estimates]] = {method: [] for method in methods}
@@ -182,7 +183,7 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     num_done = itertools.count(1)
     for sequence in dataset.sequences:
         drive = truth.sequence(sequence.id)
-        for stage in (detector, *methods.values(), *trackers.values()):
+        for stage in stages:
             stage.reset()
         for image in drive.frames:
             frame = dataset.read(image.image_id)

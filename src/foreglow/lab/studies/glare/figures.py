@@ -1,4 +1,4 @@
-"""The figures of the glare experiment."""
+"""The figures of the glare experiment. All of them raise ModuleNotFoundError if matplotlib is not installed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,6 @@ def lux_figure(
     """Light at one other driver's eye over time, each policy a line, limits dotted; shaded above the first.
 
     Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
         ValueError: If the drive has no such vehicle.
     """
     figure, (axes,) = subplots(1, width_in, height_in)
@@ -55,7 +54,6 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
     """The dark gaps over time beside the vehicle's azimuth, a panel for each policy.
 
     Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
         ValueError: If the drive has no such vehicle.
     """
     from matplotlib.collections import PolyCollection
@@ -87,11 +85,7 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
 
 
 def box_figure(results: GlareResults) -> bytes:
-    """Box plots by policy: dose, first glare moment and road light.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
+    """Box plots by policy: dose, first glare moment and road light."""
     figure, panels = subplots(4, width_in=3.3, height_in=3.8)
     titles = (
         "dose of oncoming drivers\nin a drive, lx s",
@@ -124,11 +118,7 @@ def _values(drive: DriveScore) -> tuple[Sequence[float], ...]:
 
 
 def bin_figure(results: GlareResults) -> bytes:
-    """Dose by range of the eye: oncoming drivers, and preceding ones where there are any.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
+    """Dose by range of the eye: oncoming drivers, and preceding ones where there are any."""
     groups = [("oncoming drivers", [policy.oncoming for policy in results.policies])]
     if results.policies[0].preceding.num_eyes:
         groups.append(("preceding drivers", [policy.preceding for policy in results.policies]))
@@ -154,9 +144,6 @@ def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
 
     Args:
         points: All of one parameter.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
     """
     figure, panels = subplots(3, width_in=3.6, height_in=3.2)
     names = list(dict.fromkeys(point.policy for point in points))

@@ -83,8 +83,8 @@ class OurLight:
         range_m = float(np.hypot(eye[0], eye[1]))
         if eye[0] <= self._lamps.left.vehicle_from_lamp.position_m[0] + 0.5 or range_m > FARTHEST_M:
             return EyeLight(np.nan, np.nan, is_oncoming and vehicle.eye_lx.get("ego", 0.0) > 0, 0.0, no_light)
-        looks = forward if is_oncoming else -forward
-        base_lx, leds_lx = (self._facing(eye, looks, light_lx) for light_lx in self._by_lamp(eye))
+        sight = forward if is_oncoming else -forward
+        base_lx, leds_lx = (self._facing(eye, sight, light_lx) for light_lx in self._by_lamp(eye))
         if is_oncoming:
             expected_lx = base_lx + (levels * leds_lx).sum(axis=1)
             is_seen = seen_lamps(expected_lx, vehicle.eye_lx.get("ego", 0.0))

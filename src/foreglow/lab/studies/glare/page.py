@@ -96,7 +96,8 @@ def write_report(
     page.section("What the figures are")
     page.items(_notes(results))
     record = {**to_json(results), "others": others, "occurrence": leads}
-    files = {"drives.csv": drives_csv(results), **_readme_figure([drive for drive in shown if drive.eyes])}
+    files: dict[str, bytes | str] = {"drives.csv": drives_csv(results)}
+    files |= _readme_figure([drive for drive in shown if drive.eyes])
     return page.write(folder / "report.html", results=record, files=files)
 
 
@@ -108,9 +109,7 @@ def write_experiment(experiment: GlareExperiment) -> Path:
         ModuleNotFoundError: If matplotlib is not installed.
     """
     folder = experiment.folder
-    films = {
-        file.stem.removeprefix("film_"): {"Paper and ours": file.name} for file in sorted(folder.glob("film_*.mp4"))
-    }
+    films = {file.stem.removeprefix("film_"): file.name for file in sorted(folder.glob("film_*.mp4"))}
     names = list(dict.fromkeys([*typical_drives(experiment.results), *films]))
     drives = experiment.drives(names)
     shown = [
@@ -192,8 +191,8 @@ def _readme_figure(drives: Sequence[GlareDrive]) -> dict[str, bytes]:
         return {}
     drive = next((drive for drive in drives if drive.pictures), drives[len(drives) // 2])
     policies = [name for name in IN_README if name in drive.runs]
-    size = {"width_in": README_WIDTH_IN, "height_in": 3.5, "font_size": 8.0}
-    return {"readme.png": lux_figure(drive, eye_to_show(drive).vehicle_id, policies, **size)}
+    vehicle_id = eye_to_show(drive).vehicle_id
+    return {"readme.png": lux_figure(drive, vehicle_id, policies, README_WIDTH_IN, height_in=3.5, font_size=8.0)}
 
 
 def _file_name(kind: str, name: str) -> str:

@@ -169,7 +169,7 @@ class GroupGlare:
             BinGlare.of(name, [eye.bins[index] for eye in eyes], float(produced_lxs[:, index].sum()))
             for index, name in enumerate(BINS.bin_names)
         ]
-        bins.append(BinGlare.of(ALL_BINS, [one.glare for one in bins], float(produced_lxs.sum())))
+        bins.append(BinGlare.of(ALL_BINS, [part.glare for part in bins], float(produced_lxs.sum())))
         own_lxs, low_lxs = doses.sum(axis=1).T
         return cls(
             num_eyes=len(eyes),

@@ -19,7 +19,7 @@ from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting, i
 from foreglow.lab.simulation import DriveFrame, Scene, VehicleTruth
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.lab.studies.glare.light import EyeLight, OurLight
-from foreglow.lab.studies.glare.loop import Delays, OracleCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
+from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.tracking import make_tracker
 from foreglow.types import Frame, FrameResult, Tracks
@@ -108,7 +108,7 @@ class Drives:
         """All that is kept of a scene, from its closed loops."""
         light = OurLight(scene)
         production = ProductionCar(self._config.beam, self._headlamps)
-        oracle = OracleCar(self._config.beam, self._headlamps)
+        oracle = ExactCar(self._config.beam, self._headlamps)
         record = _Record()
         results: list[FrameResult] = []
         for paper, ours in pairs:
@@ -116,7 +116,7 @@ class Drives:
             eyes = [light.at_eye(known, vehicle, ours.levels) for vehicle in known.vehicles]
             record.add_frame(known, eyes, light.on_road(known))
             in_sight = [vehicle for vehicle, eye in zip(known.vehicles, eyes, strict=True) if eye.is_in_sight]
-            by_production, is_reporting = production.levels(known)
+            by_production, is_reporting = production.reported_levels(known)
             papers_gaps_rad = production.gaps_rad if is_reporting else paper.gaps_rad
             record.add_run("low", np.zeros((2, NUM_LEDS)))
             record.add_run("high", np.ones((2, NUM_LEDS)))

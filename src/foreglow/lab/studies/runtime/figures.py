@@ -23,8 +23,9 @@ def stage_figure(results: RuntimeResults) -> bytes:
         shift = (index - (len(results.networks) - 1) / 2) * width
         known = {position: times.parts_ms[part] for position, part in enumerate(PARTS) if part in times.parts_ms}
         values = [column[np.isfinite(column)] for column in known.values()]
-        options = {"positions": [position + shift for position in known], "widths": 0.8 * width, "whis": WHISKERS}
-        box_plot(axes, values, [colour] * len(values), alpha=0.6, **options)
+        positions = [position + shift for position in known]
+        colours = [colour] * len(values)
+        box_plot(axes, values, colours, alpha=0.6, positions=positions, widths=0.8 * width, whis=WHISKERS)
         axes.plot([], [], "s", color=colour, label=times.name)
     axes.axhline(1e3 * results.frame_s, color=INK, linestyle=":", linewidth=1)
     axes.set_yscale("log")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
@@ -23,7 +25,13 @@ def benefit_figure(results: TimeBenefitResults) -> bytes:
         names = [name for name in rows if name != label]
         detected = [np.array(results.method(name).benefit.detected_s) for name in names]
         values = [(reference_s - times)[~np.isnan(reference_s - times)] for times in detected]
-        options = {"tick_labels": names, "showmeans": True, "showfliers": True, "medianprops": None, "widths": 0.5}
+        options: dict[str, Any] = {
+            "tick_labels": names,
+            "showmeans": True,
+            "showfliers": True,
+            "medianprops": None,
+            "widths": 0.5,
+        }
         box_plot(axes, values, [COLOURS.get(name, PALE) for name in names], alpha=0.6, **options)
         axes.axhline(0.0, color=INK, linewidth=0.8)
         axes.set(ylabel=f"seconds before the {label}")
@@ -42,7 +50,7 @@ def sequences_figure(results: TimeBenefitResults) -> bytes:
         size = 60 if marker == "|" else 22
         delays_s = np.array(results.method(name).benefit.detected_s) - light_s
         axes.scatter(delays_s, rows, s=size, color=colour, marker=marker, label=name)
-    axes.set_yticks(rows, [f"{one.sequence} {one.scenario}" for one in results.encounters], fontsize=7)
+    axes.set_yticks(rows, [f"{met.sequence} {met.scenario}" for met in results.encounters], fontsize=7)
     axes.axvline(0.0, color=AMBER, linewidth=0.8)
     axes.set(xlabel="seconds after the first annotated artifact")
     axes.invert_yaxis()

@@ -143,14 +143,14 @@ class Method:
 
 def detection_times_s(encounters: Sequence[Encounter], found: Iterable[FirstFound]) -> tuple[float, ...]:
     """When each encounter's vehicle is found, by the vehicles of `first_found`; NaN for never."""
-    times = {(one.sequence_id, one.vehicle_id): one.found_s for one in found}
-    return tuple(times.get((one.sequence_id, one.vehicle_id), math.nan) for one in encounters)
+    times_s = {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in found}
+    return tuple(times_s.get((met.sequence_id, met.vehicle_id), math.nan) for met in encounters)
 
 
 def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequence[float]) -> TimeBenefit:
     """The figures of a method that detects the encounters' vehicles at `detected_s`."""
     detected = np.array(detected_s, np.float64)
-    is_occluded = np.array([one.is_occluded for one in encounters], np.bool_)
+    is_occluded = np.array([met.is_occluded for met in encounters], np.bool_)
     light_s, sight_s, production_s, human_s = _columns(encounters)
     # A vehicle that never comes into sight is detected before it does, whenever that is.
     is_provident = (detected < sight_s) | (~np.isnan(detected) & np.isnan(sight_s))
@@ -170,7 +170,7 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
 def mean_delay_s(encounters: Sequence[Encounter], detected_s: Sequence[float]) -> float:
     """See `Method.delay_s`."""
     light_s, _, production_s, _ = _columns(encounters)
-    latest_s = np.fmax(light_s, np.where(np.isnan(production_s), [one.duration_s for one in encounters], production_s))
+    latest_s = np.fmax(light_s, np.where(np.isnan(production_s), [met.duration_s for met in encounters], production_s))
     return float((np.fmin(detected_s, latest_s) - light_s).mean())
 
 
@@ -188,5 +188,5 @@ def least_delay_s(curve: Sequence[Method], max_false_per_minute: float) -> float
 
 def _columns(encounters: Sequence[Encounter]) -> NDArray[np.float64]:
     """First light, first lamp, production system and human, shape (4, E)."""
-    rows = [(one.light_s, one.sight_s, one.production_s, one.human_s) for one in encounters]
+    rows = [(met.light_s, met.sight_s, met.production_s, met.human_s) for met in encounters]
     return np.array(rows, np.float64).reshape(-1, 4).T

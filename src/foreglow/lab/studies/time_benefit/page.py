@@ -74,9 +74,9 @@ METHOD_COLUMNS: Columns = {
     "before sight": lambda method: _mean_and_median(method.benefit.before_sight_s),
     "provident": lambda method: percent(method.benefit.provident_share),
     "missed": lambda method: method.benefit.num_missed,
-    "false tracks a minute": lambda method: number(method.false and method.false.per_minute),
-    "a km": lambda method: number(method.false and method.false.per_km),
-    "an empty minute": lambda method: number(method.false and method.false.per_empty_minute),
+    "false tracks a minute": lambda method: number(getattr(method.false, "per_minute", None)),
+    "a km": lambda method: number(getattr(method.false, "per_km", None)),
+    "an empty minute": lambda method: number(getattr(method.false, "per_empty_minute", None)),
 }
 
 CURVE_COLUMNS: Columns = {

@@ -52,8 +52,8 @@ RULES: Mapping[str, Mapping[str, TrackerConfig]] = MappingProxyType(
     {
         "frames": {f"{hits} frames": _ours(confirmation="frames", min_hits=hits) for hits in range(1, 11)},
         "m_of_n": {
-            f"{hits} of {looks}": _ours(confirmation="m_of_n", min_hits=hits, num_looks=looks)
-            for hits, looks in ((1, 1), (2, 3), (3, 4), (3, 5), (4, 6), (5, 7), (6, 9), (8, 12))
+            f"{hits} of {window}": _ours(confirmation="m_of_n", min_hits=hits, num_looks=window)
+            for hits, window in ((1, 1), (2, 3), (3, 4), (3, 5), (4, 6), (5, 7), (6, 9), (8, 12))
         },
         "evidence": {
             f"evidence {level:g}": _ours(
@@ -165,8 +165,9 @@ def _run(
     km = 0.0
     images = counted(dataset, "images", len(dataset), progress)
     for _, frames in itertools.groupby(images, key=lambda frame: frame.sequence):
-        for stage in (pipeline, *trackers.values()):
-            stage.reset()
+        pipeline.reset()
+        for tracker in trackers.values():
+            tracker.reset()
         for frame in frames:
             result = pipeline.step(frame)
             assert result.detections is not None
