@@ -25,14 +25,9 @@ def benefit_figure(results: TimeBenefitResults) -> bytes:
         names = [name for name in rows if name != label]
         detected = [np.array(results.method(name).benefit.detected_s) for name in names]
         values = [(reference_s - times)[~np.isnan(reference_s - times)] for times in detected]
-        options: dict[str, Any] = {
-            "tick_labels": names,
-            "showmeans": True,
-            "showfliers": True,
-            "medianprops": None,
-            "widths": 0.5,
-        }
-        box_plot(axes, values, [COLOURS.get(name, PALE) for name in names], alpha=0.6, **options)
+        colours = [COLOURS.get(name, PALE) for name in names]
+        options: dict[str, Any] = {"tick_labels": names, "widths": 0.5, "medianprops": None}
+        box_plot(axes, values, colours, alpha=0.6, showmeans=True, showfliers=True, **options)
         axes.axhline(0.0, color=INK, linewidth=0.8)
         axes.set(ylabel=f"seconds before the {label}")
         axes.tick_params(axis="x", rotation=20)
