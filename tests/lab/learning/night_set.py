@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.datasets.json_files import write_json
-from foreglow.datasets.pvdn_schema import Instance, KeypointsFile, Sequence, Vehicle
-from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter
+from foreglow.datasets.pvdn.schema import Instance, KeypointsFile, Sequence, Vehicle
+from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
 from foreglow.types import Frame
 
 SIZE_PX = (480, 640)  # height, width; the sizes of a preset are pixels of such a frame

@@ -10,6 +10,7 @@ import pytest
 
 from foreglow import _native
 from foreglow.datasets import PVDN, Selection
+from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light
 from foreglow.lab.learning import sample_cache
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
@@ -23,7 +24,6 @@ from foreglow.lab.learning.samples import (
     jittered,
     no_samples,
 )
-from foreglow.lab.simulation.world.materials import KINDS as SIMULATED_KINDS
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.datasets.pvdn_schema import ImageCategory
-from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, read_truth, simulate, simulate_dataset
+from foreglow.datasets.pvdn.schema import ImageCategory
+from foreglow.datasets.simulated import read_truth
+from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, simulate, simulate_dataset
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Rail, SurroundingsSpec, Verge
-from foreglow.lab.simulation.truth import DriveFrame
 from foreglow.parallel import Local
 from tests.lab.simulation.light.rendering import need_renderer
 

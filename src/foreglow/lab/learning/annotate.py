@@ -19,8 +19,8 @@ from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_to
 from foreglow.datasets import PVDN, split_folder
 from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
-from foreglow.datasets.pvdn_schema import BoxLabels, Sequence
-from foreglow.datasets.splits import SPLIT_NAMES
+from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.learning.annotation import IGNORED, label_boxes

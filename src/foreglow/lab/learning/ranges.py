@@ -18,6 +18,7 @@ import tomli_w
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets.simulated import read_truth
 from foreglow.distance.hypotheses import (
     Hypotheses,
     Parameters,
@@ -31,7 +32,6 @@ from foreglow.distance.weighing import weighed_ranges
 from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
-from foreglow.lab.simulation import read_truth
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
 

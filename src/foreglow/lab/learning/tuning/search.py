@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import PVDN, split_folder
-from foreglow.datasets.splits import SplitName
+from foreglow.datasets.pvdn.splits import SplitName
 from foreglow.lab.learning.annotate import Progress
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import objective

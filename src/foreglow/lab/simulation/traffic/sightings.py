@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.simulated import LampTruth
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.lab.simulation.camera.optics import LampPoints
 from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.lab.simulation.light.render import Renderer
 from foreglow.lab.simulation.traffic.actors import Actor, LitLamp
-from foreglow.lab.simulation.truth import LampTruth
 from foreglow.photometry import illuminance_lx
 
 DISC = np.array(

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Kind: TypeAlias = Literal["lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze"]
-"""What a light artifact is seen on; `lamp` is the lamp itself, `haze` the air."""
-
-KINDS: tuple[Kind, ...] = ("lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze")
+from foreglow.datasets.simulated import Kind
 
 
 @dataclass(frozen=True, slots=True)
