@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import xml.etree.ElementTree as etree
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,18 +46,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001
-    """The page with links to where the site has the files."""
-    source = ROOT / page.file.src_uri.removeprefix("repository/")
-    if not page.file.src_uri.startswith("repository/"):
-        source = DOCS / page.file.src_uri
-    elif source.suffix == ".md" and not source.exists():
-        return markdown  # the text of a file that is no Markdown
+    """The page with its links to where the site has the files."""
+    uri = page.file.src_uri
+    source = ROOT / uri.removeprefix("repository/") if uri.startswith("repository/") else DOCS / uri
+    if not source.exists():
+        return markdown  # the text of a file that is not Markdown
 
     def in_the_site(match: re.Match[str]) -> str:
         path = Path(os.path.normpath(source.parent / match[1]))
         if not path.exists():
             return match[0]  # MkDocs says which page has it
-        return os.path.relpath(site_uri(path), Path(page.file.src_uri).parent) + (match[2] or "")
+        return os.path.relpath(site_uri(path), Path(uri).parent) + (match[2] or "")
 
     return LINK.sub(in_the_site, markdown)
 
@@ -101,5 +99,5 @@ class Equation(InlineProcessor):
 
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[Any, int, int]:  # type: ignore[override]  # noqa: ARG002, N802
         """The element, and where the equation begins and ends."""
-        element = etree.fromstring(convert(m[2].strip(), display="block" if m[1] == "$$" else "inline"))
-        return self.md.htmlStash.store(etree.tostring(element, encoding="unicode")), m.start(0), m.end(0)
+        mathml = convert(m[2].strip(), display="block" if m[1] == "$$" else "inline")
+        return self.md.htmlStash.store(mathml), m.start(0), m.end(0)
