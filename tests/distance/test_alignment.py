@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, believed
+from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, map_alignment
 from foreglow.distance.ribbon import Alignment
 from foreglow.types import EgoMotion, RoadAhead
 from tests.distance.roads import camera, frame, line, road, straight
@@ -70,8 +70,8 @@ def test_small_and_boundless_errors_are_not_searched(bound_m: float) -> None:
 
 def test_without_road_or_motion_the_map_is_believed() -> None:
     for known in (frame(NOTHING, None, None), frame(NOTHING, None, straight())):
-        assert RoadAligner().align(known) == believed(known)
-    assert math.isinf(believed(frame(NOTHING, None, None)).shift_sigma_m)
+        assert RoadAligner().align(known) == map_alignment(known)
+    assert math.isinf(map_alignment(frame(NOTHING, None, None)).shift_sigma_m)
 
 
 def test_yaw_and_offset_come_from_the_markings_and_fade() -> None:
