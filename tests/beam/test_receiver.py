@@ -101,7 +101,7 @@ def test_after_a_greater_step_the_next_one_is_taken() -> None:
     assert receiver.noticed == {LinkFault.LOST: 1}
 
 
-@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("index", range(4))
 def test_lost_frame_of_a_command(index: int) -> None:
     receiver = running()
     frames = frames_of(10, level=0.2)
@@ -112,7 +112,7 @@ def test_lost_frame_of_a_command(index: int) -> None:
     assert receiver.noticed == {LinkFault.TORN: 1, LinkFault.LOST: 1}
 
 
-@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("index", range(4))
 def test_frames_always_lost_end_in_low_beam(index: int) -> None:
     receiver = running()
     for number in range(10, 20):
