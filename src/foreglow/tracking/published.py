@@ -141,15 +141,9 @@ class PublishedTracker:
                 source = replace(source, track_id=self._new_id())
             found.add(index)
             followed.append(_clipped(self._updated(source, sighting), limits_px))
-        lost = [
-            _clipped(self._lost(obj), limits_px)
-            for index, obj in enumerate(self._objects)
-            if index not in found
-        ]
+        lost = [_clipped(self._lost(obj), limits_px) for index, obj in enumerate(self._objects) if index not in found]
         self._objects = tuple(
-            obj
-            for obj in followed + lost
-            if obj.num_lost <= self._config.max_misses and _is_ordered(obj.box)
+            obj for obj in followed + lost if obj.num_lost <= self._config.max_misses and _is_ordered(obj.box)
         )
 
     def _new_id(self) -> int:
@@ -161,9 +155,7 @@ class PublishedTracker:
         x, y, width, height = _centre_size(sighting.box)
         grow = self._config.enlargement
         grown = _clip(_corners((x, y, grow * width, grow * height)), limits_px)
-        shares = [
-            (_share_covered(obj.future_box, grown), obj.num_hits, obj.score) for obj in self._objects
-        ]
+        shares = [(_share_covered(obj.future_box, grown), obj.num_hits, obj.score) for obj in self._objects]
         candidates = [(*share, index) for index, share in enumerate(shares) if share[0] >= self._config.min_iou]
         return max(candidates)[-1] if candidates else None
 
