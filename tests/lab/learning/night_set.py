@@ -41,7 +41,7 @@ def make_night_set(folder: Path, splits: tuple[str, ...] = ("train", "val"), num
         with PVDNWriter(folder / "night" / split) as writer:
             for sequence in range(1, NUM_SEQUENCES + 1):
                 first = 1000 * number + 100 * sequence
-                frames = [night_frame(first + place) for place in range(num_images)]
+                frames = [night_frame(first + index) for index in range(num_images)]
                 writer.add_sequence(
                     Sequence.plain(sequence), [LabelledImage(frame, vehicles) for frame, vehicles, _ in frames]
                 )
