@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NotRequired, TypeAlias
+from typing import Annotated, Any, Literal, NotRequired, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,20 +34,10 @@ Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]
 
 @checked
 class TrackEntry(TypedDict):
-    """A track in a line.
+    """A track in a line, with the fields of `Tracks`.
 
-    Attributes:
-        id: Its number.
-        state: Name of a `TrackState`.
-        box_xyxy_px: Its box, rounded to 0.001 pixels.
-        confidence: As `Tracks.confidences`.
-        num_hits: Frames with a detection.
-        num_misses: Frames without a detection since the latest with one.
-        age_s: Its age, rounded to a microsecond.
-        range_m: Its range, rounded to a millimetre; None where unknown.
-        range_sigma_m: Standard deviation of the range; None for infinity.
-        detection: Index of its detection among the proposals; -1 if it has none in this frame.
-        direct: Probability that it is a lamp itself; None where unknown.
+    The box is rounded to 0.001 pixels, the age to a microsecond, range and sigma to a millimetre. Range, sigma and the
+    probability `direct` of a lamp itself are None where unknown. `detection` is an index among the proposals, or -1.
     """
 
     id: int
@@ -65,13 +55,7 @@ class TrackEntry(TypedDict):
 
 @checked
 class GapEntry(TypedDict):
-    """A dark gap of a beam.
-
-    Attributes:
-        right_deg: Azimuth of its right border, positive to the left, in the vehicle's frame, rounded to 0.001 degrees.
-        left_deg: Azimuth of its left border.
-        range_m: Distance to the vehicle that it protects, rounded to a millimetre; None where unknown.
-    """
+    """A dark gap of a beam: azimuths to 0.001 degrees, range to a millimetre or None, otherwise as in `BeamCommand`."""
 
     right_deg: float
     left_deg: float
@@ -80,14 +64,7 @@ class GapEntry(TypedDict):
 
 @checked
 class BeamEntry(TypedDict):
-    """The beam command in a line.
-
-    Attributes:
-        mode: Name of a `BeamMode`.
-        gaps: From right to left.
-        faults: Why there is low beam although high beam was wanted.
-        levels: A list for the left lamp and a list for the right lamp: the level of each LED in thousandths of full.
-    """
+    """The beam command in a line, as `BeamCommand`; `levels` are those of each LED in thousandths of full."""
 
     mode: ModeName
     gaps: list[GapEntry]
@@ -131,16 +108,8 @@ class FrameLine(TypedDict):
 
 FrameLineModel = RootModel[FrameLine]
 
-_STATE_NAMES: dict[int, StateName] = {
-    TrackState.TENTATIVE: "tentative",
-    TrackState.CONFIRMED: "confirmed",
-    TrackState.COASTING: "coasting",
-}
-_MODE_NAMES: dict[int, ModeName] = {
-    BeamMode.LOW: "low",
-    BeamMode.GLARE_FREE: "glare_free",
-    BeamMode.FULL: "full",
-}
+_STATE_NAMES = {state: cast(StateName, state.name.lower()) for state in TrackState}
+_MODE_NAMES = {mode: cast(ModeName, mode.name.lower()) for mode in BeamMode}
 
 
 def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
