@@ -57,9 +57,6 @@ KNOWN = {
     # What a person looks at borrows from what makes models and pages.
     ("display.live_status", "lab.reports.tables"),
     ("display.progress", "lab.learning.training"),
-    # A simulated drive's truth is read where it is written.
-    ("lab.evaluation.boxes.lights", "lab.simulation"),
-    ("lab.evaluation.tracks.encounters", "lab.simulation"),
     # The tables of one experiment serve all pages.
     ("lab.reports.html", "lab.studies.detector.tables"),
     ("lab.reports.run_page", "lab.studies.detector.tables"),
