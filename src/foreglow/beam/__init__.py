@@ -3,7 +3,7 @@
 from foreglow.beam.gaps import Gap
 from foreglow.beam.guard import Guard
 from foreglow.beam.occurrence import Occurrence, occurrence
-from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy
+from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy, policy_class
 from foreglow.beam.stage import BeamStage
 
 __all__ = [
@@ -17,4 +17,5 @@ __all__ = [
     "PaperPolicy",
     "make_policy",
     "occurrence",
+    "policy_class",
 ]

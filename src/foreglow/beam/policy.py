@@ -16,6 +16,7 @@ from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
+from foreglow.plugins import find
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
@@ -261,15 +262,22 @@ def brightness(image: Image, box_xyxy_px: Floats) -> float:
 POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(
     {"low": LowBeam, "high": HighBeam, "paper": PaperPolicy, "foreglow": ForeglowPolicy}
 )
-"""Every policy by name."""
+"""Our policies by name."""
+
+
+def policy_class(name: str, field: str = "beam.policy") -> type[BeamPolicy]:
+    """The policy called `name`: one of `POLICIES`, or a plug-in.
+
+    Raises:
+        ValueError: If there is none, or it cannot be imported; the message starts with `field`.
+    """
+    return find(field, name, POLICIES, "foreglow.policies")
 
 
 def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
-    """The policy that `config` names.
+    """The policy that `config.policy` names.
 
     Raises:
-        ValueError: If there is no such policy; the message lists those that exist.
+        ValueError: As `policy_class`.
     """
-    if config.policy not in POLICIES:
-        raise ValueError(f"beam.policy: expected one of {', '.join(POLICIES)}, got {config.policy!r}")
-    return POLICIES[config.policy](config, headlamps)
+    return policy_class(config.policy)(config, headlamps)
