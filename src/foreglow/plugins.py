@@ -40,8 +40,7 @@ def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry
         return imported(field, name)
     points = {point.name: point for point in metadata.entry_points(group=group)}
     if name not in points:
-        known = [*table, *points, *(["none"] if name != "none" else [])]
-        raise ValueError(f"{field}: expected one of {', '.join(known)}, or module:Name, got {name!r}")
+        raise ValueError(f"{field}: expected one of {', '.join([*table, *points])}, or module:Name, got {name!r}")
     return imported(field, points[name].value)
 
 

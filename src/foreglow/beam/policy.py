@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +15,6 @@ from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
-from foreglow.plugins import find
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
@@ -257,27 +255,3 @@ def brightness(image: Image, box_xyxy_px: Floats) -> float:
     x1, y1, x2, y2 = (max(int(edge), 0) for edge in np.ceil(box_xyxy_px))
     inside = image[y1:y2, x1:x2]
     return float(inside.max()) if inside.size else 0.0
-
-
-POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(
-    {"low": LowBeam, "high": HighBeam, "paper": PaperPolicy, "foreglow": ForeglowPolicy}
-)
-"""Our policies by name."""
-
-
-def policy_class(name: str, field: str = "beam.policy") -> type[BeamPolicy]:
-    """The policy called `name`: one of `POLICIES`, or a plug-in.
-
-    Raises:
-        ValueError: If there is none, or it cannot be imported; the message starts with `field`.
-    """
-    return find(field, name, POLICIES, "foreglow.policies")
-
-
-def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
-    """The policy that `config.policy` names.
-
-    Raises:
-        ValueError: As `policy_class`.
-    """
-    return policy_class(config.policy)(config, headlamps)

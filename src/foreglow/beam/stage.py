@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from foreglow.beam.guard import Guard
-from foreglow.beam.policy import BeamPolicy, make_policy
+from foreglow.beam.policies import make_policy
+from foreglow.beam.policy import BeamPolicy
 from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked
@@ -34,7 +35,6 @@ class BeamStage:
         headlamps = read_headlamps(config.headlamps)
         self._min_direct = config.min_direct
         self._policy = built(policy, make_policy, config, headlamps)
-        self._field = f"beam.policy: {config.policy}"
         self._guard = Guard(guard, headlamps)
 
     def command(
@@ -47,7 +47,7 @@ class BeamStage:
         """
         direct = tracks.direct_probabilities
         is_vehicle = np.isnan(direct) | (direct > self._min_direct)
-        wanted = checked(self._field, self._policy.command(frame, tracks), BeamCommand)
+        wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
         return self._guard.check(wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle)
 
     def reset(self) -> None:
