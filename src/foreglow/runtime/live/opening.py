@@ -22,12 +22,12 @@ STREAM = "://"
 """Stands for the scheme of any address with `://` in it, which is passed on as a whole."""
 
 SOURCES = {
-    "camera": "foreglow.runtime.live.cameras:open_v4l2",
-    "gstreamer": "foreglow.runtime.live.cameras:open_gstreamer",
-    STREAM: "foreglow.runtime.live.cameras:StreamCamera",
-    "simulate": "foreglow.lab.simulation.live_drive:open_drive",
+    "camera": "runtime.live.cameras:open_v4l2",
+    "gstreamer": "runtime.live.cameras:open_gstreamer",
+    STREAM: "runtime.live.cameras:StreamCamera",
+    "simulate": "lab.simulation.live_drive:open_drive",
 }
-"""The `Opener` of each scheme, as `module:name`: it is imported when it is needed."""
+"""The `Opener` of each scheme, as `module:name` without the package: it is imported when it is needed."""
 
 
 def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: str | None = None) -> LiveSource:
@@ -67,5 +67,5 @@ def _opened(text: str, options: CameraOptions) -> LiveSource | None:
         scheme, address = STREAM, text
     if scheme not in SOURCES:
         return None
-    opener: Opener = imported("source", SOURCES[scheme])
+    opener: Opener = imported("source", f"foreglow.{SOURCES[scheme]}")
     return opener(address, options)
