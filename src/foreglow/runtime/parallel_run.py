@@ -172,7 +172,7 @@ class _ProgressSink:
 
     def close(self) -> None:
         """Reports the number of frames."""
-        self._parent.tell(self._sequence, self._num_done)
+        self._parent.report_progress(self._sequence, self._num_done)
         self._reported_s = time.monotonic()
 
     def discard(self) -> None:
