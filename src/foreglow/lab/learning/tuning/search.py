@@ -213,7 +213,7 @@ def _run_trials(
 
 def _work(plan: StudyPlan, material: Material, number: int, parent: Parent) -> None:  # noqa: ARG001
     prepare(open_study(plan), plan)  # a process that was lost left a trial behind
-    work(plan, material, lambda: parent.is_stopped, parent.tell)
+    work(plan, material, lambda: parent.is_stopped, parent.report_progress)
 
 
 def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:

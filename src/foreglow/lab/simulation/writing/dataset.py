@@ -284,7 +284,7 @@ def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent
         numbered = replace(known, image_id=image_id, street=street.message(known.ego_s_m))
         writer.add(numbered, known.camera, depth)
         num_done += 1
-        parent.tell(file.sequence, num_done, scene.num_frames)
+        parent.report_progress(file.sequence, num_done, scene.num_frames)
         if parent.is_stopped:
             raise KeyboardInterrupt
     if num_done != scene.num_frames:

@@ -158,7 +158,7 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
     def told() -> Any:
         for place, pair in enumerate(drives.pairs(named.scene), start=1):
             yield pair
-            parent.tell(number, place, named.scene.num_frames)
+            parent.report_progress(number, place, named.scene.num_frames)
             if parent.is_stopped:
                 raise KeyboardInterrupt
 
