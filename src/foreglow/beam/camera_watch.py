@@ -1,4 +1,4 @@
-"""Whether a camera sees: not frozen, not saturated, not black."""
+"""Whether a camera works: its image is not frozen, not saturated and not black."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from foreglow.config import GuardConfig
 from foreglow.types import Image
 
 NUM_SAMPLES = 1200
-"""About so many pixels of an image are looked at, on a grid."""
+"""About so many pixels of an image are sampled, on a grid."""
 
 
 class CameraWatch:
-    """Looks at a sample of each image's pixels. A real sensor's noise makes no two samples alike."""
+    """Checks a sample of each image's pixels. A real sensor's noise makes no two samples alike."""
 
     def __init__(self, config: GuardConfig) -> None:
         self._config = config
@@ -29,7 +29,7 @@ class CameraWatch:
         self._fingerprint: int | None = None
         self._num_same = 0
 
-    def look(self, image: Image) -> list[GuardFault]:
+    def faults(self, image: Image) -> list[GuardFault]:
         """What is wrong with the next image."""
         step = max(1, math.isqrt(image.size // NUM_SAMPLES))
         sample: NDArray[Any] = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])

@@ -1,7 +1,7 @@
 """The third stage: how far away the light in each box is.
 
-All estimators work in the vehicle's frame (x forward, y left, z up, z = 0 the road under the car) and give the range
-from the camera along the viewing ray, to what shines or is lit.
+All estimators work in the vehicle's frame (x forward, y left, z up, z = 0 is the road under the car) and give the range
+from the camera along the viewing ray, to the lamp or to the surface that it lights.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from foreglow.distance.psd_2d import PSD2D
 from foreglow.distance.psd_3d import PSD3D
 from foreglow.distance.psd_3d_plus import PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
+from foreglow.plugins import find
 from foreglow.types import Detections, Frame, Ranges
 
 __all__ = [
@@ -29,12 +30,12 @@ __all__ = [
 
 
 class RangeEstimator(Protocol):
-    """Gives every box of a frame a range and its standard deviation."""
+    """Estimates the range of every box of a frame, and its standard deviation."""
 
     def __init__(self, config: DistanceConfig) -> None: ...
 
     def estimate(self, frame: Frame, detections: Detections) -> Ranges:
-        """The ranges of `detections` in `frame`, whose `camera` must be there; NaN and infinity where unknown."""
+        """The ranges of `detections` in `frame`, which must have a camera; NaN and infinity where unknown."""
         ...
 
     def reset(self) -> None:
@@ -49,15 +50,13 @@ ESTIMATORS: dict[str, type[RangeEstimator]] = {
     "psd_2d": PSD2D,
     "road_surface": RoadSurface,
 }
-"""All estimators by name."""
+"""Our estimators by name."""
 
 
 def make_estimator(config: DistanceConfig) -> RangeEstimator:
-    """The estimator that `config` names.
+    """The estimator that `config.estimator` names: one of `ESTIMATORS`, or a plug-in.
 
     Raises:
-        ValueError: If it names none.
+        ValueError: If it names none, or one that cannot be imported.
     """
-    if config.estimator not in ESTIMATORS:
-        raise ValueError(f"distance.estimator: expected one of {', '.join(ESTIMATORS)}, got {config.estimator!r}")
-    return ESTIMATORS[config.estimator](config)
+    return find("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators")(config)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from foreglow.beam import Occurrence
+from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.geometry import Pose, rotation
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, first_sights, is_coming
-from foreglow.lab.simulation import LampTruth, VehicleTruth
 
 HERE = Pose(np.zeros(3), np.eye(3))
 

@@ -31,9 +31,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foreglow.beam import Occurrence
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Pose
 from foreglow.lab.evaluation.ratios import mean, median
-from foreglow.lab.simulation import VehicleTruth
 
 LEADS_S = (2.0, 1.0, 0.5)
 """Before first sight, when expectations are scored."""

@@ -123,7 +123,7 @@ def _facts(run: RecordedRun) -> Table:
         ["plausible tracks", DASH if summary.num_tracks is None else summary.num_tracks],
     ]
     if summary.beam is not None:
-        counts = [f"{summary.beam.get(f'num_{mode}', 0)} {words}" for mode, words in MODES.items()]
+        counts = [f"{getattr(summary.beam, f'num_{mode}')} {words}" for mode, words in MODES.items()]
         rows.append(["frames with", ", ".join(counts)])
     if summary.live is not None:
         rows.append(["dropped for a newer frame", summary.live.num_dropped])

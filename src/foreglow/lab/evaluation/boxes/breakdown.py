@@ -196,7 +196,7 @@ def read_split_labels(dataset: PVDN) -> SplitLabels:
         empty_images=frozenset(empty_images(dataset)),
         weather_of={image_id: dataset.sequence(image_id).weather.name.lower() for image_id in ids},
         sequence_of={image_id: dataset.sequence(image_id).id for image_id in ids},
-        time_s={image_id: dataset.labels.place_of[image_id] / dataset.rate_hz for image_id in ids},
+        time_s={image_id: dataset.time_s(image_id) for image_id in ids},
     )
 
 

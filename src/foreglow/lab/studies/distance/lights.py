@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foreglow.datasets.simulated import SequenceTruth
 from foreglow.geometry import Camera, Pose, rotation
 from foreglow.lab.evaluation.boxes.matching import smallest_box
-from foreglow.lab.simulation.writing.truth_files import SequenceTruth
 from foreglow.types import Boxes, Frame
 
 NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
@@ -77,7 +77,7 @@ def ranged_lights(
                     kind=artifact.kind,
                     truth_m=artifact.depth_m,
                     vehicle_range_m=vehicle.range_m,
-                    scenario=truth.scene.name,
+                    scenario=truth.scenario,
                     error_class=known.street.error_class,
                     box=box,
                     box_xyxy_px=tuple(boxes_xyxy_px[box].tolist()),

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
+from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_text, write_atomic, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, without_traffic
 from foreglow.lab.simulation.writing.dataset import Progress
-from foreglow.lab.simulation.writing.truth_files import read_scenes, sequence_name
+from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
@@ -155,7 +156,7 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
     def pairs() -> Iterator[tuple[Shone, Shone]]:
         for num_done, pair in enumerate(drives.pairs(named.scene), start=1):
             yield pair
-            parent.tell(number, num_done, named.scene.num_frames)
+            parent.report_progress(number, num_done, named.scene.num_frames)
             if parent.is_stopped:
                 raise KeyboardInterrupt
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting, is_coming
-from foreglow.lab.simulation import DriveFrame, Scene, VehicleTruth
+from foreglow.lab.simulation import DriveFrame, Scene
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.lab.studies.glare.light import EyeLight, OurLight
 from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop

@@ -8,8 +8,8 @@ from pathlib import Path
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN
+from foreglow.datasets.simulated import read_truth
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting
-from foreglow.lab.simulation import read_truth
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.photometry import read_headlamps
 from foreglow.pipeline import Pipeline
@@ -47,6 +47,6 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
         if drive.directory in expected
         for sighting in expected[drive.directory].sightings(
             [Moment(frame.timestamp_ns / 1e9, frame.ego_pose, frame.vehicles) for frame in drive.frames],
-            drive.scene.rate_hz,
+            truth.info.rate_hz,
         )
     )

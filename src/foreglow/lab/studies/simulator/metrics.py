@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import preset
+from foreglow.datasets.simulated import Artifact
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
 from foreglow.lab.simulation.labels.artifacts import apply_rule, scaled_rule
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact
 from foreglow.pipeline import Pipeline
 
 DARK_ROWS = 0.4

@@ -1,0 +1,328 @@
+"""Reading PVDN (Provident Vehicle Detection at Night): frames with keypoints of oncoming vehicles."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.images import read_image
+from foreglow.datasets.json_files import read_json
+from foreglow.datasets.pvdn.labels import PVDNLabels, read_labels
+from foreglow.datasets.pvdn.schema import (
+    BoxLabels,
+    CameraConfiguration,
+    Cycle,
+    EnvironmentLighting,
+    ImageCategory,
+    ImageRecord,
+    Instance,
+    KeypointsFile,
+    RoadType,
+    Sequence,
+    Vehicle,
+    Weather,
+)
+from foreglow.datasets.pvdn.splits import find_split
+from foreglow.datasets.simulated.vehicle import SimulatedVehicle
+from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.vehicle_data import equip
+from foreglow.types import Frame
+
+PVDN_RATE_HZ = 18.0
+"""Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
+
+MAX_RATE_HZ = 1000.0
+"""Fastest frame rate of a set that names its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which images of a split are wanted: those that fulfil all fields that are not None.
+
+    Attributes:
+        scenes: Sequences, by id or folder name.
+        cycle: Exposure cycle, as in `PVDN.cycle_of`.
+        weathers: Weather of the sequence.
+        lightings: Ambient light of the sequence.
+        road_types: Road of the sequence.
+        categories: At least one category of the image is among these; an image without any counts as NONE.
+        has_keypoints: Whether the image has at least one instance in its keypoint file; reads those files.
+    """
+
+    scenes: Collection[int | str] | None = None
+    cycle: Cycle | None = None
+    weathers: Collection[Weather] | None = None
+    lightings: Collection[EnvironmentLighting] | None = None
+    road_types: Collection[RoadType] | None = None
+    categories: Collection[ImageCategory] | None = None
+    has_keypoints: bool | None = None
+
+
+class PVDN:
+    """A split of PVDN, such as `PVDN/day/val`, or one of its sequences, such as `PVDN/day/val/images/S00121`.
+
+    Labels are read and checked at construction; images, keypoints and boxes when they are asked for. Iterating
+    yields frames in the order of sequence and image id, where `Frame.frame` is the image's id and `Frame.sequence`
+    the sequence's folder.
+
+    Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's number in its
+    sequence, counted over all its images sorted by id, divided by the frame rate. That is 18 Hz, unless the `info` of
+    `image_annotations.json` has a `rate_hz`, as simulated sets do. The fields `timestamp` and `date_captured` of the
+    files are not used, since their units are not documented. Different sequences share no time axis: reset the
+    pipeline between them.
+
+    Frames of a simulated split carry what the car knew: calibration, motion, and the road of its street message.
+
+    Attributes:
+        rate_hz: Frames a second within a sequence.
+        root: The split's folder.
+        labels: The label files as they are.
+        cycle: The exposure cycle that the folder is in; None outside `day` and `night`.
+        frame_ids: Ids of the selected images, in order.
+        skipped: A line for each image that the latest iteration left out so far.
+    """
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        select: Selection | None = None,
+        on_error: OnError = "stop",
+        cache: FrameCache | None = None,
+    ) -> None:
+        """Reads the labels.
+
+        Args:
+            root: The split's or the sequence's folder, or a folder that has this split only, one or two levels below.
+            select: The wanted images; None for all.
+            on_error: What an image that is missing, broken or of the wrong size does; labels must always be right.
+            cache: Where decoded images are kept for the next pass; None decodes each time.
+
+        Raises:
+            FileNotFoundError: If the folder or a label file is missing.
+            ValueError: If a label file is broken, they contradict each other, a selected scene does not exist, or there
+                are several splits.
+        """
+        folder = Path(root)
+        if not folder.is_dir():
+            raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")
+        self.root, self._directory = find_split(folder)
+        self.labels: PVDNLabels = read_labels(self.root)
+        self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
+        above = self.root.resolve().parent.name
+        self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
+        self.skipped: list[str] = []
+        self._on_error = checked_on_error(on_error)
+        self._read = read_image if cache is None else cache.read_image
+        self._vehicle = SimulatedVehicle(self.root)
+        self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
+
+    @property
+    def name(self) -> str:
+        """Split, or split and sequence, such as `day/val/S00121`."""
+        parts = [*self.root.resolve().parts[-2:], *([self._directory] if self._directory else [])]
+        return "/".join(parts)
+
+    @property
+    def sequences(self) -> tuple[Sequence, ...]:
+        """The sequences with at least one selected image, in the file's order."""
+        selected = {self.sequence(image_id).id for image_id in self.frame_ids}
+        return tuple(sequence for sequence in self.labels.sequences_file.sequences if sequence.id in selected)
+
+    @property
+    def directories(self) -> tuple[str, ...]:
+        """Folders of the sequences with at least one selected image, in the order of the frames."""
+        return tuple(dict.fromkeys(self.sequence(image_id).directory for image_id in self.frame_ids))
+
+    def only(self, directory: str) -> PVDN:
+        """The selected images of one sequence, by its folder; the labels are shared."""
+        part = copy.copy(self)
+        part.frame_ids = tuple(id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory)
+        part.skipped = []
+        return part
+
+    @property
+    def num_frames(self) -> int:
+        """Number of selected images."""
+        return len(self.frame_ids)
+
+    def __len__(self) -> int:
+        return len(self.frame_ids)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The selected frames; with `stop`, a missing image file raises before the first one is yielded."""
+        self.skipped = []
+        if self._on_error == "stop":
+            for image_id in self.frame_ids:
+                self._check_exists(image_id)
+        reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
+        return read_each(reads, self._on_error, self.skipped)
+
+    def read(self, image_id: int) -> Frame:
+        """The frame of image `image_id`, which need not be a selected one.
+
+        Raises:
+            FileNotFoundError: If the image file is missing.
+            ValueError: If there is no such id, or the image is broken or not of the size in the labels.
+        """
+        record = self.image(image_id)
+        self._check_exists(image_id)
+        path = self.image_path(image_id)
+        image = self._read(path)
+        if image.shape != (record.height_px, record.width_px):
+            raise ValueError(
+                f"{path}: image size: expected {record.width_px}x{record.height_px} px as in image_annotations.json, "
+                f"got {image.shape[1]}x{image.shape[0]} px"
+            )
+        sequence = self.sequence(image_id)
+        number = self.labels.number_of[image_id]
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(number * 1e9 / self.rate_hz)
+        frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+        return equip(frame, self._vehicle)
+
+    def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
+        """The oncoming vehicles in image `image_id`; empty where there is none.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing: a data set has one for every image, also without
+                vehicles.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        return self._keypoints_file(image_id).annotations
+
+    def doubtful(self, image_id: int) -> tuple[Instance, ...]:
+        """Light in image `image_id` that counts neither as an instance nor as a false alarm; simulated sets have some.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        return self._keypoints_file(image_id).doubtful
+
+    def keypoints_px(self, image_id: int) -> NDArray[np.int32]:
+        """Positions of all instances in image `image_id`, shape (K, 2), int32, columns x and y, full-frame pixels.
+
+        Raises:
+            FileNotFoundError: If the keypoint file is missing.
+            ValueError: If there is no such id, or the file is broken.
+        """
+        vehicles = self.annotations(image_id)
+        positions = [instance.position_px for vehicle in vehicles for instance in vehicle.instances]
+        return np.array(positions, np.int32).reshape(-1, 2)
+
+    def boxes(self, image_id: int) -> BoxLabels | None:
+        """The generated boxes of image `image_id`; None where the split has none for it.
+
+        Raises:
+            ValueError: If there is no such id, or the file is broken.
+        """
+        self.image(image_id)
+        path = self.root / "labels" / "bounding_boxes" / f"{image_id:06d}.json"
+        return read_json(path, BoxLabels) if path.exists() else None
+
+    def image(self, image_id: int) -> ImageRecord:
+        """The labels' record of image `image_id`; ValueError if there is no such id."""
+        if image_id not in self.labels.images:
+            raise ValueError(f"{self.root}: image_id: expected an image of this split, got {image_id}")
+        return self.labels.images[image_id]
+
+    def image_path(self, image_id: int) -> Path:
+        """The file of image `image_id`."""
+        return self.root / "images" / self.sequence(image_id).directory / self.image(image_id).file_name
+
+    def sequence(self, image_id: int) -> Sequence:
+        """The sequence of image `image_id`."""
+        return self.labels.sequence_of[self.image(image_id).id]
+
+    def time_s(self, image_id: int) -> float:
+        """Seconds from the first image of its sequence to image `image_id`; KeyError if there is no such id."""
+        return self.labels.number_of[image_id] / self.rate_hz
+
+    def camera_configuration(self, image_id: int) -> CameraConfiguration:
+        """Camera and exposure of image `image_id` by the labels, which the folder may contradict."""
+        return self.labels.images_file.camera_configurations[self.image(image_id).camera_configuration]
+
+    def cycle_of(self, image_id: int) -> Cycle:
+        """Exposure cycle of image `image_id`: the folder's, or outside `day` and `night` that of the labels.
+
+        The folder comes first since published images in `night` carry a camera configuration that says day.
+        """
+        return self.cycle or self.camera_configuration(image_id).cycle
+
+    def categories(self, image_id: int) -> tuple[ImageCategory, ...]:
+        """The categories of image `image_id`, in the file's order; (NONE,) where it has none."""
+        return self.labels.categories.get(self.image(image_id).id, (ImageCategory.NONE,))
+
+    def first_with(self, sequence: Sequence, category: ImageCategory) -> int | None:
+        """Id of the first image of `sequence` in `category`, or None; `CategoryConfig` names categories by meaning."""
+        ids = sorted(sequence.image_ids)
+        return next((image_id for image_id in ids if category in self.categories(image_id)), None)
+
+    def _keypoints_file(self, image_id: int) -> KeypointsFile:
+        self.image(image_id)
+        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file, expected the keypoints of image {image_id}")
+        keypoints = read_json(path, KeypointsFile)
+        if keypoints.image_id != image_id:
+            raise ValueError(f"{path}: image_id: expected {image_id} as in the file's name, got {keypoints.image_id}")
+        return keypoints
+
+    def _check_exists(self, image_id: int) -> None:
+        path = self.image_path(image_id)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such image, expected that of id {image_id} in image_annotations.json")
+
+    def _selected(self, select: Selection) -> Iterator[int]:
+        """Ids of the images that `select` and the sequence's folder, if one was given, let through."""
+        sequences = self.labels.sequences_file.sequences
+        if self._directory is not None:
+            sequences = tuple(sequence for sequence in sequences if sequence.directory == self._directory)
+            if not sequences:
+                path = self.root / "labels" / "sequences.json"
+                raise ValueError(f"{path}: sequences: expected one with dir {self._directory}, found none")
+        if select.scenes is not None:
+            known = {key for sequence in sequences for key in (sequence.id, sequence.directory)}
+            for scene in select.scenes:
+                if scene not in known:
+                    raise ValueError(f"{self.root}: scenes: expected ids or folders of sequences, got {scene!r}")
+        for sequence in sorted(sequences, key=lambda sequence: sequence.id):
+            if _is_wanted(sequence, select):
+                yield from (id_ for id_ in sorted(sequence.image_ids) if self._is_wanted_image(id_, select))
+
+    def _is_wanted_image(self, image_id: int, select: Selection) -> bool:
+        if select.cycle is not None and self.cycle_of(image_id) != select.cycle:
+            return False
+        if select.categories is not None and not set(select.categories).intersection(self.categories(image_id)):
+            return False
+        return select.has_keypoints is None or select.has_keypoints == self._has_keypoints(image_id)
+
+    def _has_keypoints(self, image_id: int) -> bool:
+        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        return path.exists() and len(self.keypoints_px(image_id)) > 0
+
+
+def _rate_hz(info: dict[str, Any], root: Path) -> float:
+    """Frames a second: `rate_hz` of the set's `info`, or that of PVDN."""
+    rate_hz = info.get("rate_hz", PVDN_RATE_HZ)
+    if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not 0 < rate_hz <= MAX_RATE_HZ:
+        path = root / "labels" / "image_annotations.json"
+        raise ValueError(f"{path}: info.rate_hz: expected a number above 0 and up to {MAX_RATE_HZ:g}, got {rate_hz!r}")
+    return float(rate_hz)
+
+
+def _is_wanted(sequence: Sequence, select: Selection) -> bool:
+    return (
+        (select.scenes is None or sequence.id in select.scenes or sequence.directory in select.scenes)
+        and (select.weathers is None or sequence.weather in select.weathers)
+        and (select.lightings is None or sequence.environment_lighting in select.lightings)
+        and (select.road_types is None or sequence.road_type in select.road_types)
+    )

@@ -1,0 +1,268 @@
+"""Writing data sets in PVDN's layout: new ones sequence by sequence, or one that was read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from foreglow.datasets.images import png
+from foreglow.datasets.json_files import read_json, write_json
+from foreglow.datasets.pvdn.reader import PVDN
+from foreglow.datasets.pvdn.schema import (
+    BoxLabels,
+    CameraConfiguration,
+    Category,
+    Cycle,
+    ImageAnnotation,
+    ImageAnnotationsFile,
+    ImageCategory,
+    ImageRecord,
+    KeypointsFile,
+    Sequence,
+    SequencesFile,
+    Vehicle,
+)
+from foreglow.files import write_atomic
+from foreglow.types import Frame
+
+CAMERA_CONFIGURATIONS = tuple(CameraConfiguration(camera="Cam01", cycle=cycle) for cycle in Cycle)
+"""The two configurations of PVDN's camera: 0 day, 1 night."""
+
+CATEGORIES = tuple(
+    Category(supercategory="image", id=int(category), name=category.name.lower()) for category in ImageCategory
+)
+"""The image categories, named as in `ImageCategory`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledImage:
+    """A frame with its labels, to be written.
+
+    Attributes:
+        frame: The image; `Frame.frame` becomes the image's id.
+        vehicles: The oncoming vehicles, with their light artifacts.
+        categories: The image's categories.
+        boxes: Generated boxes; None writes no file.
+        camera_configuration: Index in the writer's list of camera configurations.
+    """
+
+    frame: Frame
+    vehicles: tuple[Vehicle, ...] = ()
+    categories: tuple[ImageCategory, ...] = ()
+    boxes: BoxLabels | None = None
+    camera_configuration: int = 0
+
+
+class PVDNWriter(AbstractContextManager["PVDNWriter"]):
+    """Writes a split, sequence by sequence; images as PNG, in constant memory.
+
+    Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
+    until then the folder is not a PVDN split. The reader takes an image's time from its sequence's start and 18 Hz, or
+    `rate_hz` in `info`.
+
+    >>> import numpy as np, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     image = Frame(np.zeros((64, 64), np.uint8), timestamp_ns=0, frame=1)
+    ...     with PVDNWriter(Path(folder) / "night" / "val") as writer:
+    ...         _ = writer.add_sequence(Sequence.plain(1), [LabelledImage(image)])
+    ...     len(PVDN(Path(folder) / "night" / "val"))
+    1
+    """
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        info: Mapping[str, Any] | None = None,
+        camera_configurations: tuple[CameraConfiguration, ...] = CAMERA_CONFIGURATIONS,
+        categories: tuple[Category, ...] = CATEGORIES,
+    ) -> None:
+        """Makes the split's folders.
+
+        Args:
+            root: The split's folder, such as `out/night/val`; made if absent, must hold no split yet.
+            info: Describes the data set: description, url, version, year, contributor, date_created, changed.
+            camera_configurations: The list that `LabelledImage.camera_configuration` points into.
+            categories: Names of the image categories.
+
+        Raises:
+            ValueError: If the folder holds images or labels already.
+            OSError: If the folders cannot be made.
+        """
+        self.root = Path(root)
+        _make_folders(self.root)
+        self._info = dict(info or {})
+        self._camera_configurations = camera_configurations
+        self._categories = categories
+        self._sequences: list[Sequence] = []
+        self._images: dict[int, ImageRecord] = {}
+        self._annotations: list[ImageAnnotation] = []
+
+    def add_sequence(self, sequence: Sequence, images: Iterable[LabelledImage]) -> Sequence:
+        """Writes `images` as the sequence's, and returns the sequence as stored, with its ids and their number.
+
+        Args:
+            sequence: The attributes; its `image_ids` must be empty, or those of `images` in any order.
+            images: At least one image; an id may occur once in the whole split. They are read one at a time.
+
+        Raises:
+            ValueError: If an id or a folder occurs twice, a camera configuration does not exist, or the ids differ
+                from the sequence's. Nothing of the sequence is left behind then.
+            OSError: If a file cannot be written; likewise.
+        """
+        for known in self._sequences:
+            if known.id == sequence.id or known.directory == sequence.directory:
+                raise ValueError(f"{self.root}: sequence: {sequence.id} ({sequence.directory}) is there already")
+        folder = self.root / "images" / sequence.directory
+        written: list[Path] = []
+        added: dict[int, ImageRecord] = {}
+        annotations: list[ImageAnnotation] = []
+        try:
+            folder.mkdir(exist_ok=True)
+            for labelled in images:
+                record = self._record(labelled, added)
+                added[record.id] = record
+                self._write(labelled, folder / record.file_name, written)
+                next_id = len(self._annotations) + len(annotations)
+                annotations += [
+                    ImageAnnotation(id=next_id + number, category=category, image_id=record.id)
+                    for number, category in enumerate(labelled.categories)
+                ]
+            stored = self._stored(sequence, tuple(added))
+        except BaseException:
+            for path in written:
+                path.unlink(missing_ok=True)
+            raise
+        self._sequences.append(stored)
+        self._images |= added
+        self._annotations += annotations
+        return stored
+
+    def close(self) -> None:
+        """Writes the label files that make the folder a split; more sequences and another `close` may follow.
+
+        Raises:
+            OSError: If a file cannot be written.
+        """
+        images_file = ImageAnnotationsFile(
+            info=self._info,
+            licences=(),
+            camera_configurations=self._camera_configurations,
+            categories=self._categories,
+            images=tuple(self._images.values()),
+            annotations=tuple(self._annotations),
+        )
+        write_label_files(self.root, images_file, SequencesFile(sequences=tuple(self._sequences)))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+
+    def _record(self, labelled: LabelledImage, added: Mapping[int, ImageRecord]) -> ImageRecord:
+        frame = labelled.frame
+        if frame.frame in self._images or frame.frame in added:
+            raise ValueError(f"{self.root}: image id: expected each once, {frame.frame} is there twice")
+        if not 0 <= labelled.camera_configuration < len(self._camera_configurations):
+            raise ValueError(
+                f"{self.root}: camera_configuration: expected an index in a list of "
+                f"{len(self._camera_configurations)}, got {labelled.camera_configuration}"
+            )
+        size_px = frame.width_px, frame.height_px
+        return image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)
+
+    def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
+        """Writes the image and its label files; each path is added to `written` before the file is there."""
+        image_id = labelled.frame.frame
+        records: list[tuple[str, KeypointsFile | BoxLabels]] = [
+            ("keypoints", KeypointsFile(image_id=image_id, annotations=labelled.vehicles))
+        ]
+        if labelled.boxes is not None:
+            records.append(("bounding_boxes", labelled.boxes))
+        written.append(path)
+        write_atomic(path, png(labelled.frame.image))
+        for kind, record in records:
+            target = self.root / "labels" / kind / f"{image_id:06d}.json"
+            written.append(target)
+            write_json(target, record)
+
+    def _stored(self, sequence: Sequence, image_ids: tuple[int, ...]) -> Sequence:
+        if not image_ids:
+            raise ValueError(f"{self.root}: sequence {sequence.directory}: expected at least one image")
+        if not sequence.image_ids:
+            return sequence.model_copy(update={"image_ids": image_ids, "num_images": len(image_ids)})
+        if sorted(sequence.image_ids) != sorted(image_ids):
+            raise ValueError(
+                f"{self.root}: sequence {sequence.directory}: image_ids: expected those of the images, or none"
+            )
+        return sequence
+
+
+def write_pvdn(source: PVDN, root: Path | str) -> None:
+    """Writes the whole split that `source` reads, selected or not, to the folder `root`.
+
+    Label files hold the same JSON values, with keys that are not part of the layout; images are written as PNG with
+    the same pixels.
+
+    Raises:
+        FileNotFoundError: If an image or a keypoint file of the source is missing.
+        ValueError: If one is broken, an image's name does not end in .png, or `root` holds images or labels already.
+        OSError: If a file cannot be written.
+    """
+    root = Path(root)
+    _make_folders(root)
+    for image_id, record in source.labels.images.items():
+        if not record.file_name.lower().endswith(".png"):
+            raise ValueError(
+                f"{source.root}: images: file_name: expected a name ending in .png, got {record.file_name}"
+            )
+        folder = root / "images" / source.sequence(image_id).directory
+        folder.mkdir(exist_ok=True)
+        write_atomic(folder / record.file_name, png(source.read(image_id).image))
+        source.annotations(image_id)  # checks the file against its name
+        name = f"{image_id:06d}.json"
+        keypoints = read_json(source.root / "labels" / "keypoints" / name, KeypointsFile)
+        write_json(root / "labels" / "keypoints" / name, keypoints)
+        boxes = source.boxes(image_id)
+        if boxes is not None:
+            write_json(root / "labels" / "bounding_boxes" / name, boxes)
+    write_label_files(root, source.labels.images_file, source.labels.sequences_file)
+
+
+def image_record(image_id: int, size_px: tuple[int, int], timestamp_ns: int, camera_configuration: int) -> ImageRecord:
+    """The labels' record of an image of `size_px` (width, height); its file is the id in six digits, as PNG."""
+    return ImageRecord(
+        id=image_id,
+        file_name=f"{image_id:06d}.png",
+        height_px=size_px[1],
+        width_px=size_px[0],
+        camera_configuration=camera_configuration,
+        date_captured="",
+        timestamp=timestamp_ns // 1_000_000,
+        licence=0,
+    )
+
+
+def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_file: SequencesFile) -> None:
+    """Writes the two files that make the folder `root` a split, `sequences.json` last.
+
+    Raises:
+        OSError: If one cannot be written.
+    """
+    write_json(root / "labels" / "image_annotations.json", images_file)
+    write_json(root / "labels" / "sequences.json", sequences_file)
+
+
+def _make_folders(root: Path) -> None:
+    # Leftovers of an interrupted run would contradict the new labels.
+    for folder in ("labels", "images"):
+        found = next((path for path in (root / folder).rglob("*") if path.is_file()), None)
+        if found is not None:
+            raise ValueError(f"{found}: expected a folder without a data set, this file is there")
+    for folder in ("images", "labels/keypoints", "labels/bounding_boxes"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
