@@ -12,7 +12,7 @@ from foreglow.lab.simulation.scenes.surroundings import House, StreetLamp
 from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.primitives import box, flat, tubes
+from foreglow.lab.simulation.world.primitives import box, flat, triangulated, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
 
 
@@ -77,32 +77,11 @@ def house_mesh(house: House, wall: str, windows: list[Pose]) -> Mesh:
     length, depth, height = house.size_m
     x, y, ridge = depth, length / 2, height + ROOF_PITCH * depth / 2
     number, roof = material_number(wall), material_number("roof")
-    corners = np.array(
-        [
-            [0, -y, -FOUNDATION_M],
-            [0, y, -FOUNDATION_M],
-            [-x, y, -FOUNDATION_M],
-            [-x, -y, -FOUNDATION_M],
-            [0, -y, height],
-            [0, y, height],
-            [-x, y, height],
-            [-x, -y, height],
-            [-x / 2, -y, ridge],
-            [-x / 2, y, ridge],
-        ]
-    )
-    walls = [
-        [0, 1, 5],
-        [0, 5, 4],
-        [1, 2, 6],
-        [1, 6, 5],
-        [2, 3, 7],
-        [2, 7, 6],
-        [3, 0, 4],
-        [3, 4, 7],
-        [4, 7, 8],
-        [5, 6, 9],
-    ]
+    outline = np.array([[0, -y], [0, y], [-x, y], [-x, -y]])
+    rims = [np.column_stack([outline, np.full(4, z)]) for z in (-FOUNDATION_M, height)]
+    corners = np.concatenate([*rims, [[-x / 2, -y, ridge], [-x / 2, y, ridge]]])
+    sides = np.array([[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
+    gables = [[4, 7, 8], [5, 6, 9]]
     # The roof reaches over the walls, down its own slope.
     low = height - ROOF_PITCH * EAVES_M
     roofs = []
@@ -114,7 +93,8 @@ def house_mesh(house: House, wall: str, windows: list[Pose]) -> Mesh:
     chimney = box((-x / 2 - 0.8, 0.25 * length, ridge), (0.6, 0.6, 1.6), material_number("brick"))
     door = box((0.0, 0.0, 1.0), (0.06, 1.0, 2.1), material_number("sign_back"))
     panes = [_window().moved(window) for window in windows]
-    return joined([flat(corners, np.array(walls), number), *roofs, chimney, door, *panes])
+    walls = flat(corners, np.concatenate([triangulated(sides), gables]), number)
+    return joined([walls, *roofs, chimney, door, *panes])
 
 
 def _window() -> Mesh:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,6 +23,11 @@ def grid_faces(num_rows: int, num_columns: int, is_closed: bool = False) -> NDAr
     if is_closed:
         first = np.concatenate([first, first[:, :1]], 1)
     quads = np.stack([first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]], -1).reshape(-1, 4)
+    return triangulated(quads)
+
+
+def triangulated(quads: NDArray[Any]) -> NDArray[Any]:
+    """Two triangles, in turn, for each quadrilateral; from corners of shape (Q, 4) to shape (2 Q, 3)."""
     return np.asarray(quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
 
 
@@ -53,7 +60,7 @@ def polygon(outline_m: Floats, material: int) -> Mesh:
 def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Mesh:
     """Triangles with sharp edges: each has its own vertices and its own normal."""
     corners = np.asarray(vertices_m, np.float64)[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = _across(corners)
     normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.where(np.abs(normals[:, 2:]) > 0.7, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     up = along - normals * np.sum(along * normals, 1, keepdims=True)
@@ -70,7 +77,7 @@ def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Me
 def faceted(mesh: Mesh) -> Mesh:
     """The same triangles with sharp edges."""
     corners = mesh.vertices_m[mesh.faces].astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = _across(corners)
     lengths = np.linalg.norm(across, axis=1, keepdims=True)
     normals = np.where(lengths > 0, across / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
     return Mesh(
@@ -85,7 +92,7 @@ def faceted(mesh: Mesh) -> Mesh:
 def box(centre_m: ArrayLike, size_m: ArrayLike, material: int) -> Mesh:
     """A box along the axes with sharp edges."""
     vertices = _BOX_CORNERS * np.asarray(size_m, np.float64) + np.asarray(centre_m, np.float64)
-    return flat(vertices, _BOX_SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), material)
+    return flat(vertices, triangulated(_BOX_SIDES), material)
 
 
 def tubes(
@@ -150,6 +157,11 @@ def instanced(prototype: Mesh, positions_m: Floats, rotations: Floats, scales: A
         np.matmul(prototype.normals, turns).reshape(-1, 3),
         (prototype.coordinates_m[None] + shifts).reshape(-1, 2),
     )
+
+
+def _across(corners_m: Floats) -> Floats:
+    """Vectors across triangles of shape (F, 3, 3), as long as twice their areas."""
+    return np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
 
 
 def _lengths(points_m: Floats) -> Floats:
