@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,18 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from foreglow.options import PipelineOptions, VehicleOptions, WorkerOptions, argument, flag, option, with_groups
+from foreglow.cli.offline import open_frames
+from foreglow.options import (
+    PipelineOptions,
+    SourceOptions,
+    VehicleOptions,
+    WorkerOptions,
+    argument,
+    flag,
+    option,
+    with_groups,
+)
+from foreglow.runtime import Opening
 
 SharedOption = Annotated[int, option("N", "A shared number.")]
 
@@ -32,7 +44,8 @@ class Sizes:
 
 
 def program() -> tuple[typer.Typer, list[object]]:
-    app, calls = typer.Typer(add_completion=False), []  # type: ignore[var-annotated]
+    app = typer.Typer(add_completion=False)
+    calls: list[object] = []
 
     @app.command()
     @with_groups
@@ -94,3 +107,14 @@ def test_work_is_parallel_with_jobs_or_a_cluster() -> None:
     assert not WorkerOptions().is_parallel
     assert WorkerOptions(jobs=2).is_parallel
     assert WorkerOptions(cluster="tcp://127.0.0.1:9").is_parallel
+
+
+def test_workers_get_the_options_and_know_their_files(tmp_path: Path) -> None:
+    """On a cluster, every file of a run must be there for every machine."""
+    calibration = tmp_path / "camera.toml"
+    calibration.touch()
+    vehicle = VehicleOptions(calibration=calibration, dbc=tmp_path / "missing.dbc")
+    opening = Opening(open_frames, (tmp_path, tmp_path / "out", SourceOptions(limit=3), vehicle))
+    assert opening.paths == (tmp_path, calibration)
+    assert pickle.loads(pickle.dumps(opening)) == opening
+    assert hash(opening) == hash(pickle.loads(pickle.dumps(opening)))

@@ -147,7 +147,7 @@ def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], re
         plan: The study.
         material: The frames.
         is_stopped: Asked before each trial.
-        told: Called after each trial.
+        report: Called after each trial.
     """
     study = open_study(plan)
     bench = Bench(material)
