@@ -16,6 +16,9 @@ from foreglow.files import write_atomic
 
 Model = TypeVar("Model")
 
+adapter: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
+"""Reads and writes the JSON of a pydantic model or a dataclass; made once for each."""
+
 
 _MESSAGES = {
     "missing": "field is missing",
@@ -71,12 +74,6 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         message = _MESSAGES.get(first["type"], plain)
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
     return value
-
-
-@functools.cache
-def adapter(model: type) -> TypeAdapter[Any]:
-    """Reads and writes a pydantic model or a dataclass; made once."""
-    return TypeAdapter(model)
 
 
 def read_json(path: Path, model: type[Model]) -> Model:

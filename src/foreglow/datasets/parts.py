@@ -1,4 +1,4 @@
-"""The sequences of a source, each a source of its own: what may be run apart."""
+"""The sequences of a source, each as a source of its own: they may be run separately."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from foreglow.datasets.vehicle_data import Equipped
 
 
 def part_names(source: FrameSource) -> tuple[str, ...]:
-    """Names of the sequences in the order of their frames; one empty name where the source is all of a piece."""
+    """Names of the sequences in the order of their frames; a single empty name for a source without sequences."""
     if isinstance(source, Equipped):
         return part_names(source.source)
     return source.directories if isinstance(source, PVDN) else ("",)

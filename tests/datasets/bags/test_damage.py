@@ -184,7 +184,7 @@ def test_a_length_that_leads_out_of_the_file(tmp_path: Path) -> None:
     place = 17 + length  # the record behind the header
     data[place + 1 : place + 9] = struct.pack("<Q", 2**63)
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="expected records up to the end, one of them cannot be followed"):
+    with pytest.raises(ValueError, match="expected records up to the end, one of them is malformed"):
         list(Recording(path, topic=TOPIC))
 
 

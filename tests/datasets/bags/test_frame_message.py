@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.datasets.bags import FrameRecord
+from foreglow.datasets.bags import FrameMessage
 from foreglow.datasets.json_files import parse_json
 from foreglow.geometry import Camera, Pose, rotation
 from foreglow.types import EgoMotion, Frame, RoadAhead
@@ -19,8 +20,8 @@ IMAGE = np.zeros((48, 64), np.uint8)
 
 
 def returned(frame: Frame) -> Frame:
-    text = FrameRecord.of(frame).model_dump_json(by_alias=True)
-    return parse_json(text, FrameRecord, "here").frame_of(frame.image, "there")
+    text = FrameMessage.of(frame).model_dump_json()
+    return parse_json(text, FrameMessage, "here").frame_of(frame.image, "there")
 
 
 @given(angles=st.tuples(FINITE, FINITE, FINITE), place=st.tuples(FINITE, FINITE, FINITE), focal=st.floats(1.0, 1e4))
@@ -60,6 +61,31 @@ def test_a_road(heights: list[float], half_width: float, bound: float) -> None:
     assert (found.half_width_m, found.error_bound_m) == (half_width, bound)
 
 
+def test_a_message_of_an_earlier_recording() -> None:
+    """The names of the fields are those of 0.1.0."""
+    camera = {"width": 64, "height": 48, "focal_px": [60.0, 60.0], "centre_px": [32.0, 24.0], "distortion": [0.0] * 5}
+    mount = {"position_m": [1.0, 0.0, 1.2], "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}
+    motion = {"speed_mps": 20.0, "yaw_rate_radps": 0.1, "pitch_rad": None}
+    road = {
+        "points_m": [[0.0] * 3, [5.0, 0, 0]],
+        "half_width_m": 3.5,
+        "cross_slopes": [0.0, 0.0],
+        "error_bound_m": None,
+    }
+    fields = {
+        "frame": 7,
+        "sequence": "S00001",
+        "timestamp_ns": 5,
+        "camera": camera | mount,
+        "motion": motion,
+        "road": road,
+    }
+    frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
+    assert json.loads(FrameMessage.of(frame).model_dump_json()) == fields
+    assert frame.camera is not None
+    assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
+
+
 def test_a_frame_without_anything() -> None:
     found = returned(Frame(IMAGE, 0))
     assert (found.camera, found.motion, found.road) == (None, None, None)
@@ -74,6 +100,6 @@ def test_frames_of_one_camera_share_it() -> None:
 
 def test_a_camera_for_another_size_is_refused() -> None:
     camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
-    record = FrameRecord.of(Frame(IMAGE, 0, camera=camera))
+    record = FrameMessage.of(Frame(IMAGE, 0, camera=camera))
     with pytest.raises(ValueError, match=r"Frame\.camera: expected a calibration for images of 65x48 px"):
         record.frame_of(np.zeros((48, 65), np.uint8), "there")

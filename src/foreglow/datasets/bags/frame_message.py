@@ -1,4 +1,4 @@
-"""What our own recordings keep of a frame beside its image, so that a replay gives the same frames."""
+"""The message in our own recordings that keeps the rest of a frame beside its image: a replay gives the same frames."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
 
 FRAME_TOPIC = "/frame"
-"""Topic of our own recordings that says for each image, just before it, what its frame is."""
+"""Topic of our own recordings with a `FrameMessage` just before each image."""
 
 FRAME_TYPE = "foreglow.Frame"
-"""Type of the messages that hold a `FrameRecord`, encoded as JSON, logged at the time of their image."""
+"""Type of these messages; they are encoded as JSON and logged at the time of their image."""
 
 _Three = tuple[float, float, float]
 
 
-class CameraRecord(Record):
+class _StoredCamera(Record):
     """A `Camera`, field by field."""
 
-    width_px: int
-    height_px: int
+    width: int
+    height: int
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
@@ -34,15 +34,15 @@ class CameraRecord(Record):
     rotation: Annotated[tuple[_Three, ...], Field(min_length=3, max_length=3)]
 
 
-class MotionRecord(Record):
-    """An `EgoMotion`; a pitch that nobody knows is None."""
+class _StoredMotion(Record):
+    """An `EgoMotion`; an unknown pitch is None."""
 
     speed_mps: float
     yaw_rate_radps: float
     pitch_rad: float | None
 
 
-class RoadRecord(Record):
+class _StoredRoad(Record):
     """A `RoadAhead`; an error without bound is None."""
 
     points_m: Annotated[tuple[_Three, ...], Field(max_length=100_000)]
@@ -51,35 +51,35 @@ class RoadRecord(Record):
     error_bound_m: float | None
 
 
-class FrameRecord(Record):
-    """All of a `Frame` but its image and where it came from; numbers come back as they were, to the last bit."""
+class FrameMessage(Record):
+    """All of a `Frame` but its image and its path; numbers come back as they were, to the last bit."""
 
     frame: int
     sequence: str
     timestamp_ns: int
-    camera: CameraRecord | None
-    motion: MotionRecord | None
-    road: RoadRecord | None
+    camera: _StoredCamera | None
+    motion: _StoredMotion | None
+    road: _StoredRoad | None
 
     @classmethod
-    def of(cls, frame: Frame) -> FrameRecord:
-        """The record of `frame`."""
+    def of(cls, frame: Frame) -> FrameMessage:
+        """The message about `frame`."""
         motion, road = frame.motion, frame.road
         return cls(
             frame=frame.frame,
             sequence=frame.sequence,
             timestamp_ns=frame.timestamp_ns,
-            camera=None if frame.camera is None else _camera_record(frame.camera),
+            camera=None if frame.camera is None else _stored_camera(frame.camera),
             motion=None
             if motion is None
-            else MotionRecord(
+            else _StoredMotion(
                 speed_mps=motion.speed_mps,
                 yaw_rate_radps=motion.yaw_rate_radps,
                 pitch_rad=None if math.isnan(motion.pitch_rad) else motion.pitch_rad,
             ),
             road=None
             if road is None
-            else RoadRecord(
+            else _StoredRoad(
                 points_m=_threes(road.points_m),
                 half_width_m=road.half_width_m,
                 cross_slopes=tuple(road.cross_slopes.tolist()),
@@ -91,7 +91,7 @@ class FrameRecord(Record):
         """The frame with its image.
 
         Raises:
-            ValueError: If camera, motion or road cannot be, or the camera is for images of another size.
+            ValueError: If camera, motion or road is not valid, or the camera is for images of another size.
         """
         motion, road = self.motion, self.road
         return Frame(
@@ -118,11 +118,11 @@ class FrameRecord(Record):
 
 
 @lru_cache(maxsize=8)
-def _camera_record(camera: Camera) -> CameraRecord:
+def _stored_camera(camera: Camera) -> _StoredCamera:
     pose = camera.vehicle_from_camera
-    return CameraRecord(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
+    return _StoredCamera(
+        width=camera.width_px,
+        height=camera.height_px,
         focal_px=(float(camera.focal_px[0]), float(camera.focal_px[1])),
         centre_px=(float(camera.centre_px[0]), float(camera.centre_px[1])),
         distortion=camera.distortion,
@@ -131,15 +131,15 @@ def _camera_record(camera: Camera) -> CameraRecord:
     )
 
 
-@lru_cache(maxsize=8)  # the same camera for each frame: estimators remember what depends on it
-def _camera(record: CameraRecord) -> Camera:
+@lru_cache(maxsize=8)  # the same camera for each frame: estimators keep results by camera
+def _camera(stored: _StoredCamera) -> Camera:
     return Camera(
-        record.width_px,
-        record.height_px,
-        record.focal_px,
-        record.centre_px,
-        record.distortion,
-        Pose(np.array(record.position_m), np.array(record.rotation)),
+        stored.width,
+        stored.height,
+        stored.focal_px,
+        stored.centre_px,
+        stored.distortion,
+        Pose(np.array(stored.position_m), np.array(stored.rotation)),
     )
 
 
