@@ -41,7 +41,7 @@ def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
     except (errors.UnauthenticatedError, errors.CredentialError) as error:
         raise ValueError(_not_allowed(handle)) from error
     except errors.NotFoundError as error:
-        raise ValueError(f"{handle}: expected a data set at Kaggle, there is none with this name") from error
+        raise ValueError(f"{handle}: expected a data set at Kaggle, there is none of this name") from error
     except requests.exceptions.HTTPError as error:
         status = getattr(error.response, "status_code", None)
         if status in (401, 403):

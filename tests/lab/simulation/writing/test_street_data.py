@@ -107,7 +107,7 @@ def test_a_class_is_drawn_by_its_share() -> None:
 
 
 def test_a_place_off_the_map() -> None:
-    with pytest.raises(ValueError, match="ego_s_m: expected a place on the map, -1000 to 1600 m, got 2000"):
+    with pytest.raises(ValueError, match="ego_s_m: expected an arc length on the map, -1000 to 1600 m, got 2000"):
         street_map(STRAIGHT).message(2000.0)
 
 

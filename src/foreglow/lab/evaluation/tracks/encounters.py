@@ -1,6 +1,6 @@
 """The first vehicle of each sequence: when its light is annotated, when it is in sight, and when it is reported.
 
-All times of a sequence count from its first image. Its first vehicle is the one whose light is annotated first.
+All times of a sequence count from its first image. Its first vehicle is the vehicle whose light is annotated first.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ UNKNOWN_VEHICLE = "vehicle"
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """The first vehicle of one sequence. Times are seconds from the sequence's first image; NaN for never.
+    """The first vehicle of a sequence. Times are seconds from the sequence's first image; NaN for never.
 
     Attributes:
         sequence_id: The sequence.
         sequence: Its folder.
-        scenario: What the simulator drew, such as `crest`; empty where unknown.
+        scenario: Name of the simulator's scenario, such as `crest`; empty where unknown.
         vehicle_id: The vehicle (PVDN: oid).
         vehicle: Its kind: car, van, lorry, motorcycle; `vehicle` where unknown.
         light_s: Its first annotated artifact.
@@ -47,7 +47,7 @@ class Encounter:
 
     @property
     def is_occluded(self) -> bool:
-        """Whether its light is annotated before its lamps are, or these never are."""
+        """Whether its light is annotated before its lamps, or its lamps are never annotated."""
         return not self.light_s >= self.sight_s
 
     @property

@@ -59,10 +59,10 @@ MAX_JITTER_NS = 1_000_000
 """Largest difference of a frame's time from its number over the frame rate, which is the time that readers will see."""
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
-"""Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
+"""Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of such."""
 
 Progress: TypeAlias = Callable[[int, int, int], None]
-"""Called with a scene's number, how many of its frames are done, and how many it has."""
+"""Called with a scene's number, the number of its frames that are done, and the number of its frames."""
 
 
 class DatasetConfig(FrozenModel):
@@ -250,7 +250,7 @@ def _short(value: Any) -> str:
 
 
 def _make_scene(root: Path, drive: DriveScene, file: SceneFile, parent: Parent) -> None:
-    """Drives one scene; its images and its truth appear together, or nothing does."""
+    """Drives a scene; its images and its truth appear together or not at all."""
     name = sequence_name(file.sequence)
     partial = root / "simulation" / f".{name}.partial"
     images, truth = root / "images" / name, sequence_folder(root, file.sequence)
