@@ -20,7 +20,7 @@ IMAGE = np.zeros((48, 64), np.uint8)
 
 
 def returned(frame: Frame) -> Frame:
-    text = FrameMessage.of(frame).model_dump_json()
+    text = FrameMessage.of(frame).to_json()
     return parse_json(text, FrameMessage, "here").frame_of(frame.image, "there")
 
 
@@ -81,7 +81,7 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    assert json.loads(FrameMessage.of(frame).model_dump_json()) == fields
+    assert json.loads(FrameMessage.of(frame).to_json()) == fields
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
 

@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import Field, RootModel
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 
@@ -173,7 +173,7 @@ def compare_labels(real: LabelStatistics, simulated: LabelStatistics) -> tuple[C
     return tuple(_compared(name, value, simulated_figures[name]) for name, value in _figures(real).items())
 
 
-def labels_of_split(dataset: PVDN) -> tuple[tuple[LabelledImage, ...], ...]:
+def labels_of_split(dataset: LabelledSource) -> tuple[tuple[LabelledImage, ...], ...]:
     """The labels of the selected images, by sequence.
 
     Raises:

@@ -121,7 +121,7 @@ class McapRecorder:
         """
         time_ns = self._axis.time_ns(frame)
         stamp = self._stamp(time_ns)
-        self._frame.log(FrameMessage.of(frame).model_dump_json().encode(), log_time=time_ns)
+        self._frame.log(FrameMessage.of(frame).to_json(), log_time=time_ns)
         self._image.log(_image_message(frame.image, stamp), log_time=time_ns)
         if frame.camera is not None:
             self._calibration.log(calibration_message(frame.camera, stamp), log_time=time_ns)

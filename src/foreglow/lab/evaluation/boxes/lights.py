@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from foreglow.datasets import PVDN, Instance, Vehicle
+from foreglow.datasets import Instance, LabelledSource, Vehicle
 from foreglow.datasets.simulated import KINDS, Artifact, has_truth, read_truth
 
 LAMP, INDIRECT = "lamp", "indirect"
@@ -63,7 +63,7 @@ class _Known:
     artifacts: dict[int, Artifact]
 
 
-def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
+def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
     """The lights of every selected image of `dataset`, by image id, without doubtful lights.
 
     Kinds, ranges and strengths come from the simulator's truth if the split has it.
@@ -90,7 +90,7 @@ def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
     return {image_id: lights[image_id] for image_id in dataset.frame_ids}
 
 
-def empty_images(dataset: PVDN) -> tuple[int, ...]:
+def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
     """Ids of the selected images without any light of vehicles, not even doubtful light."""
     return tuple(
         image_id
@@ -99,7 +99,7 @@ def empty_images(dataset: PVDN) -> tuple[int, ...]:
     )
 
 
-def _known(dataset: PVDN, sequence_id: int) -> dict[tuple[int, int], _Known]:
+def _known(dataset: LabelledSource, sequence_id: int) -> dict[tuple[int, int], _Known]:
     """The simulator's truth by image and vehicle; empty if the set is not simulated."""
     if not has_truth(dataset.root):
         return {}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.datasets import CategoryConfig, LabelledSource
 from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 
@@ -57,7 +57,7 @@ class Encounter:
 
 
 def read_encounters(
-    dataset: PVDN, labels: SplitLabels, categories: CategoryConfig | None = None
+    dataset: LabelledSource, labels: SplitLabels, categories: CategoryConfig | None = None
 ) -> tuple[Encounter, ...]:
     """The first vehicle of every sequence of `dataset` with annotated light, in the order of sequences.
 
@@ -99,7 +99,7 @@ def read_encounters(
 
 
 def vehicle_facts(
-    dataset: PVDN, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
+    dataset: LabelledSource, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
 ) -> tuple[str, str, float]:
     """Scenario, kind of the vehicle, and when the production system first reports a vehicle; see `Encounter`."""
     scenario, kind = "", UNKNOWN_VEHICLE
