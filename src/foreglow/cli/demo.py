@@ -52,13 +52,13 @@ def demo(
 
 def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> tuple[Story, ...]:
     """What happened in a run on frames with labels; its best moments become a picture beside the results."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import LabelledSource
     from foreglow.lab.evaluation import read_predictions
     from foreglow.lab.studies.demo.figures import write_moments
     from foreglow.lab.studies.demo.metrics import best_story, has_labels, tell_stories
     from foreglow.runs.frames_file import read_tracks
 
-    if not isinstance(frames, PVDN) or not has_labels(frames):
+    if not isinstance(frames, LabelledSource) or not has_labels(frames):
         return ()
     predictions, threshold = read_predictions(out / "frames.jsonl"), configuration.classifier.score_threshold
     tracks = read_tracks(out / "frames.jsonl") if configuration.classifier.model is not None else None
@@ -84,10 +84,10 @@ def _print_stories(stories: tuple[Story, ...], *, is_classified: bool) -> None:
 
 def _print_gap(frames: FrameSource, story: Story, out: Path) -> None:
     """Prints how early the beam went dark where the story's vehicle came into sight."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import LabelledSource
     from foreglow.lab.studies.demo.metrics import gap_opened_s
     from foreglow.lab.studies.demo.page import gap_line
     from foreglow.runs.frames_file import read_gaps
 
-    if isinstance(frames, PVDN) and story.sight is not None:
+    if isinstance(frames, LabelledSource) and story.sight is not None:
         typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -89,12 +89,12 @@ def _configuration(options: PipelineOptions, predictions: Path | None, threshold
 
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
     """All figures of the predictions in a file."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
     from foreglow.runs.frames_file import has_tracks, read_tracks
 
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset)
     examination = examine(labels, found, threshold, str(predictions))
     if not has_tracks(predictions):
@@ -107,17 +107,17 @@ def _examined_model(
     split: Path, configuration: PipelineConfig, out: Path | None, seed: int | None, workers: Workers
 ) -> Examination:
     """All figures of a pipeline that is run on the split; with a `seed`, on disturbed images, too."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import open_labelled
     from foreglow.display.progress import ProgressSink
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.robustness import robustness
     from foreglow.runtime import Opening
 
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     labels = read_split_labels(dataset)
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
-        summary = run_in_parallel(Opening(PVDN, (split,)), str(split), folder, configuration, workers)
+        summary = run_in_parallel(Opening(open_labelled, (split,)), str(split), folder, configuration, workers)
         if not summary.is_complete:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")

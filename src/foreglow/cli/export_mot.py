@@ -22,7 +22,7 @@ def export_mot(
     """Write the tracks of a run and the labelled lights as MOTChallenge files."""
     import importlib
 
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import read_predictions
     from foreglow.lab.evaluation.tracks import mot
     from foreglow.runs.frames_file import read_tracks
@@ -30,7 +30,7 @@ def export_mot(
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
     results = run / "frames.jsonl"
-    mot.export_mot(PVDN(split), read_predictions(results), read_tracks(results), out, name)
+    mot.export_mot(open_labelled(split), read_predictions(results), read_tracks(results), out, name)
     if score:
         scores = mot.score_mot(out, name)
         typer.echo(f"HOTA {scores.hota:.3f} (DetA {scores.det_a:.3f}, AssA {scores.ass_a:.3f}), IDF1 {scores.idf1:.3f}")

@@ -75,12 +75,13 @@ def _note(line: str) -> None:
 
 def recorded_lux(frames: FrameSource) -> LuxOf | None:
     """The light at other drivers' eyes, as a simulated drive has it on file; None for other sources."""
-    from foreglow.datasets import PVDN, Equipped
+    from foreglow.datasets import Equipped, LabelledSource
+    from foreglow.datasets.simulated import has_truth
     from foreglow.datasets.simulated.lux import RecordedLux
 
     if isinstance(frames, Equipped):
         frames = frames.source
-    if not isinstance(frames, PVDN) or not (frames.root / "simulation" / "info.json").is_file():
+    if not isinstance(frames, LabelledSource) or not has_truth(frames.root):
         return None
     return RecordedLux(frames.root)
 

@@ -68,12 +68,12 @@ def yolo_predict(
     out: Annotated[Path, file("The predictions to write, JSON for `evaluate --predictions`.")],
 ) -> None:
     """Write what a trained YOLO finds in a split."""
-    from foreglow.datasets import PVDN
+    from foreglow.datasets import open_labelled
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.yolo import predict_yolo, read_yolo_run
     from foreglow.runs.predictions import write_predictions
 
     with StepProgress() as progress:
-        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=progress.of("images"))
+        found = predict_yolo(read_yolo_run(trained), open_labelled(split), progress=progress.of("images"))
     write_predictions(out, found.predictions)
     typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation.boxes.matching import lies_in
 
 Labels: TypeAlias = NDArray[np.int8]
@@ -41,7 +41,7 @@ def label_boxes(
     return labels
 
 
-def label_image(dataset: PVDN, image_id: int, boxes_xyxy_px: NDArray[Any]) -> Labels:
+def label_image(dataset: LabelledSource, image_id: int, boxes_xyxy_px: NDArray[Any]) -> Labels:
     """Label of each box of an image, shape (N,), by the data set's key points and doubtful light; see `label_boxes`.
 
     Raises:

@@ -26,7 +26,7 @@ import numpy as np
 import tomli_w
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import open_labelled, split_folder
 from foreglow.datasets.simulated import read_truth
 from foreglow.distance.hypotheses import (
     Hypotheses,
@@ -125,7 +125,7 @@ def write_hypotheses(path: Path, model: Hypotheses) -> None:
 
 def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None = None) -> Iterator[RangedView]:
     """The images of the split in `root` with lights of known range; a light belongs to the smallest box around it."""
-    dataset, truth = PVDN(root), read_truth(root)
+    dataset, truth = open_labelled(root), read_truth(root)
     proposer, estimator = make_proposer(config.proposals), RoadSurface(config.distance)
     num_done = 0
     for drive in truth:

@@ -15,7 +15,7 @@ import numpy as np
 import foreglow._native as _native
 import foreglow.classifier as classifier
 import foreglow.proposals as proposals
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
@@ -26,7 +26,9 @@ _DONE = "samples.json"
 _HEADER_BYTES = 128
 
 
-def cached_samples(dataset: PVDN, config: SampleConfig, cache: Path, progress: Progress | None = None) -> Samples:
+def cached_samples(
+    dataset: LabelledSource, config: SampleConfig, cache: Path, progress: Progress | None = None
+) -> Samples:
     """The samples of the selected images of `dataset`, memory-mapped from a folder in `cache`.
 
     Unless samples of these images, labels and configuration exist, they are collected and written image by image:
@@ -61,7 +63,7 @@ def cached_samples(dataset: PVDN, config: SampleConfig, cache: Path, progress: P
     return written
 
 
-def samples_digest(dataset: PVDN, config: SampleConfig) -> str:
+def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
     """SHA-256 of everything that determines the samples.
 
     That is: images (path, size, time of change), labels, configuration, and the code of the two stages.

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, read_lights
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
@@ -162,7 +162,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return Samples(**arrays, digest=digest)
 
 
-def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Samples:
+def collect_samples(dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None) -> Samples:
     """All samples of the selected images of `dataset`, in memory.
 
     For a large split, whose samples should be kept between runs, see `sample_cache.cached_samples`.
@@ -177,7 +177,9 @@ def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | No
     return joined(parts)
 
 
-def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Iterator[Samples]:
+def samples_by_image(
+    dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None
+) -> Iterator[Samples]:
     """The samples of one image after another, in the order of sequences and time; jittered copies follow their boxes.
 
     The inputs are made as in the pipeline: the images of a sequence come in order, and earlier images are forgotten at

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.datasets import PVDN, SplitName, split_folder
+from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.files import write_atomic, write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
@@ -106,7 +106,7 @@ def train_model(
 
     started = time.perf_counter()
     names: tuple[SplitName, ...] = ("train", "val")
-    splits = {name: [PVDN(split_folder(folder, name)) for folder in data] for name in names}
+    splits = {name: [open_labelled(split_folder(folder, name)) for folder in data] for name in names}
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
@@ -182,7 +182,12 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
 
 
 def _samples(
-    dataset: PVDN, recipe: Recipe, config: PipelineConfig, split: SplitName, cache: Path, progress: RunProgress | None
+    dataset: LabelledSource,
+    recipe: Recipe,
+    config: PipelineConfig,
+    split: SplitName,
+    cache: Path,
+    progress: RunProgress | None,
 ) -> Samples:
     jitter = recipe.jitter if split == "train" else Jitter()
     sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions
@@ -142,7 +142,7 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
         ValueError: If one of them is broken.
     """
     found = read_predictions(predictions)
-    return evaluate_boxes(split_keypoints_px(PVDN(split)), found, threshold)
+    return evaluate_boxes(split_keypoints_px(open_labelled(split)), found, threshold)
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:
@@ -154,7 +154,7 @@ def annotation_quality(split: Path | str) -> BoxQuality:
         FileNotFoundError: If the split or one of its label files is missing.
         ValueError: If one of them is broken.
     """
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     boxes: dict[int, NDArray[np.float64]] = {}
     labels: dict[int, NDArray[np.float64]] = {}
     for image_id in dataset.frame_ids:
@@ -165,7 +165,7 @@ def annotation_quality(split: Path | str) -> BoxQuality:
     return evaluate_boxes(split_keypoints_px(dataset), Predictions(boxes, labels))
 
 
-def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
+def split_keypoints_px(dataset: LabelledSource) -> dict[int, NDArray[np.int32]]:
     """The keypoints of all selected images by id, each of shape (K, 2), int32.
 
     Raises:

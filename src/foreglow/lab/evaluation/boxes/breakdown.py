@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, Instance
+from foreglow.datasets import Instance, LabelledSource
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
@@ -180,7 +180,7 @@ class LightMatches:
         return np.array([light.is_hidden for light in self.lights], np.bool_)
 
 
-def read_split_labels(dataset: PVDN) -> SplitLabels:
+def read_split_labels(dataset: LabelledSource) -> SplitLabels:
     """The labels of the selected images of `dataset`.
 
     Raises:

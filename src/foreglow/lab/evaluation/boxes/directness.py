@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from foreglow.beam.vehicles import group_vehicles
 from foreglow.calibration import read_calibration
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.files import fields_to_json
 from foreglow.geometry import Camera
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
@@ -170,7 +170,7 @@ def vehicles_of_tracks(
     return VehicleQuality(num_pairs, ratio(num_right, num_pairs), num_vehicles, ratio(num_found, num_vehicles))
 
 
-def read_cameras(dataset: PVDN) -> dict[int, Camera]:
+def read_cameras(dataset: LabelledSource) -> dict[int, Camera]:
     """The calibrations of a simulated split, by sequence id; none where it has none.
 
     Raises:

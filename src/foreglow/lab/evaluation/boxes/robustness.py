@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, break_down, match_lights
 from foreglow.lab.evaluation.boxes.disturbances import DISTURBANCES, Disturbance
 from foreglow.lab.evaluation.boxes.split_run import Progress, SplitRun, run_variants
@@ -44,7 +44,7 @@ class RobustnessRow:
 
 
 def robustness(
-    dataset: PVDN,
+    dataset: LabelledSource,
     labels: SplitLabels,
     config: PipelineConfig,
     *,

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Frame, FrameResult
@@ -60,7 +60,7 @@ class SplitRun:
         return sum(self.stage_ms.values(), start=np.zeros(len(self.image_ids)))
 
 
-def run_split(dataset: PVDN, pipeline: Pipeline, progress: Progress | None = None) -> SplitRun:
+def run_split(dataset: LabelledSource, pipeline: Pipeline, progress: Progress | None = None) -> SplitRun:
     """Runs `pipeline` over the selected images of `dataset` in order, and resets it at the start of each sequence.
 
     Args:
@@ -76,7 +76,7 @@ def run_split(dataset: PVDN, pipeline: Pipeline, progress: Progress | None = Non
 
 
 def run_variants(
-    dataset: PVDN, variants: Mapping[str, tuple[Pipeline, Change]], progress: Progress | None = None
+    dataset: LabelledSource, variants: Mapping[str, tuple[Pipeline, Change]], progress: Progress | None = None
 ) -> dict[str, SplitRun]:
     """Like `run_split` for several pipelines at once, each with its own change of the frames; decodes only once.
 

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, Sequence
+from foreglow.datasets import LabelledSource, Sequence
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
 from foreglow.runs.predictions import Predictions
@@ -58,7 +58,7 @@ class MotScores:
 
 
 def export_mot(
-    dataset: PVDN, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
+    dataset: LabelledSource, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
 ) -> None:
     """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
 
@@ -138,7 +138,7 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
     )
 
 
-def _light_rows(dataset: PVDN, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
+def _light_rows(dataset: LabelledSource, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
     numbers: dict[tuple[int, int], int] = {}
     for frame, image_id in enumerate(image_ids, start=1):
         objects: dict[tuple[float, ...], int] = {}
@@ -151,7 +151,7 @@ def _light_rows(dataset: PVDN, image_ids: Iterable[int], proposals: Predictions)
             yield f"{frame},{number},{_extent(box)},1,1,1\n"
 
 
-def _track_rows(dataset: PVDN, image_ids: Iterable[int], tracks: Mapping[int, Tracks]) -> Iterable[str]:
+def _track_rows(dataset: LabelledSource, image_ids: Iterable[int], tracks: Mapping[int, Tracks]) -> Iterable[str]:
     for frame, image_id in enumerate(image_ids, start=1):
         found = tracks[image_id]
         boxes = found.boxes_xyxy_px
@@ -181,7 +181,7 @@ def _extent(box: Iterable[float]) -> str:
     return f"{x1:.3f},{y1:.3f},{x2 - x1:.3f},{y2 - y1:.3f}"
 
 
-def _sequence_info(dataset: PVDN, sequence: Sequence) -> str:
+def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
     image = dataset.image(min(sequence.image_ids))
     return (
         f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"

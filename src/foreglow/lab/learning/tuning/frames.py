@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.files import open_atomic, write_atomic
 from foreglow.lab.learning.annotate import Progress
 from foreglow.types import Image
@@ -48,7 +48,7 @@ class FrameStack:
 
 
 def stack_frames(
-    dataset: PVDN,
+    dataset: LabelledSource,
     image_ids: Sequence[int],
     folder: Path,
     *,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -180,7 +180,7 @@ class Bench:
 
 
 def read_material(
-    dataset: PVDN,
+    dataset: LabelledSource,
     num_images: int,
     folder: Path,
     *,
@@ -204,7 +204,7 @@ def read_material(
 
 
 def measure_split(
-    dataset: PVDN, configs: Sequence[ProposalConfig], progress: Progress | None = None
+    dataset: LabelledSource, configs: Sequence[ProposalConfig], progress: Progress | None = None
 ) -> tuple[Measurement, ...]:
     """The rating of each of `configs` on all images of `dataset`; each image is decoded once.
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.pvdn.splits import SplitName
 from foreglow.lab.learning.annotate import Progress
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
@@ -185,13 +185,13 @@ def tune(
     return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
 
 
-def _splits(data: Path) -> Iterator[tuple[SplitName, PVDN]]:
+def _splits(data: Path) -> Iterator[tuple[SplitName, LabelledSource]]:
     """Train, which must exist, and the other splits that exist."""
-    yield "train", PVDN(split_folder(data, "train"))
+    yield "train", open_labelled(split_folder(data, "train"))
     names: tuple[SplitName, ...] = ("val", "test")
     for name in names:
         with contextlib.suppress(FileNotFoundError):
-            yield name, PVDN(split_folder(data, name))
+            yield name, open_labelled(split_folder(data, name))
 
 
 def _run_trials(
@@ -251,7 +251,7 @@ def _on_train(configs: list[ProposalConfig], bench: Bench, settings: TuningSetti
 
 
 def _on_val(
-    finalists: list[Finalist], val: PVDN | None, settings: TuningSettings, progress: Progress | None
+    finalists: list[Finalist], val: LabelledSource | None, settings: TuningSettings, progress: Progress | None
 ) -> list[Finalist]:
     """The finalists with their losses on val, the best first; of equals the better one on train."""
     if val is None:
@@ -266,7 +266,7 @@ def _on_val(
     return sorted(rated, key=lambda finalist: (finalist.val_loss, finalist.train_loss))
 
 
-def _on_test(finalists: list[Finalist], test: PVDN | None, progress: Progress | None) -> list[Finalist]:
+def _on_test(finalists: list[Finalist], test: LabelledSource | None, progress: Progress | None) -> list[Finalist]:
     """The finalists with ratings on test of the chosen one and the paper's; these do not influence the choice."""
     if test is None:
         return finalists

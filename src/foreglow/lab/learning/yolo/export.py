@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foreglow.config import FrozenModel, preset
-from foreglow.datasets import PVDN, SPLIT_NAMES, SplitName, split_folder
+from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
@@ -103,7 +103,7 @@ def export_yolo(
     )
     proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
     _claim(folder, settings)
-    datasets = {name: PVDN(found) for name, found in wanted.items()}
+    datasets = {name: open_labelled(found) for name, found in wanted.items()}
     num_images = sum(len(dataset) for dataset in datasets.values())
     num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
     for name, dataset in datasets.items():
@@ -144,7 +144,7 @@ def is_export(folder: Path) -> bool:
     return (folder / SETTINGS_NAME).is_file()
 
 
-def positive_boxes(dataset: PVDN, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
+def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
     """The boxes of `frame` with a key point in them, shape (N, 4), xyxy, full-frame pixels.
 
     Args:

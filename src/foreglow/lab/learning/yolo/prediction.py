@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.learning.yolo.backends import make_backend
 from foreglow.lab.learning.yolo.export import Progress, squashed
@@ -33,7 +33,7 @@ class YoloPredictions:
 
 
 def predict_yolo(
-    run: YoloRun, dataset: PVDN, *, num_threads: int | None = None, progress: Progress | None = None
+    run: YoloRun, dataset: LabelledSource, *, num_threads: int | None = None, progress: Progress | None = None
 ) -> YoloPredictions:
     """Runs the network of `run` over the selected images of `dataset`.
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
@@ -81,7 +81,7 @@ class Story:
 
 
 def tell_stories(
-    dataset: PVDN, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
+    dataset: LabelledSource, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
 ) -> tuple[Story, ...]:
     """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
 
@@ -141,7 +141,7 @@ def tell_stories(
     return tuple(stories)
 
 
-def gap_opened_s(dataset: PVDN, story: Story, gaps_rad: Mapping[int, Floats]) -> float:
+def gap_opened_s(dataset: LabelledSource, story: Story, gaps_rad: Mapping[int, Floats]) -> float:
     """When the dark gap opened in which the vehicle of `story` came into sight, from the sequence's first image.
 
     A gap may move: one that overlaps a gap of the image before is the same one. So it may also have opened for
@@ -179,7 +179,7 @@ def best_story(stories: Iterable[Story]) -> Story | None:
     return max(stories, key=lambda story: max(0.0, np.nan_to_num(story.times.lead_s)), default=None)
 
 
-def has_labels(dataset: PVDN) -> bool:
+def has_labels(dataset: LabelledSource) -> bool:
     """Whether `dataset` has key points, so that its stories can be told."""
     return (dataset.root / "labels" / "keypoints").is_dir()
 

@@ -53,7 +53,7 @@ def command(
     device: DeviceOption = "auto",
 ) -> None:
     """Make the paper's table of detectors: baseline, paper, ours and YOLO, all measured in the same way."""
-    from foreglow.datasets import PVDN, split_folder
+    from foreglow.datasets import open_labelled, split_folder
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.training_bar import TrainingBar
     from foreglow.lab.studies.detector.figures import pictures
@@ -83,5 +83,5 @@ def command(
             progress(step, num_done, num_all)
 
         results = run_experiment(data, out, plan, progress=show, training=training)
-    report = write_report(results, pictures(results, PVDN(split_folder(data, plan.split))), out)
+    report = write_report(results, pictures(results, open_labelled(split_folder(data, plan.split))), out)
     typer.echo(f"look in {report}")

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.display.overlay import Measures, Picture, annotate
 from foreglow.lab.evaluation import Predictions, SplitLabels, match_lights
 from foreglow.lab.reports.figures import jpeg
@@ -104,7 +104,7 @@ def choose(row: str, labels: SplitLabels, predictions: Predictions) -> tuple[Cho
     return (*chosen(good, NUM_BEST, True), *chosen(missed + false, NUM_WORST, False))
 
 
-def pictures(results: DetectorResults, dataset: PVDN) -> Iterator[Shown]:
+def pictures(results: DetectorResults, dataset: LabelledSource) -> Iterator[Shown]:
     """The images to show of every row that was made, in the table's order.
 
     Raises:

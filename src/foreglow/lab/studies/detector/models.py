@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.config import PipelineConfig, preset, read_config
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
 from foreglow.lab.studies.progress import Progress
 
@@ -165,7 +165,7 @@ def file_digest(path: Path) -> str:
 def split_digest(split: Path) -> str:
     """SHA-256 of what is in a split: its labels, and the names and sizes of its images."""
     digest = hashlib.sha256()
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     for path in sorted((dataset.root / "labels").rglob("*.json")):
         digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + path.read_bytes())
     for image_id in dataset.frame_ids:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foreglow.config import preset
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import (
@@ -138,7 +138,7 @@ def run_experiment(
         ModuleNotFoundError: If an extra that is needed is not installed.
     """
     workspace = Workspace(data, out, plan, progress, training)
-    dataset = PVDN(split_folder(data, plan.split))
+    dataset = open_labelled(split_folder(data, plan.split))
     labels = read_split_labels(dataset)
     for name in ("rows", "predictions"):
         (out / name).mkdir(parents=True, exist_ok=True)
@@ -147,7 +147,7 @@ def run_experiment(
     return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
 
 
-def _row(name: str, workspace: Workspace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     """The row from its file where that has the same key, else made now."""
     reason = missing_reason(name, workspace.plan)
     if reason is not None:
@@ -164,7 +164,7 @@ def _row(name: str, workspace: Workspace, dataset: PVDN, labels: SplitLabels) ->
     return read_json(path, RowResult)  # as a repeated call will: JSON knows no infinite threshold
 
 
-def _classifier_row(name: str, workspace: Workspace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.model_counts import count_model
 
     model = classifier_model(name, workspace)
@@ -186,7 +186,7 @@ def _classifier_row(name: str, workspace: Workspace, dataset: PVDN, labels: Spli
     )
 
 
-def _yolo_row(name: str, workspace: Workspace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.yolo import predict_yolo
 
     trained = yolo_run(name, workspace)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
-from foreglow.datasets import PVDN, SplitName, split_in
-from foreglow.datasets.simulated import read_truth
+from foreglow.datasets import SplitName, open_labelled, split_in
+from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
@@ -164,8 +164,8 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or the set has no ranges, calibration and road beside its labels.
     """
-    dataset = PVDN(split_in(data, plan.split))
-    if not (dataset.root / "simulation" / "info.json").is_file():
+    dataset = open_labelled(split_in(data, plan.split))
+    if not has_truth(dataset.root):
         raise ValueError(
             f"{dataset.root}: expected the range of each light, a calibration and the road ahead beside the labels, "
             "as simulated drives have them in simulation/; found none"

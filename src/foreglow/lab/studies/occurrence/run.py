@@ -7,7 +7,7 @@ from pathlib import Path
 
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import open_labelled
 from foreglow.datasets.simulated import read_truth
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting
 from foreglow.lab.studies.progress import Progress, counted
@@ -27,7 +27,7 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
         FileNotFoundError: If an image, a label file or the simulator's truth is missing.
         ValueError: If one is broken.
     """
-    dataset, truth = PVDN(split), read_truth(split)
+    dataset, truth = open_labelled(split), read_truth(split)
     pipeline = Pipeline(config)
     policy = ForeglowPolicy(config.beam, read_headlamps(config.beam.headlamps))
     expected: dict[str, Expectations] = {}

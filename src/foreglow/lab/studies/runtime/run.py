@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.runtime.metrics import COMPLETE, NetworkTimes
 from foreglow.pipeline import Pipeline
@@ -76,7 +76,7 @@ def run_experiment(
     if unknown:
         raise ValueError(f"--on: expected some of {', '.join(KINDS)}, got {unknown[0]!r}")
     config = config.commanding()
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     networks: list[NetworkTimes] = []
     missing: dict[str, str] = {}
     for kind in kinds:
@@ -96,7 +96,7 @@ def run_experiment(
     )
 
 
-def in_process(dataset: PVDN, config: PipelineConfig, progress: Progress) -> NetworkTimes:
+def in_process(dataset: LabelledSource, config: PipelineConfig, progress: Progress) -> NetworkTimes:
     """The pipeline on every frame, from the array to the beam command; frames are decoded before."""
     pipeline = Pipeline(config)
     rows: list[dict[str, float]] = []
@@ -140,7 +140,7 @@ class TimesSink:
         """Nothing is open."""
 
 
-def live(dataset: PVDN, config: PipelineConfig, num_frames: int) -> NetworkTimes:
+def live(dataset: LabelledSource, config: PipelineConfig, num_frames: int) -> NetworkTimes:
     """The live loop on frames at their own rate, from exposure until the command is on a CAN bus."""
     sink = TimesSink()
     outputs: list[BeamOutput] = []
@@ -163,7 +163,7 @@ def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bo
     from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Network
 
     nodes = WHOLE if is_whole else FIVE
-    frames = list(itertools.islice(PVDN(split), num_frames))
+    frames = list(itertools.islice(open_labelled(split), num_frames))
     with Network(config, nodes, keeps_results=False) as network, settled_memory():
         network.warm_up(frames[0], NUM_WARM_UP)
         answers = network.run(frames)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, read_image, to_grey
+from foreglow.datasets import LabelledSource, open_labelled, read_image, to_grey
 from foreglow.datasets.simulated import SequenceTruth, read_truth
 from foreglow.lab.evaluation.label_statistics import (
     Comparison,
@@ -75,7 +75,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
         FileNotFoundError: If a file is missing.
         ValueError: If one is broken, or no image has a lamp in sight.
     """
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     truth = read_truth(dataset.root)
     own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
     own_pixels = image_statistics(_images_with_lamp(dataset, truth))
@@ -124,17 +124,17 @@ def _first_report_s(drive: SequenceTruth) -> float:
 
 def _real_statistics(path: Path) -> LabelStatistics:
     if path.is_dir():
-        return label_statistics(labels_of_split(PVDN(path)))
+        return label_statistics(labels_of_split(open_labelled(path)))
     return label_statistics(read_label_digest(path))
 
 
-def _images_with_lamp(dataset: PVDN, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
+def _images_with_lamp(dataset: LabelledSource, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
     """Some images that show a lamp, as the one real image does; any where none does."""
     shown = [
         frame.image_id
         for drive in truth
         for frame in drive.frames
         if any(artifact.is_direct for vehicle in frame.vehicles for artifact in vehicle.artifacts)
-    ] or list(dataset.labels.images)
+    ] or list(dataset.frame_ids)
     chosen = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
     return [np.asarray(dataset.read(shown[index]).image, np.uint8) for index in chosen]

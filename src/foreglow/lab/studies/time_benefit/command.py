@@ -18,14 +18,14 @@ def command(
     ] = 6,
 ) -> None:
     """Measure how long before a production system and a human the first vehicle of each sequence is detected."""
-    from foreglow.datasets import PVDN, CategoryConfig, ImageCategory
+    from foreglow.datasets import CategoryConfig, ImageCategory, open_labelled
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
     from foreglow.lab.studies.time_benefit.run import run_experiment
 
     require_matplotlib()
-    dataset = PVDN(data.root())
+    dataset = open_labelled(data.root())
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
         results = run_experiment(dataset, pipeline.configuration(), categories, progress)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
-from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.datasets import CategoryConfig, LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.first_found import first_found
 from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
@@ -102,7 +102,10 @@ class TimeBenefitResults:
 
 
 def run_experiment(
-    dataset: PVDN, config: PipelineConfig, categories: CategoryConfig | None = None, progress: Progress | None = None
+    dataset: LabelledSource,
+    config: PipelineConfig,
+    categories: CategoryConfig | None = None,
+    progress: Progress | None = None,
 ) -> TimeBenefitResults:
     """Runs the detector of `config` over `dataset` once, and all trackers on what it finds.
 
@@ -154,7 +157,7 @@ def run_experiment(
 
 
 def _run(
-    dataset: PVDN, config: PipelineConfig, settings: Mapping[str, TrackerConfig], progress: Progress | None
+    dataset: LabelledSource, config: PipelineConfig, settings: Mapping[str, TrackerConfig], progress: Progress | None
 ) -> tuple[Predictions, Mapping[str, Mapping[int, Tracks]], float]:
     """Detections, what each tracker makes of them by name and image id, and the kilometres driven."""
     pipeline = Pipeline(config.model_copy(update={"tracker": TrackerConfig(method="none")}))
