@@ -56,7 +56,7 @@ FORMATS: dict[str, DataFormat] = {
     ),
     "video": DataFormat(Path.exists, lambda path, given: Video(path, on_error=given.on_error)),
 }
-"""The formats by name; a path has the first one that recognises it."""
+"""The formats by name; a path has the first format that recognises it."""
 
 
 def open_source(
@@ -69,9 +69,9 @@ def open_source(
 ) -> FrameSource:
     """The frames at `path`.
 
-    A folder is a PVDN split (it has `labels/sequences.json`) or holds exactly one (such as `DIR/night/train`), is one
-    PVDN sequence (`SPLIT/images/NAME`), is a ROS 2 bag (it has `metadata.yaml`), or holds images. A file is an image by
-    its ending (`IMAGE_SUFFIXES`), a recording likewise (`.mcap`, `.bag`, `.db3`), and a video otherwise.
+    A folder is a ROS 2 bag (it has `metadata.yaml`), a PVDN split (it has `labels/sequences.json`), a folder with a
+    single split (such as `DIR/night/train`), a PVDN sequence (`SPLIT/images/NAME`), or a folder of images. A file is a
+    recording (`.mcap`, `.bag`, `.db3`) or an image (`IMAGE_SUFFIXES`) by its ending, and a video otherwise.
 
     Args:
         path: A file or folder.
@@ -82,7 +82,7 @@ def open_source(
 
     Raises:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
-        ValueError: If what is there cannot be used.
+        ValueError: If it cannot be used.
     """
     path = Path(path)
     if not path.exists():

@@ -13,7 +13,7 @@ from foreglow.datasets.source import OnError, checked_on_error, read_each
 from foreglow.types import Frame
 
 DEFAULT_RATE_HZ = 18.0
-"""Frames a second where nothing tells: the rate of PVDN within one exposure cycle."""
+"""Frames a second if unknown: the rate of PVDN within an exposure cycle."""
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:

@@ -29,7 +29,7 @@ _MESSAGES = {
 
 
 class Record(BaseModel):
-    """A frozen JSON object: types are strict, and keys that nobody knows are kept."""
+    """A frozen JSON object: types are strict, and unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="allow", allow_inf_nan=False)
 
@@ -40,8 +40,8 @@ class StoredAs:
 
     Attributes:
         stored: The type in the file; pydantic must know it.
-        read: Makes the value from what is stored.
-        write: Makes what is stored from the value.
+        read: Converts the stored value to that in Python.
+        write: Converts back.
     """
 
     stored: Any

@@ -51,7 +51,7 @@ class LabelledSource(ABC):
 
     @abstractmethod
     def read(self, image_id: int) -> Frame:
-        """The frame of image `image_id`, which need not be a selected one.
+        """The frame of image `image_id`, whether it is selected or not.
 
         Raises:
             FileNotFoundError: If the image file is missing.

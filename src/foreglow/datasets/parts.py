@@ -1,4 +1,4 @@
-"""The sequences of a source, each as a source of its own: they may be run separately."""
+"""The sequences of a source, each as a source that can be run separately."""
 
 from __future__ import annotations
 

@@ -265,7 +265,7 @@ def test_a_folder_that_is_no_split(tmp_path: Path) -> None:
 
 def test_a_sequence_folder_that_the_labels_do_not_know(split: Path) -> None:
     (split / "images" / "S00009").mkdir()
-    with pytest.raises(ValueError, match="expected one with dir S00009"):
+    with pytest.raises(ValueError, match="expected a sequence with dir S00009"):
         PVDN(split / "images" / "S00009")
 
 

@@ -37,7 +37,7 @@ PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
 
 MAX_RATE_HZ = 1000.0
-"""Fastest frame rate of a set that names its own."""
+"""Highest frame rate that a set may state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class Selection:
         weathers: Weather of the sequence.
         lightings: Ambient light of the sequence.
         road_types: Road of the sequence.
-        categories: At least one category of the image is among these; an image without any counts as NONE.
+        categories: At least one category of the image is among these; an image without a category counts as NONE.
         has_keypoints: Whether the image has at least one instance in its keypoint file; reads those files.
     """
 
@@ -135,7 +135,7 @@ class PVDN(LabelledSource):
         return tuple(sequence for sequence in self.labels.sequences_file.sequences if sequence.id in selected)
 
     def __iter__(self) -> Iterator[Frame]:
-        """The selected frames; with `stop`, a missing image file raises before the first one is yielded."""
+        """The selected frames; with `stop`, a missing image file raises before the first frame is yielded."""
         self.skipped = []
         if self._on_error == "stop":
             for image_id in self.frame_ids:
@@ -223,13 +223,13 @@ class PVDN(LabelledSource):
             raise FileNotFoundError(f"{path}: no such image, expected that of id {image_id} in image_annotations.json")
 
     def _selected(self, select: Selection) -> Iterator[int]:
-        """Ids of the images that `select` and the sequence's folder, if one was given, let through."""
+        """Ids of the images in the sequence, if the folder is a sequence, that `select` wants."""
         sequences = self.labels.sequences_file.sequences
         if self._directory is not None:
             sequences = tuple(sequence for sequence in sequences if sequence.directory == self._directory)
             if not sequences:
                 path = self.root / "labels" / "sequences.json"
-                raise ValueError(f"{path}: sequences: expected one with dir {self._directory}, found none")
+                raise ValueError(f"{path}: sequences: expected a sequence with dir {self._directory}, found none")
         if select.scenes is not None:
             known = {key for sequence in sequences for key in (sequence.id, sequence.directory)}
             for scene in select.scenes:

@@ -1,4 +1,4 @@
-"""From scenes to a data set on disk: PVDN's layout with the truth beside it, in one go or in many.
+"""From scenes to a data set on disk: PVDN's layout with the truth beside it, in a single run or several.
 
 The split lies in `OUT/CYCLE/SPLIT`, such as `DATA/night/train`, as PVDN's own do: `foreglow run` and `evaluate` take
 that folder, or `DATA` while it is the only split in there; commands that learn take `DATA`. Beside `images` and

@@ -1,4 +1,4 @@
-"""A sparse, noisy depth image such as a LiDAR beside the camera gives, from the exact one."""
+"""A sparse, noisy depth image such as a LiDAR beside the camera gives, made from an exact depth image."""
 
 from __future__ import annotations
 
