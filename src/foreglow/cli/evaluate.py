@@ -60,7 +60,7 @@ def evaluate(
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     if json_file is not None:
-        write_json_results(json_file, examination.quality.to_json(), indent=2)
+        write_json_results(json_file, examination.quality, indent=2)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if out is not None:
