@@ -18,7 +18,7 @@ from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
     """The samples of an epoch in the order of training, shape (M,), without ignored ones.
 
-    They are all positives, and as many negatives as the recipe allows, drawn anew in every epoch.
+    They are all positives, and as many negatives as the recipe allows, drawn again in every epoch.
     """
     random = np.random.default_rng([recipe.seed, epoch])
     positives, negatives = np.flatnonzero(labels == POSITIVE), np.flatnonzero(labels == NEGATIVE)

@@ -73,7 +73,7 @@ class Recipe(FrozenModel):
         label_smoothing: Labels are moved by this share towards 1/2.
         direct_weight: Weight of a second loss that separates lamps from their light on surfaces, both of which count
             the same; 0 for networks that only detect light.
-        max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn anew each time;
+        max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
         augmentation: Random changes of training crops; validation samples are never changed.
         best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5.

@@ -192,11 +192,11 @@ def _samples(
     jitter = recipe.jitter if split == "train" else Jitter()
     sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter)
 
-    def told(num_done: int, num_images: int) -> None:
+    def report(num_done: int, num_images: int) -> None:
         if progress is not None:
             progress.samples(split, num_done, num_images)
 
-    return cached_samples(dataset, sample_config, cache, told)
+    return cached_samples(dataset, sample_config, cache, report)
 
 
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
