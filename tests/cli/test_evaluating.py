@@ -214,7 +214,7 @@ def test_undefined_metrics_are_a_dash_and_null(tmp_path: Path) -> None:
     options = ["--predictions", tmp_path / "none.json", "--json", tmp_path / "quality.json"]
     result = foreglow_command("evaluate", split, *options)
     assert result.exit_code == 0, result.output
-    assert "± -" in result.stdout
+    assert "± –" in result.stdout
     assert json.loads((tmp_path / "quality.json").read_text())["q"] is None
 
 
