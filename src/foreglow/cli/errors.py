@@ -1,0 +1,136 @@
+"""Errors of a command: one line on stderr, and an exit code.
+
+Bad input and wrong usage end with 2, an interrupt with 130, and a fault of this program with 70 and a report in a file
+(the codes of sysexits.h and of shells).
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import sys
+import tempfile
+import traceback
+import warnings
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+EXTRAS = {
+    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
+    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    **dict.fromkeys(("cantools", "can"), "can"),
+    **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
+    **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
+    **dict.fromkeys(("dask", "distributed"), "scale"),
+    "rerun": "view",
+    "matplotlib": "plots",
+    "ultralytics": "ultralytics",
+    "trackeval": "mot",
+}
+"""Optional modules, and the extra that installs each."""
+
+INTERNAL_ERROR = 70
+"""EX_SOFTWARE of sysexits.h."""
+
+MAX_LENGTH = 1000
+"""Characters of a message; a longer one, such as of a file that is one long line, is cut."""
+
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
+_ClickException: type[Any] = typer.BadParameter.__mro__[2]
+
+
+class Commands(TyperGroup):
+    """The commands, with their errors turned into one line on stderr."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Runs the command line; where stderr is no terminal, an error of usage is one line, too, and not a box."""
+        if not standalone_mode or sys.stderr.isatty():
+            return super().main(*args, standalone_mode=standalone_mode, **extra)
+        try:
+            code = super().main(*args, standalone_mode=False, **extra)
+        except _ClickException as error:
+            if type(error).__name__ == "NoArgsIsHelpError":
+                error.show()
+            else:
+                context = getattr(error, "ctx", None)
+                hint = f" (see {context.command_path} --help)" if context is not None else ""
+                typer.echo(f"foreglow: {shortened(error.format_message())}{hint}", err=True)
+            sys.exit(error.exit_code)
+        except typer.Abort:
+            typer.echo("foreglow: interrupted", err=True)
+            sys.exit(130)
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command.
+
+        Raises:
+            typer.Exit: With the exit code. With `--debug` the error itself is raised.
+        """
+        is_debug = ctx.params["debug"]
+        if not is_debug:  # what libraries have to say beside their errors
+            logging.lastResort = None
+            warnings.simplefilter("ignore")
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            line, code = "interrupted", 130
+        except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
+            raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
+        except Exception as error:
+            if is_debug:
+                raise
+            line, code = one_line(error)
+        typer.echo(f"foreglow: {line}", err=True)
+        raise typer.Exit(code)
+
+
+def one_line(error: Exception) -> tuple[str, int]:
+    """The error as one line, and the exit code; of an unforeseen error a report is written."""
+    if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
+        return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
+    if isinstance(error, OSError) and error.filename is not None:
+        return shortened(f"{error.filename}: {error.strerror}"), 2
+    if isinstance(error, (ValueError, OSError)):
+        return shortened(str(error) or type(error).__name__), 2
+    if isinstance(error, MemoryError):
+        return "not enough memory", 2
+    words = shortened(f"{type(error).__name__}: {error}", 200)
+    return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
+
+
+def shortened(text: str, length: int = MAX_LENGTH) -> str:
+    r"""`text` on one line, cut in the middle if it is too long.
+
+    >>> shortened("a  file\nof two lines")
+    'a file of two lines'
+    >>> shortened("abcdefgh", 5)
+    'ab…gh'
+    """
+    line = " ".join(text[: 100 * length].split())
+    line = line.encode("utf-8", "replace").decode()  # names that are not UTF-8
+    half = (length - 1) // 2
+    return line if len(line) <= length else f"{line[:half]}…{line[-half:]}"
+
+
+def _report(error: Exception) -> str:
+    """Writes what a developer needs to a file, and returns its path."""
+    from importlib import metadata
+
+    try:
+        lines = [
+            f"foreglow {metadata.version('foreglow')}, Python {platform.python_version()}, {platform.platform()}",
+            f"command: {' '.join(sys.argv)[:10_000]}",
+            "".join(traceback.format_exception(error, limit=-60))[-100_000:],
+        ]
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="foreglow-error-", suffix=".txt", delete=False, encoding="utf-8", errors="replace"
+        ) as file:
+            file.write("\n".join(lines))
+        return str(Path(file.name))
+    except OSError as failure:
+        return f"none, it cannot be written: {failure}"
