@@ -44,7 +44,8 @@ class Sizes:
 
 
 def program() -> tuple[typer.Typer, list[object]]:
-    app, calls = typer.Typer(add_completion=False), []  # type: ignore[var-annotated]
+    app = typer.Typer(add_completion=False)
+    calls: list[object] = []
 
     @app.command()
     @with_groups

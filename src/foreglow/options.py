@@ -83,7 +83,7 @@ def with_groups(function: Callable[..., None]) -> Callable[..., None]:
     In the help, the options of such a group stand together, under the first line of the dataclass's docstring.
     """
     hints = typing.get_type_hints(function, include_extras=True)
-    groups = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(function).parameters.items():
         parameters += _options_of(groups[name]) if name in groups else [parameter.replace(annotation=hints[name])]
@@ -262,7 +262,7 @@ class ViewOptions:
 class WorkerOptions:
     """Parallel work."""
 
-    jobs: Annotated[int, option("N", "Number of processes; 1 starts no further one.", min=1)] = 1
+    jobs: Annotated[int, option("N", "Number of worker processes; 1 does the work in this process.", min=1)] = 1
     cluster: Annotated[
         str | None, option("ADDRESS", "Work on a dask cluster: its scheduler, such as tcp://host:8786.")
     ] = None

@@ -52,7 +52,7 @@ class BeamPolicy(Protocol):
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
-        ...
+        return
 
 
 class LowBeam:

@@ -50,7 +50,7 @@ def beam(
     ] = False,
     video: Annotated[bool, flag("--video", "Also write pictures of the beam: MP4, or PNG of a single image.")] = False,
 ) -> None:
-    """Say for each frame how the headlamps shine: level of each LED, dark gaps, and reasons for low beam."""
+    """Compute the beam for each frame: the level of each LED, dark gaps, and reasons for low beam."""
     from foreglow.photometry import read_headlamps
     from foreglow.pipeline import Pipeline
 

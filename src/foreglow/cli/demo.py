@@ -15,7 +15,7 @@ from foreglow.options import ModelOption, PipelineOptions, SourceOptions, Vehicl
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
-    from foreglow.lab.studies.demo.story import Story
+    from foreglow.lab.studies.demo.metrics import Story
     from foreglow.runtime import OutputFolder, ResultSink
 
 
@@ -54,8 +54,8 @@ def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> t
     """What happened in a run on frames with labels; its best moments become a picture beside the results."""
     from foreglow.datasets import PVDN
     from foreglow.lab.evaluation import read_predictions
-    from foreglow.lab.studies.demo.moments import write_moments
-    from foreglow.lab.studies.demo.story import best_story, has_labels, tell_stories
+    from foreglow.lab.studies.demo.figures import write_moments
+    from foreglow.lab.studies.demo.metrics import best_story, has_labels, tell_stories
     from foreglow.runs.frames_file import read_tracks
 
     if not isinstance(frames, PVDN) or not has_labels(frames):
@@ -74,7 +74,7 @@ def _print_stories(stories: tuple[Story, ...], *, is_classified: bool) -> None:
     """Prints what happened: a single story in full, several as a table."""
     import rich
 
-    from foreglow.lab.studies.demo.narration import story_lines, story_table
+    from foreglow.lab.studies.demo.page import story_lines, story_table
 
     if len(stories) == 1:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
@@ -85,8 +85,8 @@ def _print_stories(stories: tuple[Story, ...], *, is_classified: bool) -> None:
 def _print_gap(frames: FrameSource, story: Story, out: Path) -> None:
     """Prints how early the beam went dark where the story's vehicle came into sight."""
     from foreglow.datasets import PVDN
-    from foreglow.lab.studies.demo.gap_opening import gap_opened_s
-    from foreglow.lab.studies.demo.narration import gap_line
+    from foreglow.lab.studies.demo.metrics import gap_opened_s
+    from foreglow.lab.studies.demo.page import gap_line
     from foreglow.runs.frames_file import read_gaps
 
     if isinstance(frames, PVDN) and story.sight is not None:

@@ -61,24 +61,24 @@ def annotate(
 
 
 def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Table:
-    """The generated boxes, and how well the positive ones explain the key points: a column a split."""
-    caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
+    """The generated boxes, and how well the positive ones explain the key points: one column per split."""
     from rich.table import Table
 
     from foreglow.lab.reports.numbers import number
 
+    caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
     table = Table("", title=f"boxes of {parameters}", caption=caption, title_justify="left", caption_justify="left")
-    for one in annotations:
-        table.add_column(one.root.resolve().name, justify="right")
-    table.add_row("images", *(str(one.num_images) for one in annotations))
-    table.add_row("boxes", *(str(one.num_boxes) for one in annotations))
-    table.add_row("boxes an image", *(number(one.boxes_per_image, 4) for one in annotations))
-    table.add_row("positive boxes", *(str(one.num_positive) for one in annotations))
-    table.add_row("left out: doubtful light only", *(str(one.num_ignored) for one in annotations), end_section=True)
+    for split in annotations:
+        table.add_column(split.root.resolve().name, justify="right")
+    table.add_row("images", *(str(split.num_images) for split in annotations))
+    table.add_row("boxes", *(str(split.num_boxes) for split in annotations))
+    table.add_row("boxes an image", *(number(split.boxes_per_image, 4) for split in annotations))
+    table.add_row("positive boxes", *(str(split.num_positive) for split in annotations))
+    table.add_row("left out: doubtful light only", *(str(split.num_ignored) for split in annotations), end_section=True)
     for label, name in (("P", "precision"), ("R", "recall"), ("F", "f1"), ("q", "q")):
-        table.add_row(label, *(number(getattr(one.quality, name), 4) for one in annotations))
+        table.add_row(label, *(number(getattr(split.quality, name), 4) for split in annotations))
     for label, name in (("q_K", "q_k"), ("q_B", "q_b")):
-        pairs = ((getattr(one.quality, name), getattr(one.quality, f"{name}_std")) for one in annotations)
+        pairs = ((getattr(split.quality, name), getattr(split.quality, f"{name}_std")) for split in annotations)
         table.add_row(label, *(f"{number(mean, 4)} ± {number(spread, 4)}" for mean, spread in pairs))
     return table
 
@@ -118,11 +118,11 @@ def tune(
 
 
 def _tuning_lines(tuning: Tuning) -> list[str]:
-    """What came of a parameter search, beside the paper's parameters."""
+    """What came of a parameter search, compared with the paper's parameters."""
     from foreglow.display.summary_lines import counted
 
     chosen, paper = tuning.chosen, tuning.paper
-    num_pruned = sum(one.state == "PRUNED" for one in tuning.trials)
+    num_pruned = sum(trial.state == "PRUNED" for trial in tuning.trials)
     papers = paper.config.model_dump()
     changes = ", ".join(
         f"{name} {value}" for name, value in chosen.config.model_dump().items() if value != papers[name]
@@ -185,7 +185,7 @@ def train(
 
 
 def _training_lines(trained: TrainedModel) -> list[str]:
-    """What came of a training, one fact a line; the last says how to use it."""
+    """What came of a training; the last line says how to use it."""
     from foreglow.display.summary_lines import counted
 
     summary = trained.summary

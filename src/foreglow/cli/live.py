@@ -105,7 +105,7 @@ def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitSta
     from foreglow.runtime.live.vehicle_bus import VehicleBus
 
     if any(path is not None for path in (vehicle.can_log, vehicle.road_map, vehicle.poses)):
-        raise ValueError("--can-in: expected neither --can-log nor --map with it: the bus tells motion and road")
+        raise ValueError("--can-in: expected neither --can-log nor --map with it: motion and road come from the bus")
     camera = None if vehicle.calibration is None else read_calibration(vehicle.calibration)
     bus = closing.enter_context(contextlib.closing(VehicleBus(channel, vehicle.dbc, vehicle.mapping)))
     return VehicleFiles(camera=camera, log=bus.log, names=(str(vehicle.calibration), channel, ""))

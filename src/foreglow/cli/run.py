@@ -44,7 +44,7 @@ def run(
     workers, configuration = work.workers(), pipeline.configuration()
     opening = Opening(open_frames, (source, out, reading, vehicle))
     if work.is_parallel:
-        if video or viewer.view or any(one is not None for one in (reading.limit, record, viewer.save)):
+        if video or viewer.view or any(value is not None for value in (reading.limit, record, viewer.save)):
             raise ValueError(
                 "run: expected --video, --record, --view, --save and --limit without --jobs and --cluster: they go "
                 "frame by frame"

@@ -117,7 +117,7 @@ def _simulate(
 
 
 def _lines(summary: DatasetSummary) -> list[str]:
-    """What is in a simulated data set, one fact a line; the last says where it is."""
+    """What is in a simulated data set; the last line says where it is."""
     from foreglow.display.summary_lines import counted
 
     labels = summary.labels

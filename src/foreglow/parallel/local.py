@@ -25,7 +25,7 @@ from foreglow.parallel.pool import LostProcessError, schedule
 from foreglow.parallel.workers import Item, Parent, ProgressCallback, Result, Work
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Environment of the processes: with a process a core, each with a thread a core, they are slower than one alone."""
+"""Environment of the processes: with one process per core, several threads in each only slow each other down."""
 
 
 @dataclass(frozen=True, slots=True)

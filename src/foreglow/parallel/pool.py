@@ -87,7 +87,7 @@ def schedule(
             while waiting and len(running) < pool.num_slots():
                 name = waiting.popleft()
                 running.add(name)
-                pool.submit(name, items[name]).add_done_callback(lambda task, name=name: done.put((name, task)))
+                _submit(pool, name, items[name], done)
             finished = _next_of(done) if running else None
             for values in pool.reports():
                 progress(*values)
@@ -124,6 +124,10 @@ def given_up(name: str) -> ChildProcessError:
         f"{name}: {MAX_DEATHS} processes that worked on it ended unexpectedly, perhaps for lack of memory: run again "
         "with fewer at once"
     )
+
+
+def _submit(pool: Pool, name: str, item: Any, done: SimpleQueue[tuple[str, Any]]) -> None:
+    pool.submit(name, item).add_done_callback(lambda task: done.put((name, task)))
 
 
 def _next_of(done: SimpleQueue[tuple[str, Any]]) -> tuple[str, Any] | None:

@@ -143,6 +143,17 @@ def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
     assert len(source.skipped) == 1
 
 
+def test_damage_where_the_topic_is_defined(tmp_path: Path) -> None:
+    path = _mcap(tmp_path)
+    data = bytearray(path.read_bytes())
+    first = data.index(b"zstd")
+    data[first + 100 : first + 120] = bytes(20)
+    path.write_bytes(data)
+    source = Recording(path, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES[1:])
+    assert len(source.skipped) == 1
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
 def test_a_chunk_takes_no_more_memory_than_it_says(compression: str) -> None:
     import bz2

@@ -5,6 +5,7 @@ Source: mcap.dev/spec, version 0.
 
 from __future__ import annotations
 
+import contextlib
 import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -40,8 +41,9 @@ class McapFile:
         self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated recording, its end is missing"
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
-        """As in `Container`."""
+        """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file."""
         channels = _Channels(names)
+        self._read_summary(channels)
         with self._path.open("rb") as file:
             file.seek(len(MAGIC))
             for place, kind, length in self._heads(file, refuse):
@@ -62,25 +64,31 @@ class McapFile:
 
     def count(self, name: str) -> int | None:
         """As in `Container`: by the statistics at the end."""
-        channels, counts = _Channels(None), dict[int, int]()
-        try:
-            with self._path.open("rb") as file:
-                file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
-                start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-                if not 0 < start < self._size:
-                    return None
-                file.seek(start)
-                for _, kind, length in self._heads(file, _raise):
-                    if kind == _FOOTER or length > MAX_BYTES:
-                        break
-                    if kind in (_SCHEMA, _CHANNEL):
-                        channels.add(kind, Cursor(memoryview(file.read(length))))
-                    elif kind == _STATISTICS:
-                        counts = _message_counts(Cursor(memoryview(file.read(length))))
-        except ValueError:
-            return None
+        channels = _Channels(None)
+        counts = self._read_summary(channels)
         wanted = [number for number, topic in channels.topics.items() if topic.name == name]
         return sum(counts.get(number, 0) for number in wanted) if counts and wanted else None
+
+    def _read_summary(self, channels: _Channels) -> dict[int, int]:
+        """Adds the definitions at the end of the file to `channels`, and returns the numbers of messages by channel.
+
+        Without an end there are none of both; of a damaged end, what is before the damage.
+        """
+        counts = dict[int, int]()
+        with contextlib.suppress(ValueError), self._path.open("rb") as file:
+            file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
+            start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
+            if not 0 < start < self._size:
+                return counts
+            file.seek(start)
+            for _, kind, length in self._heads(file, _raise):
+                if kind == _FOOTER or length > MAX_BYTES:
+                    break
+                if kind in (_SCHEMA, _CHANNEL):
+                    channels.add(kind, Cursor(memoryview(file.read(length))))
+                elif kind == _STATISTICS:
+                    counts = _message_counts(Cursor(memoryview(file.read(length))))
+        return counts
 
     def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
         """Place, opcode and length of one record after another that is there as a whole; the file is at its content.

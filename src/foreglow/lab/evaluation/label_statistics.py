@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import Field, RootModel
@@ -106,11 +105,6 @@ class LabelStatistics:
     in_sight_frames: Spread
     positions: Mapping[str, float]
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
-        return fields
-
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -129,11 +123,6 @@ class Comparison:
     simulated: float
     ratio: float
     is_close: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
-        return fields
 
 
 def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: float = PVDN_RATE_HZ) -> LabelStatistics:
@@ -300,9 +289,3 @@ def _compared(name: str, real: float, simulated: float) -> Comparison:
 
 def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_nan(part) for name, part in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value

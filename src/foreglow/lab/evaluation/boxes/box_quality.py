@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions
 
 
@@ -69,13 +70,6 @@ class BoxQuality:
         rounded: dict[str, Any] = {name: round(getattr(self, name), 4) for name in names}
         return dataclasses.replace(self, **rounded, q=round(rounded["q_k"] * rounded["q_b"], 4))
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self)
-        return {
-            name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()
-        }
-
 
 def evaluate_boxes(
     keypoints_px: Mapping[int, NDArray[Any]], predictions: Predictions, threshold: float = 0.5
@@ -113,9 +107,9 @@ def evaluate_boxes(
     q_k, q_k_std = _mean_and_std(1.0 / keypoints_in_box[keypoints_in_box > 0])
     q_b, q_b_std = _mean_and_std(1.0 / boxes_around_keypoint[boxes_around_keypoint > 0])
     return BoxQuality(
-        precision=_ratio(tp, tp + fp),
-        recall=_ratio(tp, tp + fn),
-        f1=_ratio(tp, tp + 0.5 * (fp + fn)),
+        precision=ratio(tp, tp + fp),
+        recall=ratio(tp, tp + fn),
+        f1=ratio(tp, tp + 0.5 * (fp + fn)),
         q=q_k * q_b,
         q_k=q_k,
         q_k_std=q_k_std,
@@ -184,7 +178,3 @@ def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
 def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
     """Mean and population standard deviation; NaN of nothing."""
     return (float(values.mean()), float(values.std())) if len(values) else (math.nan, math.nan)
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +13,12 @@ from numpy.typing import NDArray
 from foreglow.beam.vehicles import group_vehicles
 from foreglow.calibration import read_calibration
 from foreglow.datasets import PVDN
+from foreglow.files import fields_to_json
 from foreglow.geometry import Camera
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 from foreglow.lab.evaluation.boxes.lights import Light
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 
@@ -57,9 +58,8 @@ class DirectQuality:
         return (self.recall_direct + self.recall_indirect) / 2
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and the mean by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self) | {"balanced_accuracy": self.balanced_accuracy}
-        return {name: plain(value) for name, value in values.items()}
+        """All fields and their mean by name."""
+        return fields_to_json(self, "balanced_accuracy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +78,6 @@ class VehicleQuality:
     num_vehicles: int
     recall: float
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
-
 
 @dataclass(frozen=True, slots=True)
 class Directness:
@@ -96,11 +92,6 @@ class Directness:
     boxes: DirectQuality | None = None
     tracks: DirectQuality | None = None
     vehicles: VehicleQuality | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything by name, for JSON."""
-        parts = {"boxes": self.boxes, "tracks": self.tracks, "vehicles": self.vehicles}
-        return {name: None if one is None else one.to_json() for name, one in parts.items()}
 
 
 def directness(
@@ -141,12 +132,12 @@ def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold
 def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> DirectQuality | None:
     """How well plausible tracks are told apart, each once an image, by what lies in their boxes; None: do not say."""
     truth, calls = [], []
-    for image_id, its in tracks.items():
+    for image_id, in_image in tracks.items():
         if image_id not in labels.lights:
             continue
-        is_rated = its.is_plausible & ~np.isnan(its.direct_probabilities)
-        truth.append(_sources(labels.lights[image_id], its.boxes_xyxy_px[is_rated]))
-        calls.append(its.direct_probabilities[is_rated])
+        is_rated = in_image.is_plausible & ~np.isnan(in_image.direct_probabilities)
+        truth.append(_sources(labels.lights[image_id], in_image.boxes_xyxy_px[is_rated]))
+        calls.append(in_image.direct_probabilities[is_rated])
     return _quality(truth, calls)
 
 
@@ -161,26 +152,22 @@ def vehicles_of_tracks(
         cameras: By sequence id; images of other sequences are left out.
     """
     num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
-    for image_id, its in tracks.items():
+    for image_id, in_image in tracks.items():
         camera = cameras.get(labels.sequence_of.get(image_id, -1))
         if camera is None:
             continue
-        held = _lamps_held(labels.lights[image_id], its)
-        vehicles = {one for one in set().union(*(lamps.keys() for lamps in held)) if _is_apart(held, one)}
-        pairs = [group for group in group_vehicles(its, camera) if len(group) == 2]
-        right = [held[one].keys() & held[other].keys() for one, other in pairs]
+        held = _lamps_held(labels.lights[image_id], in_image)
+        vehicle_ids = set().union(*(lamps.keys() for lamps in held))
+        vehicles = {vehicle_id for vehicle_id in vehicle_ids if _is_apart(held, vehicle_id)}
+        pairs = [group for group in group_vehicles(in_image, camera) if len(group) == 2]
+        right = [held[left].keys() & held[right].keys() for left, right in pairs]
         num_pairs += len(pairs)
-        num_right += sum(bool(one) for one in right)
+        num_right += sum(map(bool, right))
         num_vehicles += len(vehicles)
         num_found += len(vehicles & set().union(*right))
     if not cameras:
         return None
-    return VehicleQuality(
-        num_pairs,
-        num_right / num_pairs if num_pairs else math.nan,
-        num_vehicles,
-        num_found / num_vehicles if num_vehicles else math.nan,
-    )
+    return VehicleQuality(num_pairs, ratio(num_right, num_pairs), num_vehicles, ratio(num_found, num_vehicles))
 
 
 def read_cameras(dataset: PVDN) -> dict[int, Camera]:
@@ -189,31 +176,32 @@ def read_cameras(dataset: PVDN) -> dict[int, Camera]:
     Raises:
         ValueError: If one is broken.
     """
-    paths = {one.id: dataset.root / "simulation" / one.directory / "camera.toml" for one in dataset.sequences}
+    paths = {
+        sequence.id: dataset.root / "simulation" / sequence.directory / "camera.toml" for sequence in dataset.sequences
+    }
     return {sequence_id: read_calibration(path) for sequence_id, path in paths.items() if path.is_file()}
 
 
 def _lamps_held(lights: tuple[Light, ...], tracks: Tracks) -> list[dict[int, set[int]]]:
-    """For each track the lamps in its box, by vehicle, as places in `lights`; nothing for tracks not plausible."""
+    """For each track the lamps in its box, by vehicle, as indices of `lights`; nothing for tracks not plausible."""
     held: list[dict[int, set[int]]] = [{} for _ in range(len(tracks))]
-    for place, light in enumerate(lights):
+    for index, light in enumerate(lights):
         if light.is_direct:
             is_in = lies_in(np.array(light.position_px), tracks.boxes_xyxy_px) & tracks.is_plausible
             for track in np.flatnonzero(is_in):
-                held[track].setdefault(light.vehicle_id, set()).add(place)
+                held[track].setdefault(light.vehicle_id, set()).add(index)
     return held
 
 
 def _is_apart(held: list[dict[int, set[int]]], vehicle_id: int) -> bool:
     """Whether two tracks hold different lamps of the vehicle."""
-    sets = {frozenset(its[vehicle_id]) for its in held if vehicle_id in its}
-    return len(sets) > 1
+    return len({frozenset(lamps[vehicle_id]) for lamps in held if vehicle_id in lamps}) > 1
 
 
 def _sources(lights: tuple[Light, ...], boxes_xyxy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shape (N,): 1 for a box with a lamp, 0 for one with other light alone, NaN without a light."""
     sources = np.full(len(boxes_xyxy_px), np.nan)
-    for light in sorted(lights, key=lambda one: one.is_direct):
+    for light in sorted(lights, key=lambda light: light.is_direct):
         sources[lies_in(np.array(light.position_px), boxes_xyxy_px)] = light.is_direct
     return sources
 
@@ -224,9 +212,4 @@ def _quality(truth: list[NDArray[np.float64]], calls: list[NDArray[np.float64]])
     if not len(called):
         return None
     direct, indirect = called[is_direct == 1], called[is_direct == 0]
-    return DirectQuality(
-        len(direct),
-        len(indirect),
-        float(direct.mean()) if len(direct) else math.nan,
-        float((~indirect).mean()) if len(indirect) else math.nan,
-    )
+    return DirectQuality(len(direct), len(indirect), share(direct), share(~indirect))

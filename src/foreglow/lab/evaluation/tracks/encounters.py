@@ -5,14 +5,12 @@ All times of a sequence count from its first image. Its first vehicle is the one
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from foreglow.datasets import PVDN, CategoryConfig
 from foreglow.datasets.simulated import has_truth, read_truth
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 
 HUMAN_DELAY_S = 0.8
 """From the first annotated artifact to a human's report of the vehicle, on average (paper)."""
@@ -56,10 +54,6 @@ class Encounter:
     def human_s(self) -> float:
         """When a human would report it, on average."""
         return self.light_s + HUMAN_DELAY_S
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
 
 
 def read_encounters(

@@ -56,8 +56,8 @@ def command(
     from foreglow.datasets import PVDN, split_folder
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.training_bar import TrainingBar
+    from foreglow.lab.studies.detector.figures import pictures
     from foreglow.lab.studies.detector.page import write_report
-    from foreglow.lab.studies.detector.pictures import pictures
     from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
     from foreglow.lab.studies.detector.run import run_experiment
 

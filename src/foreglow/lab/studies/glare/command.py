@@ -55,8 +55,8 @@ def command(
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more, and films it."""
-    from foreglow.lab.studies.glare.driving import Drives
     from foreglow.lab.studies.glare.film import write_film
+    from foreglow.lab.studies.glare.simulate import Drives
     from foreglow.photometry import read_headlamps
 
     drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)

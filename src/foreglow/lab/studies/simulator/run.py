@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,17 @@ from foreglow.lab.evaluation.label_statistics import (
 from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
 from foreglow.lab.simulation.labels.categories import is_oncoming
 from foreglow.lab.simulation.writing.scene_files import scene_of
-from foreglow.lab.studies.simulator.image_statistics import ImageStatistics, PixelComparison, image_statistics
-from foreglow.lab.studies.simulator.image_statistics import compare as compare_images
-from foreglow.lab.studies.simulator.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
+from foreglow.lab.studies.simulator.metrics import (
+    FACTORS,
+    ImageStatistics,
+    PeaksOfFrame,
+    PixelComparison,
+    RuleEffect,
+    compare_images,
+    first_times,
+    image_statistics,
+    rule_effects,
+)
 
 NUM_IMAGES = 24
 """Images whose pixels are measured: those with a lamp in sight, evenly spread over the set."""
@@ -54,19 +61,6 @@ class SimulatorResults:
     effects: tuple[RuleEffect, ...]
     leads_s: tuple[float, ...]
     production_delays_s: tuple[float, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """All figures by name, for JSON: null instead of NaN."""
-        return {
-            "name": self.name,
-            "labels": self.labels.to_json(),
-            "label_rows": None if self.label_rows is None else [row.to_json() for row in self.label_rows],
-            "pixels": self.pixels.to_json(),
-            "pixel_rows": None if self.pixel_rows is None else [row.to_json() for row in self.pixel_rows],
-            "effects": [effect.to_json() for effect in self.effects],
-            "leads_s": list(self.leads_s),
-            "production_delays_s": list(self.production_delays_s),
-        }
 
 
 def examine(split: Path, real_labels: Path | None = None, real_image: Path | None = None) -> SimulatorResults:
@@ -114,9 +108,9 @@ def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
     for frame in drive.frames:
         vehicles = [vehicle for vehicle in frame.vehicles if vehicle.vehicle_id in oncoming]
         has_direct = any(
-            one.is_direct and not one.is_rear and not one.is_doubtful
+            artifact.is_direct and not artifact.is_rear and not artifact.is_doubtful
             for vehicle in vehicles
-            for one in vehicle.artifacts
+            for artifact in vehicle.artifacts
         )
         candidates = tuple(vehicle.candidates for vehicle in vehicles)
         frames.append(PeaksOfFrame(frame.timestamp_ns / 1e9, has_direct, candidates))
@@ -140,7 +134,7 @@ def _images_with_lamp(dataset: PVDN, truth: Iterable[SequenceTruth]) -> Sequence
         frame.image_id
         for drive in truth
         for frame in drive.frames
-        if any(one.is_direct for vehicle in frame.vehicles for one in vehicle.artifacts)
+        if any(artifact.is_direct for vehicle in frame.vehicles for artifact in vehicle.artifacts)
     ] or list(dataset.labels.images)
-    places = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
-    return [np.asarray(dataset.read(shown[place]).image, np.uint8) for place in places]
+    chosen = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
+    return [np.asarray(dataset.read(shown[index]).image, np.uint8) for index in chosen]

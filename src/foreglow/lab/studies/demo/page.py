@@ -10,7 +10,8 @@ from rich.table import Table
 
 from foreglow.lab.evaluation.boxes.first_found import share_found_ahead
 from foreglow.lab.evaluation.tracks.encounters import UNKNOWN_VEHICLE
-from foreglow.lab.studies.demo.story import Moment, Story
+from foreglow.lab.reports.numbers import number
+from foreglow.lab.studies.demo.metrics import Moment, Story
 
 PLACES = {
     "lamp": "its lamp",
@@ -108,13 +109,11 @@ def story_table(stories: Sequence[Story], *, is_classified: bool) -> Table:
         table.add_column(name)
     for column in table.columns[2:]:
         column.justify = "left" if column.header == "on" else "right"
-    for one in stories[:MAX_ROWS]:
-        table.add_row(
-            *(one.sequence, "" if one.vehicle == UNKNOWN_VEHICLE else one.vehicle),
-            *(_seconds(one.light.time_s), on_what(one.light)),
-            *(_seconds(time_s) for time_s in (one.times.found_s, one.confirmed_s, one.times.lamp_s)),
-            *(_seconds(time_s) for time_s in (one.production_s, one.times.lead_s)),
-        )
+    for story in stories[:MAX_ROWS]:
+        times_s = (story.times.found_s, story.confirmed_s, story.times.lamp_s, story.production_s, story.times.lead_s)
+        vehicle = "" if story.vehicle == UNKNOWN_VEHICLE else story.vehicle
+        seconds = (number(time_s, missing="-") for time_s in times_s)
+        table.add_row(story.sequence, vehicle, number(story.light.time_s), on_what(story.light), *seconds)
     table.caption = "\n".join(_table_notes(stories, is_classified))
     table.caption_justify = "left"
     return table
@@ -124,10 +123,10 @@ def _table_notes(stories: Sequence[Story], is_classified: bool) -> list[str]:
     notes = ["seconds from each sequence's beginning; ahead: from the first box to the first lamp"]
     if len(stories) > MAX_ROWS:
         notes.append(f"and {len(stories) - MAX_ROWS} more sequences")
-    hidden = [one for one in stories if one.is_hidden_first and one.sight is not None]
-    ahead_s = [one.times.lead_s for one in hidden if one.times.lead_s > 0]
+    hidden = [story for story in stories if story.is_hidden_first and story.sight is not None]
+    ahead_s = [story.times.lead_s for story in hidden if story.times.lead_s > 0]
     if hidden:
-        share = share_found_ahead([one.times for one in hidden])
+        share = share_found_ahead([story.times for story in hidden])
         line = f"{len(ahead_s)} of {len(hidden)} hidden vehicles ({share:.0%}) {found_word(is_classified)} before"
         line += " they were in sight"
         notes.append(f"{line}, by {statistics.median(ahead_s):.2f} s in the median" if ahead_s else line)
@@ -146,7 +145,3 @@ def _per_image(num_boxes: int, num_images: int) -> str:
 def _on_what_and_how_sure(moment: Moment) -> str:
     score = "" if math.isnan(moment.score) else f", score {moment.score:.2f}"
     return on_what(moment) + score
-
-
-def _seconds(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2f}"

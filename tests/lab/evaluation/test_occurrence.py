@@ -12,7 +12,7 @@ import pytest
 from foreglow.beam import Occurrence
 from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.geometry import Pose, rotation
-from foreglow.lab.studies.occurrence.run import Expectations, Moment, first_sights, is_coming
+from foreglow.lab.evaluation.occurrence import Expectations, Moment, first_sights, is_coming
 
 HERE = Pose(np.zeros(3), np.eye(3))
 
@@ -49,7 +49,7 @@ def test_what_was_expected_before_is_held_against_it() -> None:
     expectations, shares = Expectations(0.8), [0.0] * 18 + [1.0]
     azimuths = np.radians([2.0, 3.0, 4.0])
     for _ in shares:
-        expectations.note(Occurrence(azimuths, np.full(3, 100.0), np.array([0.1, 0.8, 0.1]), 1.2, 0.8))
+        expectations.add(Occurrence(azimuths, np.full(3, 100.0), np.array([0.1, 0.8, 0.1]), 1.2, 0.8))
     one_s, half_s = expectations.sightings(moments(shares), 18.0)  # nothing is known of two seconds before
     truth_deg = math.degrees(math.atan2(5.0, 100.0))
     assert (one_s.lead_s, half_s.lead_s) == (1.0, 0.5)
@@ -63,7 +63,7 @@ def test_what_was_expected_before_is_held_against_it() -> None:
 def test_nothing_expected_is_nan_and_covers_nothing() -> None:
     expectations, shares = Expectations(0.8), [0.0] * 18 + [1.0]
     for _ in shares:
-        expectations.note(None)
+        expectations.add(None)
     for one in expectations.sightings(moments(shares), 18.0):
         assert math.isnan(one.error_deg)
         assert not one.is_covered

@@ -10,7 +10,7 @@ import pytest
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.evaluation.boxes.lights import read_lights
-from foreglow.lab.studies.demo.story import best_story, has_labels, tell_stories
+from foreglow.lab.studies.demo.metrics import best_story, has_labels, tell_stories
 from foreglow.types import TrackState
 from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
 from tests.lab.evaluation.scored_boxes import predictions_of

@@ -10,10 +10,10 @@ import pytest
 
 from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR
 from foreglow.lab.evaluation import Predictions
-from foreglow.lab.studies.demo.moments import LIGHT_BGR, SIGHT_BGR, TILE_PX, moments_picture, write_moments
+from foreglow.lab.studies.demo.figures import LIGHT_BGR, SIGHT_BGR, TILE_PX, moments_picture, write_moments
 from foreglow.types import Frame
 from tests.lab.evaluation.scored_boxes import predictions_of
-from tests.lab.studies.demo.test_narration import NEVER, story_of
+from tests.lab.studies.demo.test_page import NEVER, story_of
 from tests.stand_ins import night_image
 
 STORY = story_of(2.0, 2.5, 3.5, 4.0)

@@ -1,4 +1,4 @@
-"""A drive as a story: when an oncoming vehicle's light was first visible, when it was found, when it was in sight."""
+"""A drive as a story: when a vehicle's light was first visible, when it was found, when the vehicle was in sight."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from foreglow.datasets import PVDN
+from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
 from foreglow.lab.evaluation.boxes.lights import Light
@@ -19,7 +20,7 @@ from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 
 _Lit: TypeAlias = tuple[Light, float]
-"""A light, and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
+"""A light and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class Story:
     @property
     def moments(self) -> tuple[Moment, ...]:
         """First light, detection and sight, as far as they happen."""
-        return tuple(one for one in (self.light, self.found, self.sight) if one is not None)
+        return tuple(moment for moment in (self.light, self.found, self.sight) if moment is not None)
 
 
 def tell_stories(
@@ -99,7 +100,6 @@ def tell_stories(
     matched = match_lights(labels, predictions)
     image_ids = matched.matches.image_ids
     is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
-    lit = list(zip(matched.lights, matched.best_scores.tolist(), strict=True))
     first: dict[int, FirstFound] = {}
     for vehicle in first_found(labels, matched, threshold):
         known = first.setdefault(vehicle.sequence_id, vehicle)
@@ -110,23 +110,26 @@ def tell_stories(
         times = first.get(sequence.id)
         if times is None:
             continue
-        its = [
+        lit_at = [
             (labels.time_s[light.image_id], (light, score))
-            for light, score in lit
+            for light, score in zip(matched.lights, matched.best_scores.tolist(), strict=True)
             if (light.sequence_id, light.vehicle_id) == (sequence.id, times.vehicle_id) and not light.is_rear
         ]
-        visible = [one for time_s, one in its if time_s == times.light_s]
-        boxed = [one for time_s, one in its if time_s == times.found_s and one[1] > threshold]
-        lamps = [one for time_s, one in its if time_s == times.lamp_s and one[0].is_direct]
-        before = [labels.sequence_of[one] == sequence.id and labels.time_s[one] < times.light_s for one in image_ids]
+        visible = [lit for time_s, lit in lit_at if time_s == times.light_s]
+        boxed = [lit for time_s, lit in lit_at if time_s == times.found_s and lit[1] > threshold]
+        lamps = [lit for time_s, lit in lit_at if time_s == times.lamp_s and lit[0].is_direct]
+        before = [
+            labels.sequence_of[image_id] == sequence.id and labels.time_s[image_id] < times.light_s
+            for image_id in image_ids
+        ]
         _, vehicle_kind, production_s = vehicle_facts(dataset, sequence.id, times.vehicle_id)
         stories.append(
             Story(
                 sequence=sequence.directory,
                 vehicle=vehicle_kind,
                 times=times,
-                light=_moment(times.light_s, min(visible, key=lambda one: one[0].rank)),
-                found=_moment(times.found_s, max(boxed, key=lambda one: one[1])) if boxed else None,
+                light=_moment(times.light_s, min(visible, key=lambda lit: lit[0].rank)),
+                found=_moment(times.found_s, max(boxed, key=lambda lit: lit[1])) if boxed else None,
                 sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
                 confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
                 production_s=production_s,
@@ -138,9 +141,42 @@ def tell_stories(
     return tuple(stories)
 
 
+def gap_opened_s(dataset: PVDN, story: Story, gaps_rad: Mapping[int, Floats]) -> float:
+    """When the dark gap opened in which the vehicle of `story` came into sight, from the sequence's first image.
+
+    A gap may move: one that overlaps a gap of the image before is the same one. So it may also have opened for
+    something else, and before the vehicle's first light.
+
+    Args:
+        dataset: Images with calibration.
+        story: Of one of its sequences.
+        gaps_rad: By image id, shape (G, 2), right and left borders of a run's gaps, as in `BeamCommand`.
+
+    Returns:
+        NaN if there was no gap, it never came into sight, or there is no calibration.
+    """
+    if story.sight is None:
+        return math.nan
+    sight_id = story.sight.light.image_id
+    camera = dataset.read(sight_id).camera
+    if camera is None:
+        return math.nan
+    ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([story.sight.light.position_px]))[0]
+    right = left = math.atan2(ray[1], ray[0])
+    opened_s = math.nan
+    image_ids = [image_id for image_id in dataset.sequence(sight_id).image_ids if image_id <= sight_id]
+    for image_id in sorted(image_ids, reverse=True):
+        gaps = [gap for gap in gaps_rad.get(image_id, np.zeros((0, 2))).tolist() if gap[0] <= left and right <= gap[1]]
+        if not gaps:
+            break
+        right, left = min(gap[0] for gap in gaps), max(gap[1] for gap in gaps)
+        opened_s = dataset.time_s(image_id)
+    return opened_s
+
+
 def best_story(stories: Iterable[Story]) -> Story | None:
     """The story to show: of the vehicle that is found longest before it is in sight, else the first; None of none."""
-    return max(stories, key=lambda one: max(0.0, _or_zero(one.times.lead_s)), default=None)
+    return max(stories, key=lambda story: max(0.0, np.nan_to_num(story.times.lead_s)), default=None)
 
 
 def has_labels(dataset: PVDN) -> bool:
@@ -153,13 +189,10 @@ def _confirmations_s(
 ) -> dict[tuple[int, int], float]:
     """By sequence and vehicle, when it is first confirmed."""
     quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
-    return {(one.sequence_id, one.vehicle_id): one.found_s for its in quality for one in its.vehicles}
+    vehicles = (vehicle for sequence in quality for vehicle in sequence.vehicles)
+    return {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in vehicles}
 
 
 def _moment(time_s: float, lit: _Lit) -> Moment:
     light, score = lit
     return Moment(time_s, light, score if math.isfinite(score) else math.nan)
-
-
-def _or_zero(value: float) -> float:
-    return 0.0 if math.isnan(value) else value

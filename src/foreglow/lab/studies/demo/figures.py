@@ -15,8 +15,8 @@ from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR, Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation import Predictions
-from foreglow.lab.studies.demo.narration import PLACES, conclusion, first_words, found_word
-from foreglow.lab.studies.demo.story import Moment, Story
+from foreglow.lab.studies.demo.metrics import Moment, Story
+from foreglow.lab.studies.demo.page import PLACES, conclusion, first_words, found_word
 from foreglow.types import Frame
 
 # The sheet is drawn at twice its size and reduced at the end, so that text and lines are smooth; lengths are in pixels
@@ -95,12 +95,12 @@ def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predicti
     title = f"The {story.vehicle} was {conclusion(story, is_classified=predictions.is_scored)}"
     _write(sheet, title, (MARGIN_PX, TITLE_PX - 44), 2.0, TEXT_BGR)
     tone = Tone.of(scenes[0].frame.image)
-    centre_y = float(np.mean([one.moment.light.position_px[1] / one.frame.width_px for one in scenes]))
-    for place, scene in enumerate(scenes):
-        left = MARGIN_PX + place * (TILE_PX[0] + GAP_PX)
+    centre_y = float(np.mean([scene.moment.light.position_px[1] / scene.frame.width_px for scene in scenes]))
+    for index, scene in enumerate(scenes):
+        left = MARGIN_PX + index * (TILE_PX[0] + GAP_PX)
         tile = _tile(scene, tone, centre_y, predictions, threshold)
         sheet[TITLE_PX : TITLE_PX + TILE_PX[1], left : left + TILE_PX[0]] = tile
-        _draw_caption(sheet, scene, place + 1, (left, TITLE_PX + TILE_PX[1]))
+        _draw_caption(sheet, scene, index + 1, (left, TITLE_PX + TILE_PX[1]))
     _draw_timeline(sheet, story, scenes, TITLE_PX + TILE_PX[1] + CAPTION_PX)
     small = (width_px // REDUCTION, height_px // REDUCTION)
     return np.asarray(cv2.resize(sheet, small, interpolation=cv2.INTER_AREA), np.uint8)
@@ -109,11 +109,11 @@ def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predicti
 def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> list[_Scene]:
     scenes = []
     for moment, frame in zip(story.moments, frames, strict=True):
-        place = PLACES[moment.light.kind]
+        where = PLACES[moment.light.kind]
         if moment is story.light:
-            scenes.append(_Scene(moment, first_words(story), place, LIGHT_BGR, frame))
+            scenes.append(_Scene(moment, first_words(story), where, LIGHT_BGR, frame))
         elif moment is story.found:
-            note = place if math.isnan(moment.score) else f"{place}, score {moment.score:.2f}"
+            note = where if math.isnan(moment.score) else f"{where}, score {moment.score:.2f}"
             scenes.append(_Scene(moment, found_word(is_classified), note, ACCEPTED_BGR, frame))
         else:
             scenes.append(_Scene(moment, f"{story.vehicle} in sight", "", SIGHT_BGR, frame))
@@ -139,7 +139,7 @@ def _tile(scene: _Scene, tone: Tone, centre_y: float, predictions: Predictions, 
 
 
 def _lens(picture: Picture, at_px: tuple[float, float]) -> Picture:
-    """What is around a place, enlarged, and brightened where it is faint."""
+    """What is around a point, enlarged, and brightened where it is faint."""
     width, height = LENS_PX[0] // LENS_FACTOR, LENS_PX[1] // LENS_FACTOR
     left = min(max(round(at_px[0]) - width // 2, 0), picture.shape[1] - width)
     top = min(max(round(at_px[1]) - height // 2, 0), picture.shape[0] - height)
@@ -168,9 +168,9 @@ def _draw_boxes(picture: Picture, image_id: int, predictions: Predictions, thres
     """Accepted boxes bold and green, rejected ones thin and dark, unscored ones amber."""
     boxes = predictions.boxes_xyxy_px.get(image_id, np.empty((0, 4)))
     scores: NDArray[np.float64] = predictions.scores.get(image_id, np.empty(0))
-    for place in np.argsort(scores > threshold, kind="stable").tolist():  # accepted ones last, on top
-        x1, y1, x2, y2 = (round(factor * value) for value in boxes[place].tolist())
-        colour_bgr, line_px = (ACCEPTED_BGR, 4) if scores[place] > threshold else (FADED_BGR, 2)
+    for index in np.argsort(scores > threshold, kind="stable").tolist():  # accepted ones last, on top
+        x1, y1, x2, y2 = (round(factor * value) for value in boxes[index].tolist())
+        colour_bgr, line_px = (ACCEPTED_BGR, 4) if scores[index] > threshold else (FADED_BGR, 2)
         if not predictions.is_scored:
             colour_bgr, line_px = PROPOSAL_BGR, 2
         cv2.rectangle(picture, (x1 - 6, y1 - 6), (x2 + 5, y2 + 5), colour_bgr, line_px, cv2.LINE_AA)

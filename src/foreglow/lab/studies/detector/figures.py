@@ -1,4 +1,4 @@
-"""Which images of an experiment are worth showing: where a row of the table does best, and where worst."""
+"""The pictures of the report on detectors: where a row of the table does best, and where worst."""
 
 from __future__ import annotations
 
@@ -6,14 +6,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN
+from foreglow.display.overlay import Measures, Picture, annotate
 from foreglow.lab.evaluation import Predictions, SplitLabels, match_lights
+from foreglow.lab.reports.figures import jpeg
+from foreglow.lab.reports.page import Figure
 from foreglow.lab.studies.detector.plan import THRESHOLD
 from foreglow.lab.studies.detector.run import DetectorResults
 from foreglow.types import Detections, Frame, FrameResult, Proposals
+
+PICTURE_WIDTH_PX = 900
+JPEG_QUALITY = 82
+FOUND_BGR, MISSED_BGR = (120, 235, 90), (60, 60, 250)
 
 NUM_BEST, NUM_WORST = 2, 3
 HIDDEN_WEIGHT = 3.0
@@ -50,7 +58,7 @@ class Shown:
         frame: The image.
         result: Its accepted boxes, with scores.
         lights_px: Shape (K, 2): labelled lights.
-        is_found: Shape (K,): whether one lies in an accepted box.
+        is_found: Shape (K,): whether it lies in an accepted box.
     """
 
     choice: Choice
@@ -72,26 +80,26 @@ def choose(row: str, labels: SplitLabels, predictions: Predictions) -> tuple[Cho
     weights = np.where(matched.is_hidden, HIDDEN_WEIGHT, 1.0)
     is_false = (matches.scores > THRESHOLD) & ~matches.has_point & ~matched.has_doubtful
 
-    def of_images(places: NDArray[np.intp], values: NDArray[Any]) -> NDArray[np.float64]:
-        return np.bincount(places, values, minlength=matches.num_images).astype(np.float64)
+    def by_image(image_of: NDArray[np.intp], values: NDArray[Any]) -> NDArray[np.float64]:
+        return np.bincount(image_of, values, minlength=matches.num_images).astype(np.float64)
 
-    found = of_images(matches.image_of_point, is_found * weights)
-    missed = of_images(matches.image_of_point, ~is_found * weights)
-    false = of_images(matches.image_of_box, is_false)
+    found = by_image(matches.image_of_point, is_found * weights)
+    missed = by_image(matches.image_of_point, ~is_found * weights)
+    false = by_image(matches.image_of_box, is_false)
     good = np.where(found > 0, found - missed - false, -np.inf)
 
     def chosen(merits: NDArray[np.float64], num: int, is_best: bool) -> Iterator[Choice]:
         scenes: set[int] = set()
-        for place in np.argsort(-merits, kind="stable"):
-            image_id = matches.image_ids[place]
+        for index in np.argsort(-merits, kind="stable"):
+            image_id = matches.image_ids[index]
             scene = labels.sequence_of[image_id]
-            if len(scenes) == num or not merits[place] > 0:
+            if len(scenes) == num or not merits[index] > 0:
                 return
             if scene not in scenes:
                 scenes.add(scene)
-                lights = is_found[matches.image_of_point == place]
+                lights = is_found[matches.image_of_point == index]
                 num_found = int(lights.sum())
-                yield Choice(row, image_id, is_best, num_found, len(lights) - num_found, int(false[place]))
+                yield Choice(row, image_id, is_best, num_found, len(lights) - num_found, int(false[index]))
 
     return (*chosen(good, NUM_BEST, True), *chosen(missed + false, NUM_WORST, False))
 
@@ -113,6 +121,29 @@ def pictures(results: DetectorResults, dataset: PVDN) -> Iterator[Shown]:
             is_inside = np.logical_and(boxes[:, :2] <= lights, lights <= boxes[:, 2:]).all(axis=2)
             result = _result(frame, boxes, scores[is_accepted])
             yield Shown(choice, frame, result, lights[:, 0], np.asarray(np.any(is_inside, axis=1)))
+
+
+def figure(shown: Shown) -> Figure:
+    """The drawn image, with what is found in it, and what is not, in words."""
+    choice = shown.choice
+    words = f"{choice.num_found} found, {choice.num_missed} missed, {choice.num_false} false"
+    mark = "works" if choice.is_best else "does not"
+    data = jpeg(draw(shown), PICTURE_WIDTH_PX, JPEG_QUALITY)
+    return Figure(data, f"{mark}: {shown.frame.sequence}, image {choice.image_id}: {words}")
+
+
+def draw(shown: Shown) -> Picture:
+    """The brightened image with its accepted boxes, and a mark at every labelled light: green if found, red if not."""
+    measures = Measures.of(shown.frame.width_px, shown.frame.height_px)
+    picture = annotate(shown.frame, shown.result)[: shown.frame.height_px * measures.enlargement]  # without its caption
+    for (x, y), is_found in zip(shown.lights_px.tolist(), shown.is_found.tolist(), strict=True):
+        centre = (round((x + 0.5) * measures.enlargement), round((y + 0.5) * measures.enlargement))
+        if is_found:
+            cv2.circle(picture, centre, 3 * measures.bold_px, FOUND_BGR, measures.thin_px, cv2.LINE_AA)
+        else:
+            size_px = 9 * measures.bold_px
+            cv2.drawMarker(picture, centre, MISSED_BGR, cv2.MARKER_TILTED_CROSS, size_px, measures.bold_px, cv2.LINE_AA)
+    return picture
 
 
 def _result(frame: Frame, boxes_xyxy_px: NDArray[np.float64], scores: NDArray[np.float64]) -> FrameResult:
