@@ -12,6 +12,7 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,24 @@ EXTRAS = {
 
 INTERNAL_ERROR = 70
 """EX_SOFTWARE of sysexits.h."""
+
+READERS = (
+    "calibration",
+    "classifier",
+    "config",
+    "datasets",
+    "files",
+    "lab.simulation.scenes",
+    "lab.simulation.writing",
+    "maps",
+    "photometry",
+    "runs",
+    "street",
+)
+"""Where files of the user are read."""
+
+OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
+"""What follows them on a command line is no input."""
 
 MAX_LENGTH = 1000
 """Characters of a message; a longer one, such as of a file that is one long line, is cut."""
@@ -75,6 +94,7 @@ class Commands(TyperGroup):
         if not is_debug:  # what libraries have to say beside their errors
             logging.lastResort = None
             warnings.simplefilter("ignore")
+        inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -84,23 +104,72 @@ class Commands(TyperGroup):
         except Exception as error:
             if is_debug:
                 raise
-            line, code = one_line(error)
+            line, code = one_line(error, inputs)
         typer.echo(f"foreglow: {line}", err=True)
         raise typer.Exit(code)
 
 
-def one_line(error: Exception) -> tuple[str, int]:
-    """The error as one line, and the exit code; of an unforeseen error a report is written."""
+def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
+    """The error as one line, and the exit code; of an unforeseen error a report is written.
+
+    Args:
+        error: What was raised.
+        inputs: Files and folders that the command line names.
+    """
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(str(error) or type(error).__name__), 2
+    words = shortened(f"{type(error).__name__}: {error}", 200)
+    path = _input_read(error, inputs)
+    if path is not None:
+        return shortened(f"{path}: cannot be read: {words}"), 2
+    if isinstance(error, (OverflowError, RecursionError, MemoryError)) and inputs:
+        return shortened(f"{', '.join(map(str, inputs))}: expected values that can be worked with: {words}"), 2
     if isinstance(error, MemoryError):
         return "not enough memory", 2
-    words = shortened(f"{type(error).__name__}: {error}", 200)
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
+
+
+def _inputs(arguments: Sequence[str]) -> list[Path]:
+    """The files and folders among the arguments of a command, without those that it writes to."""
+    paths = []
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        name, _, value = argument.partition("=")
+        text = value if argument.startswith("-") else argument
+        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and _exists(Path(text)):
+            paths.append(Path(text))
+    return paths
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that is too long, or has a zero byte
+        return False
+
+
+def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
+    """The input that was being read when the error was raised: the path that the innermost reader had in hand."""
+    found, is_reading = None, False
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        module = str(frame.f_globals.get("__name__", ""))
+        if not module.startswith("foreglow."):
+            continue
+        is_reading = module.removeprefix("foreglow.").startswith(READERS)
+        if is_reading:
+            values = (*frame.f_locals.values(), getattr(frame.f_locals.get("self"), "path", None))
+            paths = [value for value in values if isinstance(value, Path)]
+            found = next((path for path in paths if _is_part_of(path, inputs)), found)
+    if not is_reading:  # what the readers made of it is worked with already
+        return None
+    return found or (inputs[0] if len(inputs) == 1 else None)
+
+
+def _is_part_of(path: Path, inputs: Sequence[Path]) -> bool:
+    return any(path == entry or entry in path.parents for entry in inputs)
 
 
 def shortened(text: str, length: int = MAX_LENGTH) -> str:
