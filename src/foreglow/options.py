@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import math
 import typing
 from collections.abc import Callable, Iterator
 from copy import copy
@@ -35,15 +36,32 @@ if TYPE_CHECKING:
 
 DEFAULT_PRESET = "foreglow"
 
+MAX_INTEGER = 2**31 - 1
+"""No count, size or seed on a command line is greater."""
+
 
 def argument(metavar: str, text: str) -> Any:
     """An argument, with its help."""
-    return typer.Argument(metavar=metavar, help=text, readable=False)  # the readers' errors take a single line
+    # The readers' errors take a single line, so that typer need not look.
+    return typer.Argument(metavar=metavar, help=text, readable=False, callback=_checked)
 
 
 def option(metavar: str, text: str, *names: str, **settings: Any) -> Any:
-    """An option with a value, and its help."""
-    return typer.Option(*names, metavar=metavar, help=text, **settings)
+    """An option with a value, and its help. A number has a least and a greatest value, `min` and `max`."""
+    return typer.Option(*names, metavar=metavar, help=text, callback=_checked, **settings)
+
+
+def _checked(value: Any) -> Any:
+    """`value`, if it is no number that no command has a use for.
+
+    Raises:
+        typer.BadParameter: For NaN, an infinity, or a whole number of more than 31 bits.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise typer.BadParameter(f"expected a finite number, got {value}")
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        raise typer.BadParameter(f"expected at most {MAX_INTEGER}, got a number of {len(str(abs(value)))} digits")
+    return value
 
 
 def flag(name: str, text: str) -> Any:
@@ -178,9 +196,10 @@ class VehicleOptions:
     road_map: Annotated[Path | None, file("GeoJSON, OpenDRIVE or Lanelet2 map; needs --poses.", "--map")] = None
     poses: Annotated[Path | None, file("Poses of the car on the map over time: CSV or TUM.")] = None
     time_offset: Annotated[
-        float, option("S", "Added to the times of log and poses, to get the times of the frames.")
+        float,
+        option("S", "Added to the times of log and poses, to get the times of the frames.", min=-1e10, max=1e10),
     ] = 0.0
-    pose_error: Annotated[float, option("M", "Largest error of the poses along the road.")] = 5.0
+    pose_error: Annotated[float, option("M", "Largest error of the poses along the road.", min=0.0, max=1000.0)] = 5.0
 
     def read(self) -> VehicleFiles | None:
         """What the files say about each frame; None if no file is given."""
@@ -206,7 +225,7 @@ class CaptureOptions:
     """Live camera."""
 
     size: Annotated[str | None, option("WxH", "Image size to request from the camera.")] = None
-    rate: Annotated[float | None, option("HZ", "Frame rate to request from the camera.")] = None
+    rate: Annotated[float | None, option("HZ", "Frame rate to request from the camera.", min=0.5, max=1000.0)] = None
 
     @property
     def size_px(self) -> tuple[int, int] | None:

@@ -1,7 +1,7 @@
 """The command `foreglow`: a module for each command, or for a few that belong together.
 
-Exit codes: 0 done, 2 bad input or arguments, 130 interrupted by Ctrl-C. What a command needs is imported when it runs,
-so that the help is there at once.
+Exit codes: 0 done, 2 bad input or arguments, 70 a fault of this program, 130 interrupted. What a command needs is
+imported when it runs, so that the help is there at once.
 """
 
 from foreglow.cli.app import app

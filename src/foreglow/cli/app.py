@@ -1,51 +1,12 @@
-"""The program: its options, and its errors in one line."""
+"""The program and its own options."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-EXTRAS = {
-    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
-    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
-    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
-    **dict.fromkeys(("cantools", "can"), "can"),
-    **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
-    **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
-    **dict.fromkeys(("dask", "distributed"), "scale"),
-    "rerun": "view",
-    "matplotlib": "plots",
-    "ultralytics": "ultralytics",
-    "trackeval": "mot",
-}
-"""Optional modules, and the extra that installs each."""
-
-
-class Commands(TyperGroup):
-    """The commands, with their errors turned into one line on stderr."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Runs the command.
-
-        Raises:
-            typer.Exit: With code 2 for bad input and 130 for Ctrl-C. With `--debug` the error itself is raised.
-        """
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            line, code = "interrupted", 130
-        except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
-            raise
-        except (ValueError, OSError, ModuleNotFoundError) as error:
-            is_ours = not isinstance(error, ModuleNotFoundError) or error.name in EXTRAS
-            if ctx.params["debug"] or not is_ours:
-                raise
-            line, code = _one_line(error), 2
-        typer.echo(f"foreglow: {line}", err=True)
-        raise typer.Exit(code)
-
+from foreglow.cli.errors import Commands
 
 app = typer.Typer(
     cls=Commands,
@@ -72,13 +33,3 @@ def _options(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None: ...
-
-
-def _one_line(error: Exception) -> str:
-    """The error as one line."""
-    if isinstance(error, ModuleNotFoundError):
-        extra = EXTRAS[str(error.name)]
-        return f"{error.name} is not installed; this command needs: pip install 'foreglow[{extra}]'"
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split())

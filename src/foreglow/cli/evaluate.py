@@ -31,7 +31,8 @@ def evaluate(
         Path | None, file("Boxes to evaluate instead of running a model: frames.jsonl of a run, or PVDN's JSON.")
     ] = None,
     threshold: Annotated[
-        float | None, option("SCORE", "Count boxes with a score above this (default: the configuration's).")
+        float | None,
+        option("SCORE", "Count boxes with a score above this (default: the configuration's).", min=0.0, max=1.0),
     ] = None,
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
     json_file: Annotated[Path | None, file("Also write the paper's metrics as JSON.", "--json")] = None,

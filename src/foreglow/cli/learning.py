@@ -151,7 +151,8 @@ def train(
     patience: PatienceOption = None,
     seed: Annotated[int | None, option("N", "Seed of weights, order and augmentation.", min=0)] = None,
     max_negatives: Annotated[
-        float | None, option("X", "At most X boxes without light per box with light in each epoch.", min=0.01)
+        float | None,
+        option("X", "At most X boxes without light per box with light in each epoch.", min=0.01, max=1000.0),
     ] = None,
     precision: Annotated[
         str | None, option("fp32|bf16", "Number format; bf16 is faster on hardware that has it.")
@@ -228,7 +229,12 @@ def import_weights(
     out: Annotated[Path, file("The ONNX model to write.")],
     fold: Annotated[
         float | None,
-        option("TOLERANCE", "Remove channels as long as no score changes by more than this, such as 1e-3."),
+        option(
+            "TOLERANCE",
+            "Remove channels as long as no score changes by more than this, such as 1e-3.",
+            min=0.0,
+            max=1.0,
+        ),
     ] = None,
 ) -> None:
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""

@@ -35,7 +35,7 @@ PASSING = {"allow_extra_args": True, "ignore_unknown_options": True}
 SourceArgument = Annotated[
     str, argument("SOURCE", "A source as for `run`, played at its own rate, or a camera as for `live`.")
 ]
-SpeedOption = Annotated[float, option("X", "Play X times as fast as it was recorded.", min=0.01)]
+SpeedOption = Annotated[float, option("X", "Play X times as fast as it was recorded.", min=0.01, max=1000.0)]
 LoopOption = Annotated[bool, flag("--loop", "Start again at the end.")]
 NetworkOption = Annotated[bool, flag("--network", "Let nodes on other machines take part.")]
 ParentOption = Annotated[int | None, typer.Option(hidden=True)]
@@ -55,7 +55,9 @@ class OutputOptions:
     """Beam commands."""
 
     can: Annotated[str | None, option("CHANNEL", "CAN bus for the commands: can0, or INTERFACE:CHANNEL.")] = None
-    deadline: Annotated[float | None, option("S", "Command low beam after S seconds without input.", min=0.01)] = None
+    deadline: Annotated[
+        float | None, option("S", "Command low beam after S seconds without input.", min=0.01, max=10.0)
+    ] = None
 
 
 @ros2.command(context_settings=PASSING)

@@ -21,8 +21,10 @@ def command(
     work: WorkerOptions,
     num: Annotated[int | None, option("N", "Only the first N scenes.", "--scenes", min=1)] = None,
     empty: Annotated[int, option("N", "Also drive the first N scenes without traffic.", min=0)] = 0,
-    camera_delay: Annotated[float, option("S", "Time from the exposure until the command is on the bus.")] = 0.05,
-    lamp_delay: Annotated[float, option("S", "Time from the command until the light follows.")] = 0.1,
+    camera_delay: Annotated[
+        float, option("S", "Time from the exposure until the command is on the bus.", min=0.0, max=1.0)
+    ] = 0.05,
+    lamp_delay: Annotated[float, option("S", "Time from the command until the light follows.", min=0.0, max=1.0)] = 0.1,
     video: Annotated[str | None, option("NAME", "Also film this scene, such as S00004.")] = None,
     quality: QualityOption = "training",
     seed: Annotated[int, option("N", "Seed of the confidence intervals.", min=0)] = 1,
