@@ -120,7 +120,7 @@ def paired_bootstrap(
 
     Args:
         counts_a: Shape (S, C), counts of each scene that add up, such as those of `scene_counts`.
-        counts_b: The same of the other detector, scenes in the same order.
+        counts_b: Those of the other detector, scenes in the same order.
         figure: What is made of summed counts.
         num_resamples: How often scenes are drawn.
         seed: Of the draws; the same seed, the same result.

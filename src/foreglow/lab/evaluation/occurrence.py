@@ -70,8 +70,8 @@ class Sighting:
         vehicle_id: The vehicle.
         lead_s: d, the time before its first sight.
         error_deg: Of the direction; NaN where nothing was expected.
-        error_s: Of the time; NaN likewise.
-        width_deg: Between the gap's borders; NaN likewise.
+        error_s: Of the time; NaN where nothing was expected.
+        width_deg: Between the gap's borders; NaN where nothing was expected.
         is_covered: Whether the true direction lay between them.
     """
 

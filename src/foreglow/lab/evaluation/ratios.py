@@ -22,7 +22,7 @@ def ratio(part: SupportsFloat, whole: SupportsFloat) -> float:
 
 
 def ratios(parts: ArrayLike, wholes: ArrayLike) -> Floats:
-    """The same element by element, for arrays whose shapes are broadcast."""
+    """`ratio` element by element, for arrays whose shapes are broadcast."""
     parts, wholes = np.broadcast_arrays(np.asarray(parts, np.float64), np.asarray(wholes, np.float64))
     return np.asarray(np.divide(parts, wholes, out=np.full(wholes.shape, np.nan), where=wholes > 0))
 

@@ -102,7 +102,7 @@ def examination_lines(examination: Examination) -> list[str]:
 
 
 def _directness_lines(directness: Directness) -> Iterator[str]:
-    """How well lamps are told from their light, and grouped into vehicles, where a run says so."""
+    """How well direct and indirect light are distinguished, and lamps grouped into vehicles, where a run does that."""
     for name, quality in (("accepted boxes", directness.boxes), ("plausible tracks", directness.tracks)):
         if quality is not None:
             yield (

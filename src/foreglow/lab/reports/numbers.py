@@ -8,7 +8,7 @@ DASH = "–"
 
 
 def number(value: float | None, digits: int = 2, missing: str = DASH) -> str:
-    """`value` with so many decimals.
+    """`value` with `digits` decimals.
 
     >>> number(0.125, 2), number(None), number(math.nan, missing="")
     ('0.12', '–', '')
@@ -17,7 +17,7 @@ def number(value: float | None, digits: int = 2, missing: str = DASH) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """The same with its sign.
+    """`value` with its sign and `digits` decimals.
 
     >>> signed(0.5)
     '+0.50'

@@ -65,7 +65,7 @@ class BoxQuality:
     threshold: float
 
     def rounded_as_published(self) -> BoxQuality:
-        """The same with the published rounding: every rate to 4 decimals, and q as the product of the rounded ones."""
+        """With the published rounding: every rate to 4 decimals, and q as the product of the rounded rates."""
         names = ("precision", "recall", "f1", "q_k", "q_k_std", "q_b", "q_b_std")
         rounded: dict[str, Any] = {name: round(getattr(self, name), 4) for name in names}
         return dataclasses.replace(self, **rounded, q=round(rounded["q_k"] * rounded["q_b"], 4))
@@ -78,7 +78,7 @@ def evaluate_boxes(
 
     A keypoint lies in a box if x1 <= x <= x2 and y1 <= y <= y2: all four edges belong to the box, although boxes are
     half-open elsewhere. True positives and false negatives are keypoints, false positives are boxes. There is no
-    matching: a box may explain several keypoints, and a keypoint several boxes, which q_k and q_b tell.
+    matching: a box may explain several keypoints, and a keypoint several boxes, which q_k and q_b measure.
 
     Args:
         keypoints_px: By image id, shape (K, 2), columns x and y, full-frame pixels; an image without vehicles has

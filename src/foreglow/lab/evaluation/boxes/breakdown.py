@@ -30,7 +30,7 @@ class LightGroup:
     Attributes:
         name: Of the group, such as `rail` or `30-60 m`.
         num: Lights in it.
-        recall: Share of them in an accepted box; NaN of none.
+        recall: Share of them in an accepted box; NaN without lights.
         ceiling: Share of them in any box, whatever its score: what the proposals leave to the classifier.
         f1: 2 P R / (P + R) of this recall and the precision of all boxes.
     """
@@ -49,7 +49,7 @@ class FalseBoxes:
     Attributes:
         num_images: The images.
         num: Such boxes, as the metrics of the paper count them.
-        num_doubtful: Those of them that hold doubtful light, for which nobody is to be blamed.
+        num_doubtful: Those of them that hold doubtful light, which is neither right nor wrong to accept.
     """
 
     num_images: int
@@ -58,12 +58,12 @@ class FalseBoxes:
 
     @property
     def per_frame(self) -> float:
-        """Mean of an image; NaN without images."""
+        """Mean number per image; NaN without images."""
         return ratio(self.num, self.num_images)
 
     @property
     def per_frame_without_doubtful(self) -> float:
-        """The same without those that hold doubtful light."""
+        """Mean number per image of those that hold no doubtful light either; NaN without images."""
         return ratio(self.num - self.num_doubtful, self.num_images)
 
     @property

@@ -1,4 +1,4 @@
-"""The metrics over all score thresholds at once, and the threshold that allows so many false boxes."""
+"""The metrics over all score thresholds at once, and the threshold for a given rate of false boxes."""
 
 from __future__ import annotations
 

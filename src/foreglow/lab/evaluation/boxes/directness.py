@@ -1,4 +1,4 @@
-"""Direct or indirect: how well lamps are told from their light on something, and which two lamps are one vehicle's."""
+"""How well direct and indirect light are distinguished, and how well two lamps are recognised as one vehicle's."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class DirectQuality:
     Attributes:
         num_direct: Boxes with a lamp.
         num_indirect: Boxes with other light alone.
-        recall_direct: Share of the former that are called direct; NaN of none.
-        recall_indirect: Share of the latter that are called indirect; NaN of none.
+        recall_direct: Share of the boxes with a lamp that are called direct; NaN without such boxes.
+        recall_indirect: Share of the others that are called indirect; NaN without such boxes.
     """
 
     num_direct: int
@@ -68,9 +68,9 @@ class VehicleQuality:
 
     Attributes:
         num_pairs: Pairs that were made.
-        precision: Share of them in which both tracks hold a lamp of the same vehicle; NaN of none.
+        precision: Share of the pairs in which both tracks hold a lamp of the same vehicle; NaN without pairs.
         num_vehicles: Vehicles with two lamps in tracks of their own.
-        recall: Share of them of which such a pair was made; NaN of none.
+        recall: Share of these vehicles for which such a pair was made; NaN without vehicles.
     """
 
     num_pairs: int
@@ -81,12 +81,12 @@ class VehicleQuality:
 
 @dataclass(frozen=True, slots=True)
 class Directness:
-    """How well direct and indirect light are told apart in a run.
+    """How well direct and indirect light are distinguished in a run.
 
     Attributes:
-        boxes: Of the accepted boxes; None where they do not say.
-        tracks: Of the plausible tracks of every image; None without tracks, or where they do not say.
-        vehicles: Of the same tracks; None without tracks or without calibrations.
+        boxes: Of the accepted boxes; None where the predictions do not say direct or indirect.
+        tracks: Of the plausible tracks of every image; None without tracks, or where they do not say it.
+        vehicles: Of the plausible tracks; None without tracks or without calibrations.
     """
 
     boxes: DirectQuality | None = None
@@ -118,7 +118,7 @@ def directness(
 
 
 def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold: float) -> DirectQuality | None:
-    """How well the accepted boxes are told apart; None where the predictions do not say."""
+    """How well the accepted boxes are classified; None where the predictions do not say direct or indirect."""
     truth, calls = [], []
     for image_id, probabilities in predictions.direct_probabilities.items():
         if image_id not in labels.lights:
@@ -130,7 +130,7 @@ def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold
 
 
 def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> DirectQuality | None:
-    """How well plausible tracks are told apart, each once an image, by what lies in their boxes; None: do not say."""
+    """How well plausible tracks are classified, by what lies in their boxes, once in each image; None as for boxes."""
     truth, calls = [], []
     for image_id, in_image in tracks.items():
         if image_id not in labels.lights:

@@ -92,7 +92,7 @@ class Examination:
         ranking: Figures over all thresholds; None for boxes without scores.
         run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
         robustness: Figures under disturbances; empty where not asked for.
-        directness: How well lamps are told from their light on something, and grouped into vehicles.
+        directness: How well direct and indirect light are distinguished, and lamps grouped into vehicles.
     """
 
     name: str

@@ -75,5 +75,5 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
 
 
 def share_found_ahead(vehicles: Sequence[FirstFound]) -> float:
-    """Share of the vehicles whose light comes before their first lamp that are also found before it; NaN of none."""
+    """Of the vehicles whose light comes before their first lamp, the share found before it; NaN without such vehicles."""
     return share([vehicle.lead_s > 0 for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s])

@@ -19,8 +19,9 @@ NEVER = -np.inf
 class Matches:
     """All points and all boxes of a set of images, one after another, and which point lies in which box.
 
-    Point p is in image `image_ids[image_of_point[p]]`, box b likewise; pair m says that point `pair_point[m]` lies in
-    box `pair_box[m]`. There is no assignment: a box may hold several points, and a point may lie in several boxes.
+    Point p is in image `image_ids[image_of_point[p]]`, box b in `image_ids[image_of_box[b]]`; pair m says that point
+    `pair_point[m]` lies in box `pair_box[m]`. There is no assignment: a box may hold several points, and a point may
+    lie in several boxes.
 
     Attributes:
         image_ids: The images with ground truth, in the given order.

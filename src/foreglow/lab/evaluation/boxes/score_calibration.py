@@ -39,7 +39,7 @@ class Bin:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How well scores tell the probability of a light artifact in the box.
+    """How close scores are to the probability of a light artifact in the box.
 
     Attributes:
         num: Boxes with a score; those with only doubtful light are left out.
@@ -51,7 +51,7 @@ class Calibration:
         nll_at_temperature: The nll with it.
         ece_at_temperature: The calibration error with it.
         bins: The reliability diagram, by score, in bins of equal counts: the figures are theirs.
-        tenths: The same in bins of a tenth of the score, empty ones left out: most boxes have low scores, so bins of
+        tenths: The diagram in bins of a tenth of the score, without empty bins: most boxes have low scores, so bins of
             equal counts say little of the high ones.
     """
 
@@ -68,7 +68,7 @@ class Calibration:
 
 
 def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Calibration:
-    """How well `scores` tell the probability of `labels`.
+    """How close `scores` are to the probability of `labels`.
 
     Args:
         scores: Shape (N,), from 0 to 1.

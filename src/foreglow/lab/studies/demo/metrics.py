@@ -175,12 +175,12 @@ def gap_opened_s(dataset: LabelledSource, story: Story, gaps_rad: Mapping[int, F
 
 
 def best_story(stories: Iterable[Story]) -> Story | None:
-    """The story to show: of the vehicle that is found longest before it is in sight, else the first; None of none."""
+    """The story with the longest lead, or else the first one; None without stories."""
     return max(stories, key=lambda story: max(0.0, np.nan_to_num(story.times.lead_s)), default=None)
 
 
 def has_labels(dataset: LabelledSource) -> bool:
-    """Whether `dataset` has key points, so that its stories can be told."""
+    """Whether `dataset` has key points, without which there are no stories."""
     return (dataset.root / "labels" / "keypoints").is_dir()
 
 

@@ -15,7 +15,7 @@ from foreglow.lab.evaluation.boxes.matching import smallest_box
 from foreglow.types import Boxes, Frame
 
 NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
-"""Why a light is left out."""
+"""Reasons to leave a light out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class RangedLight:
     Attributes:
         image_id: The image.
         sequence_id: Its drive.
-        instance_id: The same through the drive.
+        instance_id: Identifies the light throughout the drive.
         is_direct: Whether it is the lamp itself.
         kind: What it is seen on.
         truth_m: Its range along the viewing ray.
@@ -87,7 +87,7 @@ def ranged_lights(
 
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:
-    """`frame` with a calibration that claims the camera to look up by `pitch_rad` more than it does."""
+    """`frame` with a calibration whose pitch is wrong by `pitch_rad`, upwards."""
     assert frame.camera is not None
     return dataclasses.replace(frame, camera=_tilted_camera(frame.camera, pitch_rad))
 

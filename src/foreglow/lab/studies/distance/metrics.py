@@ -42,7 +42,7 @@ class ErrorSummary:
         lower_quartile: 25th percentile.
         upper_quartile: 75th percentile.
         within_one_sigma: Share whose truth is at most one sigma from the estimate, of those with a finite sigma.
-        within_two_sigma: Likewise, two sigmas.
+        within_two_sigma: As `within_one_sigma`, for two sigmas.
         absolute_low: Lower end of the 95 % interval of `median_absolute`; NaN where it was not asked for.
         absolute_high: Upper end.
     """

@@ -120,7 +120,7 @@ class DistanceResults:
         left_out: Labelled lights without a range to compare with or without a box, by reason.
         lights: The N others, in the order of sequence and image.
         ranges_m: By method, shape (N,); NaN without estimate.
-        sigmas_m: Likewise.
+        sigmas_m: By method, shape (N,); infinite without estimate.
         series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
         tracked: By name of `TRACKERS`, or `box alone`, and method, the estimates of the plausible track that follows
             a light's box; none where no track does.

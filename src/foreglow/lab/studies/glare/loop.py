@@ -158,7 +158,7 @@ class ProductionCar(ExactCar):
 
 
 def paper_config(config: PipelineConfig) -> PipelineConfig:
-    """The same detector, with the paper's tracker and ground plane, and no beam stage of its own."""
+    """`config` with the paper's tracker and ground plane and without a beam stage; the detector stays."""
     return config.model_copy(
         update={
             "distance": DistanceConfig(),

@@ -35,7 +35,7 @@ RESTORE_S = 2.0
 """Time, seconds, that full light may take to return after a vehicle has passed."""
 
 AHEAD_S = 3.0
-"""To dim is not yet wrong so many seconds before a vehicle's first labelled light."""
+"""Time before a vehicle's first labelled light, seconds, in which dimming is not yet wrong."""
 
 MIN_SPEED_MPS = 32.0 / 3.6
 """Below this speed low beam is asked for, and lost light is nobody's fault."""
@@ -79,7 +79,7 @@ class Limits:
         return self._of(eye).at_lx(eye.ranges_m)
 
     def extended(self, eye: DriverEye) -> Floats:
-        """Shape (T,): the same, but nearer and further away the limit of the nearest range that has one holds."""
+        """Shape (T,): the limit for `eye`, continued beyond its reach by its value at the nearest range that has one."""
         limit = self._of(eye)
         return limit.at_lx(np.clip(eye.ranges_m, *limit.reach_m))
 
@@ -154,8 +154,8 @@ class EyeScore:
         bins: Glare by range, see `BINS`.
         first_glare_s: First glare moment, see `first_glare_s`, from the first sight within the reach of the limits;
             NaN without, or where the eye is in it from the drive's first frame: then the first sight was not seen.
-        first_glare_anywhere_s: The same from the first sight at any range, where the limits are taken to go on as they
-            end (`Limits.extended`): without that, to come into sight far away would count as dark.
+        first_glare_anywhere_s: The first glare moment from the first sight at any range, with the limits continued
+            beyond their reach (`Limits.extended`): otherwise, to come into sight far away would count as dark.
     """
 
     vehicle_id: int
@@ -173,7 +173,7 @@ class EyeScore:
 
     @property
     def dose_lxs(self) -> float:
-        """Over all bins."""
+        """The dose in all bins together."""
         return sum(glare.dose_lxs for glare in self.bins)
 
 

@@ -34,8 +34,8 @@ class GlarePlan(FrozenModel):
     """What is driven, and how.
 
     Attributes:
-        num_scenes: The first so many of the scenes; None for all.
-        num_empty: The first so many are also driven without traffic, for dimming that nobody asks for.
+        num_scenes: How many of the scenes, from the first on; None for all.
+        num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
         delays: From camera to beam.
         quality: Of the renderer: `fast`, `training` or `fine`.
         seed: Of the intervals.
@@ -58,11 +58,11 @@ class NamedScene:
 
 @dataclass(frozen=True, slots=True)
 class GlareExperiment:
-    """What came of it.
+    """The results of the experiment.
 
     Attributes:
         results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
-        others: By other limits.
+        others: The results by other limits.
         leads: How well it was predicted where hidden vehicles would appear, over all scenes.
         folder: Where everything is.
     """
@@ -73,7 +73,7 @@ class GlareExperiment:
     folder: Path
 
     def drives(self, names: Sequence[str]) -> tuple[GlareDrive, ...]:
-        """Some of the drives."""
+        """The drives called `names`."""
         return tuple(read_glare_drive(_drive_file(self.folder, name)) for name in names)
 
 
@@ -131,7 +131,7 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
 
 
 def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
-    """Writes down what is done here; checks that an earlier run did the same."""
+    """Writes the plan to the folder, or checks that the plan that is there is the same."""
     about = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
     file = folder / "plan.json"
     if file.exists():
@@ -143,7 +143,7 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
 
 
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
-    """Of all that decides what a finished scene holds; more scenes may be added later."""
+    """Digest of everything that decides what a finished scene holds; more scenes may be added later."""
     parts: list[Any] = [config.model_dump(mode="json"), plan.delays.model_dump(mode="json"), plan.quality]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 

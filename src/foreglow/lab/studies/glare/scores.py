@@ -65,7 +65,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """First glare moments, seconds; NaN of nothing.
+    """First glare moments, seconds; NaN without any.
 
     The median says little where it is 0: the mean, the 90th percentile and the share stand beside it. Each eye counts
     once, however long it is in sight.
@@ -86,7 +86,7 @@ class Moments:
 
     @classmethod
     def of(cls, values_s: Iterable[float]) -> Moments:
-        """Of those that are not NaN.
+        """The figures of the times that are not NaN.
 
         >>> Moments.of([0.0, 0.0, 0.5, math.nan]).median
         0.0
@@ -140,9 +140,9 @@ class GroupGlare:
         dose_vs_low: Dose over that of the low beam alone; NaN where that has none. It is large as soon as the low beam
             hardly glares: read `over_low_lxs` beside it.
         first: First glare moments within the reach of the limits.
-        first_occluded: Those of occluded approaches alone.
+        first_occluded: `first` of occluded approaches alone.
         first_anywhere: From the first sight at any range.
-        first_anywhere_occluded: Those of occluded approaches alone.
+        first_anywhere_occluded: `first_anywhere` of occluded approaches alone.
     """
 
     num_eyes: int
@@ -297,7 +297,7 @@ class DriveScore:
         is_empty: Whether there is no other driver at all.
         eyes: Other drivers.
         present: Light on the road while a vehicle is there.
-        passed: And after it has passed and light had time to return.
+        passed: Light on the road after the vehicle has passed and light had time to return.
         switching: How much the light changes.
         dimming: Light dimmed while nobody is there.
     """
@@ -331,14 +331,14 @@ class PolicyScore:
 
     Attributes:
         name: The policy.
-        oncoming: Glare of those who come towards us.
-        preceding: Glare of those whom we follow.
+        oncoming: Glare of oncoming drivers.
+        preceding: Glare of preceding drivers.
         present: Light on the road while a vehicle is there.
-        passed: And after it has passed and light had time to return.
+        passed: Light on the road after the vehicle has passed and light had time to return.
         smoothness: How much the light changes.
         empty: Wrong dimming in drives without any other driver.
         between: Wrong dimming in the other drives, long before and after.
-        drives: The same drive by drive.
+        drives: The scores drive by drive.
     """
 
     name: str
@@ -471,7 +471,7 @@ def score_glare(
 
 
 def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 0.75)) -> tuple[str, ...]:
-    """Drives to look at that nobody picked: those at `shares` of the way from the least to the largest dose.
+    """Drives to show, chosen by a rule: those at `shares` of the way from the smallest to the largest dose.
 
     The dose is that of `production` at oncoming drivers (else of the first policy), of drives with an occluded approach
     of one, or with any oncoming driver where there is no such drive; none without.

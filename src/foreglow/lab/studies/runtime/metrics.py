@@ -63,7 +63,7 @@ def median_p99_max(values: Floats) -> tuple[float, ...]:
 
 
 def frames_by_proposals(times: NetworkTimes, edges: Sequence[int]) -> Iterator[tuple[str, Floats]]:
-    """Complete run-times of the frames with at least so many proposals and fewer than the next edge says."""
+    """Complete run-times by number of proposals: each group goes from one edge up to, not including, the next one."""
     for least, beyond in itertools.pairwise([*edges, math.inf]):
         is_in = (times.num_proposals >= least) & (times.num_proposals < beyond)
         words = f"{least} to {beyond - 1}" if math.isfinite(beyond) else f"{least} and more"

@@ -52,7 +52,7 @@ class ImageStatistics:
         percentiles_grey: Of all pixels, at `PERCENTILES`.
         column_grey: Standard deviation of the dark area's column means, less their moving mean over 21 columns.
         row_parity_grey: Standard deviation of half the difference between even and odd rows' column means.
-        row_grey: The same as `column_grey` for the means of the rows.
+        row_grey: As `column_grey`, for the means of the rows.
         noise_grey: Standard deviation in the dark area, less its column means and what changes slowly (sigma 8).
         correlation_x: Of that residual with its neighbour in the same row.
         correlation_y: With its neighbour in the same column.

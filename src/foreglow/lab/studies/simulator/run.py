@@ -45,12 +45,13 @@ class SimulatorResults:
     Attributes:
         name: The data set.
         labels: Statistics of its labels.
-        label_rows: The same beside those of real labels; None without any.
+        label_rows: These statistics beside those of real labels; None without real labels.
         pixels: Statistics of images with a lamp in sight.
-        pixel_rows: The same beside those of a real image; None without any.
+        pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
-        leads_s: First lamp minus first indirect light, one number a drive that has both; negative if the lamp leads.
-        production_delays_s: First report of the modelled production system minus first indirect light, likewise.
+        leads_s: First lamp minus first indirect light, for each drive that has both; negative if the lamp comes first.
+        production_delays_s: First report of the modelled production system minus first indirect light, for each drive
+            that has both.
     """
 
     name: str

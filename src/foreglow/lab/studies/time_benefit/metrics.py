@@ -1,4 +1,4 @@
-"""The paper's time benefit: when the first vehicle of each sequence is detected, beside others who report it.
+"""The paper's time benefit: how much earlier than a production system or a human a method detects a vehicle.
 
 A method detects a vehicle with the first box that contains one of its key points.
 
@@ -31,7 +31,7 @@ class MeanAndSpread(Spread):
 
     @classmethod
     def of(cls, values: Iterable[float]) -> MeanAndSpread:
-        """Of those of `values` that are not NaN.
+        """The spread and the mean of those of `values` that are not NaN.
 
         >>> MeanAndSpread.of([1.0, 2.0, math.nan, 6.0])
         MeanAndSpread(num=3, lower_quartile=1.5, median=2.0, upper_quartile=4.0, mean=3.0)
@@ -49,10 +49,10 @@ class TimeBenefit:
         name: The method.
         detected_s: One time an encounter, in their order; NaN for never.
         delays_s: From the first annotated artifact.
-        before_production_s: By how much it is before the production system; of sequences where both detect.
-        occluded_before_production_s: The same of occluded vehicles alone.
-        before_human_s: By how much it is before a human.
-        before_sight_s: By how much it is before the first annotated lamp; of occluded vehicles.
+        before_production_s: How much earlier than the production system; of the sequences in which both detect.
+        occluded_before_production_s: `before_production_s` of occluded vehicles alone.
+        before_human_s: How much earlier than a human.
+        before_sight_s: How much earlier than the first annotated lamp; of occluded vehicles.
         provident_share: Share of the occluded vehicles that are detected before their first annotated lamp; those that
             are never detected count against it. NaN without any.
         num_missed: Vehicles that are never detected.
@@ -74,12 +74,12 @@ class FalseTracks:
     """Confirmed tracks that never held any light of a vehicle, not even doubtful light.
 
     Attributes:
-        num: How many.
-        num_plausible: Of so many confirmed tracks.
-        minutes: In so much time.
-        km: On such a way; NaN where the speed is unknown.
-        num_empty: Those that came up in an image without any vehicle's light.
-        empty_minutes: Time of such images.
+        num: Number of false tracks.
+        num_plausible: Number of all confirmed tracks.
+        minutes: Duration of the sequences.
+        km: Distance driven in them; NaN where the speed is unknown.
+        num_empty: False tracks that came up in an image without any vehicle's light.
+        empty_minutes: Duration of such images.
     """
 
     num: int
@@ -103,17 +103,17 @@ class FalseTracks:
 
     @property
     def per_minute(self) -> float:
-        """Rate in time; NaN without any."""
+        """False tracks per minute; NaN without any time."""
         return ratio(self.num, self.minutes)
 
     @property
     def per_km(self) -> float:
-        """Rate along the way; NaN where that is unknown or nothing."""
+        """False tracks per kilometre; NaN where the distance is unknown or 0."""
         return ratio(self.num, self.km)
 
     @property
     def per_empty_minute(self) -> float:
-        """Rate where nobody is; NaN without such time."""
+        """False tracks per minute of images without any vehicle's light; NaN without such images."""
         return ratio(self.num_empty, self.empty_minutes)
 
     def to_json(self) -> dict[str, Any]:
@@ -175,7 +175,7 @@ def mean_delay_s(encounters: Sequence[Encounter], detected_s: Sequence[float]) -
 
 
 def least_delay_s(curve: Sequence[Method], max_false_per_minute: float) -> float:
-    """The least mean delay of a rule's settings with at most so many false confirmed tracks a minute; NaN without."""
+    """The least mean delay of those settings of a rule that keep to the limit; NaN if none does."""
     return min(
         (
             method.delay_s
