@@ -75,5 +75,5 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
 
 
 def share_found_ahead(vehicles: Sequence[FirstFound]) -> float:
-    """Of the vehicles whose light comes before their first lamp, the share found before it; NaN without such vehicles."""
+    """Of the vehicles whose light comes before their first lamp, the share found before it; NaN without any."""
     return share([vehicle.lead_s > 0 for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s])

@@ -79,7 +79,7 @@ class Limits:
         return self._of(eye).at_lx(eye.ranges_m)
 
     def extended(self, eye: DriverEye) -> Floats:
-        """Shape (T,): the limit for `eye`, continued beyond its reach by its value at the nearest range that has one."""
+        """Shape (T,): the limit for `eye`; beyond its reach, that of the nearest range which has one."""
         limit = self._of(eye)
         return limit.at_lx(np.clip(eye.ranges_m, *limit.reach_m))
 
