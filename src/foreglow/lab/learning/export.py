@@ -184,12 +184,12 @@ class Graph:
         """The checked model of this graph; `inputs` and `outputs` have a shape by name, without the free first axis."""
         from onnx import TensorProto, checker, helper
 
-        values = [
+        given, made = (
             [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *shape]) for name, shape in shapes.items()]
             for shapes in (inputs, outputs)
-        ]
+        )
         model = helper.make_model(
-            helper.make_graph(self.nodes, "foreglow_classifier", *values, self.constants),
+            helper.make_graph(self.nodes, "foreglow_classifier", given, made, self.constants),
             producer_name="foreglow",
             opset_imports=[helper.make_opsetid("", OPSET)],
             ir_version=IR_VERSION,
