@@ -237,7 +237,9 @@ class CaptureOptions:
 class BeamOptions:
     """Headlamps."""
 
-    policy: Annotated[str | None, option("foreglow|paper|low|high", "Beam policy (default: foreglow).")] = None
+    policy: Annotated[str | None, option("foreglow|paper|low|high|MODULE:NAME", "Beam policy (default: foreglow).")] = (
+        None
+    )
     lamps: Annotated[Path | None, file("TOML that describes the headlamps (default: those that ship).")] = None
 
     def commanding(self, configuration: PipelineConfig) -> PipelineConfig:

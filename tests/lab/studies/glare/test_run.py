@@ -18,12 +18,14 @@ from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
+from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.lab.studies.glare.light import OurLight, seen_lamps
 from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
+from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
-from foreglow.lab.studies.glare.simulate import settings_of
+from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 from tests.lab.simulation.light.rendering import need_renderer
@@ -190,6 +192,28 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pyte
     other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
     with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
         run_experiment(scenes, other, plan, out, progress=lambda *_: None)
+
+
+def test_every_policy_has_a_row_of_its_own() -> None:
+    names = [driving.own_name(config().commanding(policy=name)) for name in ("foreglow", "paper", "low", "mine:Mine")]
+    assert names == ["foreglow", "our pipeline, paper", "our pipeline, low", "mine:Mine"]
+
+
+def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.1)
+    setting = Setting("margin", "deg", 2.0, 0.0, {"margin_deg": 2.0})
+    monkeypatch.setattr(driving, "settings_of", lambda _: (setting,))
+    monkeypatch.setattr(run, "settings_of", lambda _: (setting,))
+    scenes = write_scenes_of(tmp_path, scene(0.1 + 3 / 18))
+    plugged = config().commanding(policy="tests.test_plugins:AllLight")
+    plan = GlarePlan(quality="fast")
+    experiment = run_experiment(scenes, plugged, plan, tmp_path / "out", progress=lambda *_: None)
+    names = [policy.name for policy in experiment.results.policies]
+    assert names == ["low", "high", "production", "paper", "oracle", "tests.test_plugins:AllLight"]
+    assert [point.policy for point in experiment.results.sensitivity] == ["tests.test_plugins:AllLight"]
+    assert summary_lines(experiment.results)[0].startswith("tests.test_plugins:AllLight: glare dose of ")
+    setting_run = read_glare_drive(tmp_path / "out" / "drives" / "S00001.npz").runs[setting.name]
+    assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
 
 
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:

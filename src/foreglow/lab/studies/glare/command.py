@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foreglow.options import PipelineOptions, QualityOption, WorkerOptions, argument, folder, option
+from foreglow.options import BeamOptions, PipelineOptions, QualityOption, WorkerOptions, argument, folder, option
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def command(
     scenes: Annotated[Path, argument("SCENES", "A simulated split, or its scenes.jsonl.")],
     out: Annotated[Path, folder("Folder for the report; an interrupted experiment in it is continued.")],
+    lamps: BeamOptions,
     pipeline: PipelineOptions,
     work: WorkerOptions,
     num: Annotated[int | None, option("N", "Only the first N scenes.", "--scenes", min=1)] = None,
@@ -44,7 +45,7 @@ def command(
     filmed = [named for named in chosen if named.name == video]
     if video is not None and not filmed:
         raise ValueError(f"--video: expected one of the scenes, {chosen[0].name} to {chosen[-1].name}, got {video!r}")
-    configuration = pipeline.configuration()
+    configuration = lamps.commanding(pipeline.configuration())
     with SceneProgress(len(chosen), sum(named.scene.num_frames for named in chosen)) as progress:
         experiment = run_experiment(scenes, configuration, plan, out, workers=workers, progress=progress)
     for named in filmed:
@@ -56,10 +57,10 @@ def command(
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     """Drives a scene once more, and films it."""
     from foreglow.lab.studies.glare.film import write_film
-    from foreglow.lab.studies.glare.simulate import Drives
+    from foreglow.lab.studies.glare.simulate import Drives, own_name
     from foreglow.photometry import read_headlamps
 
     drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)
-    titles, rate_hz = ("paper", "foreglow"), named.scene.rate_hz
+    titles, rate_hz = ("paper", own_name(config)), named.scene.rate_hz
     headlamps = read_headlamps(config.beam.headlamps)
     write_film(drives.pairs(named.scene), titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")

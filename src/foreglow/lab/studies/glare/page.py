@@ -27,6 +27,7 @@ from foreglow.lab.studies.glare.figures import (
 from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import (
+    POLICIES,
     PRODUCTION,
     BinGlare,
     DriveScore,
@@ -73,7 +74,7 @@ def write_report(
     page = Page(f"Glare on {results.name}")
     page.text(_preamble(results))
     names = [policy.name for policy in results.policies]
-    if "foreglow" in names:
+    if own_policy(results) in names:
         page.items(summary_lines(results))
     for heading, remark, table in (*_tables(results, others), *_occurrence(leads)):
         page.section(heading, remark)
@@ -119,8 +120,14 @@ def write_experiment(experiment: GlareExperiment) -> Path:
     return write_report(experiment.results, shown, folder, experiment.others, experiment.leads)
 
 
-def summary_lines(results: GlareResults, name: str = "foreglow") -> list[str]:
-    """What the command says of one policy, a fact a line."""
+def own_policy(results: GlareResults) -> str:
+    """The row of our pipeline: `foreglow`, or the one that a user has chosen in its place."""
+    return next((policy.name for policy in results.policies if policy.name not in POLICIES), "foreglow")
+
+
+def summary_lines(results: GlareResults) -> list[str]:
+    """What the command says of the policy that the experiment is about, a fact a line."""
+    name = own_policy(results)
     score = results.policy(name)
     oncoming, present, empty = score.oncoming, score.present, score.empty
     moments = oncoming.first_occluded

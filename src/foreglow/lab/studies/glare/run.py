@@ -22,7 +22,7 @@ from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write
 from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
-from foreglow.lab.studies.glare.simulate import Drives, settings_of
+from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 
@@ -114,7 +114,7 @@ def run_experiment(
     work = functools.partial(_drive, folder, config, plan)
     for _ in (workers or Local()).each(work, todo, progress, paths=(folder,)):
         pass
-    return _scored(folder, wanted, plan)
+    return _scored(folder, wanted, plan, own_name(config))
 
 
 def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
@@ -173,7 +173,7 @@ def _sightings_file(folder: Path, name: str) -> Path:
     return folder / DRIVES / f"{name}.json"
 
 
-def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan) -> GlareExperiment:
+def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
     settings = settings_of(plan.delays)
     names = {setting.name for setting in settings}
     scored = []
@@ -181,7 +181,7 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan) -> Glar
         drives = (read_glare_drive(_drive_file(folder, named.name)) for named in wanted)
         scored.append(score_glare(folder.name, drives, limits, seed=plan.seed))
     points = tuple(
-        SensitivityPoint.of(setting.parameter, setting.unit, setting.value, scored[0].policy(setting.name), "foreglow")
+        SensitivityPoint.of(setting.parameter, setting.unit, setting.value, scored[0].policy(setting.name), own)
         for setting in settings
     )
     results, r123 = (

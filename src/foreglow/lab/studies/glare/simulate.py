@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.beam import make_policy
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.datasets.simulated import VehicleTruth
@@ -21,6 +22,7 @@ from foreglow.lab.simulation import DriveFrame, Scene
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.lab.studies.glare.light import EyeLight, OurLight
 from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
+from foreglow.lab.studies.glare.scores import POLICIES
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.tracking import make_tracker
 from foreglow.types import Frame, FrameResult, Tracks
@@ -76,6 +78,12 @@ def settings_of(delays: Delays) -> tuple[Setting, ...]:
     )
 
 
+def own_name(config: PipelineConfig) -> str:
+    """What the row of our pipeline is called: by its policy, and never like a row that is there anyway."""
+    policy = config.beam.policy
+    return f"our pipeline, {policy}" if policy in POLICIES and policy != "foreglow" else policy
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenScene:
     """What comes of one scene.
@@ -123,7 +131,7 @@ class Drives:
             record.add_run("high", np.ones((2, NUM_LEDS)))
             record.add_run("production", by_production, production.gaps_rad)
             record.add_run("paper", both(by_production, is_reporting, paper.levels), papers_gaps_rad)
-            record.add_run("foreglow", ours.levels, ours.gaps_rad)
+            record.add_run(own_name(self._config), ours.levels, ours.gaps_rad)
             record.add_run("oracle", oracle.levels(known, in_sight), oracle.gaps_rad)
             results.append(ours.result)
         frames = [known.frame for known in record.known]
@@ -137,7 +145,7 @@ class Drives:
     def _replayed(self, frames: Sequence[Frame], results: Sequence[FrameResult], setting: Setting) -> list[Floats]:
         """What another setting would have shone in each frame, on the same detections."""
         beam = self._config.beam.model_copy(update=dict(setting.beam))
-        policy = ForeglowPolicy(beam, self._headlamps)
+        policy = make_policy(beam, self._headlamps)
         followed = zip(frames, self._tracked(frames, results, setting.tracker), strict=True)
         commanded = [policy.command(frame, tracks).levels for frame, tracks in followed]
         times_ns = np.array([frame.timestamp_ns for frame in frames])
