@@ -20,7 +20,7 @@ from tests.cli.commands import complaint, foreglow_command
 @pytest.fixture
 def image(tmp_path: Path) -> Path:
     path = tmp_path / "image.png"
-    cv2.imwrite(str(path), np.zeros((48, 64), np.uint8))
+    cv2.imwrite(str(path), np.zeros((64, 96), np.uint8))
     return path
 
 
@@ -110,7 +110,8 @@ def test_the_lock_dies_with_its_process(writer: subprocess.Popen[Any], image: Pa
     assert "another run is writing" in complaint("run", image, "--out", tmp_path / "out")
     writer.kill()
     writer.wait()
-    assert foreglow_command("run", image, "--out", tmp_path / "out").exit_code == 0
+    result = foreglow_command("run", image, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.stderr
 
 
 def test_empty_folders_go_again(tmp_path: Path) -> None:
