@@ -20,7 +20,7 @@ from foreglow.options import (
     argument,
     flag,
     option,
-    with_groups,
+    with_options,
 )
 from foreglow.runtime import Opening
 
@@ -48,7 +48,7 @@ def program() -> tuple[typer.Typer, list[object]]:
     calls: list[object] = []
 
     @app.command()
-    @with_groups
+    @with_options
     def paint(colours: Colours, sizes: Sizes, number: SharedOption = 2) -> None:
         """Paint a lamp."""
         calls.append((colours, sizes, number))
@@ -114,7 +114,7 @@ def test_workers_get_the_options_and_know_their_files(tmp_path: Path) -> None:
     calibration = tmp_path / "camera.toml"
     calibration.touch()
     vehicle = VehicleOptions(calibration=calibration, dbc=tmp_path / "missing.dbc")
-    opening = Opening(open_frames, (tmp_path, tmp_path / "out", SourceOptions(limit=3), vehicle))
+    opening = Opening(open_frames, (tmp_path, SourceOptions(limit=3), vehicle))
     assert opening.paths == (tmp_path, calibration)
     assert pickle.loads(pickle.dumps(opening)) == opening
     assert hash(opening) == hash(pickle.loads(pickle.dumps(opening)))

@@ -5,7 +5,7 @@
 ...     '''Greeting.'''
 ...
 ...     name: Annotated[str, option("NAME", "Whom to greet.")] = "you"
->>> @with_groups
+>>> @with_options
 ... def greet(greeting: GreetingOptions) -> None:
 ...     print(f"hello {greeting.name}")
 >>> greet(name="there")
@@ -27,6 +27,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from typer.models import OptionInfo
+
+from foreglow.outputs import check_outputs, locked
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -74,13 +76,27 @@ def file(text: str, *names: str, metavar: str = "FILE") -> Any:
     return option(metavar, text, *names, readable=False)
 
 
-folder = functools.partial(file, metavar="DIR")
+def output_file(text: str, *names: str, metavar: str = "FILE") -> Any:
+    """An option with a file to write, and its help: the command may not read the same file."""
+    return _with_role(file(text, *names, metavar=metavar), "output file")
 
 
-def with_groups(function: Callable[..., None]) -> Callable[..., None]:
-    """`function` as a command in which each parameter whose type is a dataclass becomes one option per field.
+def folder(text: str, *names: str) -> Any:
+    """An option with a folder to write into, and its help: one command does so at a time."""
+    return _with_role(file(text, *names, metavar="DIR"), "output folder")
 
-    In the help, the options of such a group stand together, under the first line of the dataclass's docstring.
+
+def _with_role(info: Any, role: str) -> Any:
+    info.role = role
+    return info
+
+
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """`function` as a command that checks what it writes, and takes groups of options.
+
+    Each parameter whose type is a dataclass becomes one option per field. In the help, the options of such a group
+    stand together, under the first line of the dataclass's docstring. No file or folder that the command writes may be
+    one that it reads, and a folder that it writes into is locked while it runs.
     """
     hints = typing.get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
@@ -88,16 +104,51 @@ def with_groups(function: Callable[..., None]) -> Callable[..., None]:
     for name, parameter in inspect.signature(function).parameters.items():
         parameters += _options_of(groups[name]) if name in groups else [parameter.replace(annotation=hints[name])]
 
+    infos = {parameter.name: typing.get_args(parameter.annotation)[1:] for parameter in parameters}
+    roles = {name: getattr(info[0], "role", "input") if info else "" for name, info in infos.items()}
+
     @functools.wraps(function)
     def command(**values: Any) -> None:
+        inputs, files, folders = (
+            {_label(name, infos[name][0]): path for name, path in _paths(values, roles, role)}
+            for role in ("input", "output file", "output folder")
+        )
+        check_outputs(inputs, files, folders)
         for name, group in groups.items():
             values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
-        function(**values)
+        with locked(folders):
+            function(**values)
 
     keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
     command.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
+
+
+def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator[tuple[str, Path]]:
+    """The paths among the values of a command's parameters that have this role; of inputs, those that exist."""
+    for name, value in values.items():
+        if roles.get(name) != role or value is None:
+            continue
+        for path in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(path, str) and role == "input":
+                path = Path(path)
+            if isinstance(path, Path) and (role != "input" or _exists(path)):
+                yield name, path
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # no name of a file, such as an address or a long text
+        return False
+
+
+def _label(name: str, info: Any) -> str:
+    """What a parameter is called on the command line."""
+    if not isinstance(info, OptionInfo):
+        return str(info.metavar or name.upper())
+    return str((info.param_decls or (f"--{name.replace('_', '-')}",))[0])
 
 
 def _options_of(group: type) -> Iterator[inspect.Parameter]:
@@ -106,7 +157,7 @@ def _options_of(group: type) -> Iterator[inspect.Parameter]:
     for name, parameter in inspect.signature(group).parameters.items():
         kind, info = typing.get_args(hints[name])
         if isinstance(info, OptionInfo):
-            info = copy(info)
+            info = copy(info)  # which keeps its role
             info.rich_help_panel = (group.__doc__ or "").partition("\n")[0].rstrip(".")
         yield parameter.replace(annotation=Annotated[kind, info])
 
@@ -126,7 +177,7 @@ CalibrationOption = Annotated[
 ]
 LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
-RecordOption = Annotated[Path | None, file("Also record everything as MCAP, for replay and for Foxglove.")]
+RecordOption = Annotated[Path | None, output_file("Also record everything as MCAP, for replay and for Foxglove.")]
 SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
 DeviceOption = Annotated[str, option("auto|cpu|cuda", "Device to train on.")]
 QualityOption = Annotated[str, option("fast|training|fine", "Quality of the rendering.")]
@@ -257,7 +308,9 @@ class ViewOptions:
     """Viewer (needs the extra `view`)."""
 
     view: Annotated[bool, flag("--view", "Show the run in a window of the Rerun viewer.")] = False
-    save: Annotated[Path | None, file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.")] = None
+    save: Annotated[
+        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "reports"))
     (tmp_path / "reports").mkdir()
     source = tmp_path / "image.png"
-    cv2.imwrite(str(source), np.zeros((48, 64), np.uint8))
+    cv2.imwrite(str(source), np.zeros((64, 96), np.uint8))
     result = foreglow_command("run", source, "--out", tmp_path / "out")
     (report,) = (tmp_path / "reports").iterdir()
     assert result.exit_code == errors.INTERNAL_ERROR

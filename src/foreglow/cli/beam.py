@@ -20,7 +20,7 @@ from foreglow.options import (
     argument,
     flag,
     option,
-    with_groups,
+    with_options,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@with_groups
+@with_options
 def beam(
     source: Annotated[
         Path, argument("RUN|SOURCE", "Folder of a `run`, whose tracks are used, or a source as for `run`.")
@@ -67,7 +67,7 @@ def beam(
         reading = dataclasses.replace(reading, limit=limit, on_error="skip")
     else:
         stepper, images = Pipeline(configuration), source
-    frames = open_frames(images, out, reading, vehicle)
+    frames = open_frames(images, reading, vehicle)
     _check_equipment(frames, images, configuration, has_log=vehicle.can_log is not None)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:

@@ -8,17 +8,18 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, file, flag, option, size_from
+from foreglow.options import argument, flag, option, output_file, size_from, with_options
 
 calibrate = typer.Typer(no_args_is_help=True, help="Check a calibration file on an image, or convert one.")
 app.add_typer(calibrate, name="calibrate")
 
 
 @calibrate.command()
+@with_options
 def check(
     camera: Annotated[Path, argument("CAMERA", "Calibration (TOML).")],
     image: Annotated[Path, argument("IMAGE", "An image that the camera took.")],
-    out: Annotated[Path, file("PNG file to write.")],
+    out: Annotated[Path, output_file("PNG file to write.")],
 ) -> None:
     """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and print the calibration in words."""
     from foreglow.calibration import read_calibration
@@ -31,9 +32,10 @@ def check(
 
 
 @calibrate.command()
+@with_options
 def convert(
     source: Annotated[Path, argument("FILE", "Calibration in the format of KITTI (.txt) or ROS (.yaml), or TOML.")],
-    out: Annotated[Path, file("TOML file to write.")],
+    out: Annotated[Path, output_file("TOML file to write.")],
     mount_forward: Annotated[
         float, option("M", "Position of the camera: metres in front of the rear axle.", min=-20.0, max=20.0)
     ],

@@ -10,7 +10,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.offline import finish, open_frames, run_frames
 from foreglow.cli.sinks import beam_sink, picture_sink
-from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions, argument, folder
+from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions, argument, folder, with_options
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
+@with_options
 def demo(
     source: Annotated[Path | None, argument("SOURCE", "What to run on, as for `run`.")] = None,
     out: Annotated[Path, folder("Folder for the results.")] = Path("demo_output"),
@@ -30,7 +31,7 @@ def demo(
     from foreglow.photometry import read_headlamps
     from foreglow.pipeline import Pipeline
 
-    frames = open_frames(shipped_drive() if source is None else source, out, SourceOptions(), VehicleOptions())
+    frames = open_frames(shipped_drive() if source is None else source, SourceOptions(), VehicleOptions())
     configuration = PipelineOptions(model=model).configuration()
     first = next(iter(frames), None)
     has_beam = first is not None and first.camera is not None and first.motion is not None

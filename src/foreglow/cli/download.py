@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, folder
+from foreglow.options import argument, folder, with_options
 
 
 @app.command()
+@with_options
 def download(
     dataset: Annotated[str, argument("DATASET", "Name of the data set: pvdn.")],
     out: Annotated[Path, folder("Folder to put it into.")] = Path("PVDN"),

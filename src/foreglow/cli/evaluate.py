@@ -11,7 +11,17 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.offline import run_in_parallel
-from foreglow.options import PipelineOptions, WorkerOptions, argument, file, flag, folder, option, with_groups
+from foreglow.options import (
+    PipelineOptions,
+    WorkerOptions,
+    argument,
+    file,
+    flag,
+    folder,
+    option,
+    output_file,
+    with_options,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@with_groups
+@with_options
 def evaluate(
     split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
     pipeline: PipelineOptions,
@@ -35,7 +45,7 @@ def evaluate(
         option("SCORE", "Count boxes with a score above this (default: the configuration's).", min=0.0, max=1.0),
     ] = None,
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
-    json_file: Annotated[Path | None, file("Also write the paper's metrics as JSON.", "--json")] = None,
+    json_file: Annotated[Path | None, output_file("Also write the paper's metrics as JSON.", "--json")] = None,
     robustness: Annotated[
         bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,

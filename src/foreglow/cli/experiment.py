@@ -8,10 +8,10 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.lab.studies import STUDIES
-from foreglow.options import with_groups
+from foreglow.options import with_options
 
 experiment = typer.Typer(no_args_is_help=True, help="Run an experiment: figures, tables and a report in a folder.")
 app.add_typer(experiment, name="experiment")
 
 for _name, _module in STUDIES.items():
-    experiment.command(_name)(with_groups(importlib.import_module(_module).command))
+    experiment.command(_name)(with_options(importlib.import_module(_module).command))

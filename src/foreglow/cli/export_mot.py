@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, flag, folder, option
+from foreglow.options import argument, flag, folder, option, with_options
 
 
 @app.command("export-mot")
+@with_options
 def export_mot(
     run: Annotated[Path, argument("RUN", "Folder of a `foreglow run` on SPLIT.")],
     split: Annotated[Path, argument("SPLIT", "The PVDN split that it ran on, such as PVDN/day/val.")],

@@ -19,7 +19,8 @@ from foreglow.options import (
     file,
     folder,
     option,
-    with_groups,
+    output_file,
+    with_options,
 )
 
 if TYPE_CHECKING:
@@ -31,14 +32,14 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@with_groups
+@with_options
 def annotate(
     data: Annotated[Path, argument("DATA", "A data set in PVDN's format, or one of its splits.")],
     work: WorkerOptions,
     preset: Annotated[str, option("paper|baseline", "Preset of the proposals.")] = "paper",
     config: ConfigOption = None,
     split: Annotated[list[str] | None, option("train|val|test", "Only this split; repeatable.")] = None,
-    json_file: Annotated[Path | None, file("Also write the numbers as JSON.", "--json")] = None,
+    json_file: Annotated[Path | None, output_file("Also write the numbers as JSON.", "--json")] = None,
 ) -> None:
     """Make labelled boxes of the key points, labels/bounding_boxes/*.json, and rate them."""
     import rich
@@ -84,7 +85,7 @@ def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Tab
 
 
 @app.command()
-@with_groups
+@with_options
 def tune(
     data: Annotated[Path, argument("DATA", "A data set in PVDN's format with train, and perhaps val and test.")],
     work: WorkerOptions,
@@ -142,6 +143,7 @@ def _tuning_lines(tuning: Tuning) -> list[str]:
 
 
 @app.command()
+@with_options
 def train(
     data: Annotated[list[Path], argument("DATA...", "Data sets in PVDN's format, with train and val.")],
     out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
@@ -207,9 +209,10 @@ def _training_lines(trained: TrainedModel) -> list[str]:
 
 
 @app.command("fit-ranges")
+@with_options
 def fit_ranges(
     data: Annotated[Path, argument("DATA", "Simulated drives, with train and val.")],
-    out: Annotated[Path, file("The model to write, a TOML file for `distance.model`.")],
+    out: Annotated[Path, output_file("The model to write, a TOML file for `distance.model`.")],
     config: ConfigOption = None,
     seed: Annotated[int, option("N", "Seed of the order of the images.", min=0)] = 0,
 ) -> None:
@@ -224,9 +227,10 @@ def fit_ranges(
 
 
 @app.command("import-weights")
+@with_options
 def import_weights(
     weights: Annotated[Path, argument("WEIGHTS", "Weights of the published classifier, a plain state dict.")],
-    out: Annotated[Path, file("The ONNX model to write.")],
+    out: Annotated[Path, output_file("The ONNX model to write.")],
     fold: Annotated[
         float | None,
         option(

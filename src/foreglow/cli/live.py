@@ -25,7 +25,7 @@ from foreglow.options import (
     argument,
     folder,
     option,
-    with_groups,
+    with_options,
 )
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ SOURCE_HELP = (
 
 
 @app.command()
-@with_groups
+@with_options
 def live(
     source: Annotated[str, argument("SOURCE", SOURCE_HELP)],
     capture: CaptureOptions,

@@ -18,14 +18,8 @@ if TYPE_CHECKING:
     from foreglow.runtime import Opening, OutputFolder, ResultSink, RunSummary, Stepper
 
 
-def open_frames(source: Path, out: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
-    """The frames of `source`, which the results in `out` must not overwrite; workers call it, too."""
-    from foreglow.runtime import RESULT_NAMES
-
-    if source.resolve() in [(out / name).resolve() for name in RESULT_NAMES]:
-        raise ValueError(f"{source}: expected a source that the results in {out} do not overwrite")
-    if source.resolve() == out.resolve() and source.is_dir():  # the next run would take a result for an image
-        raise ValueError(f"{out}: expected another folder for the results than the source")
+def open_frames(source: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
+    """The frames of `source`; workers call it, too."""
     return vehicle.equip(reading.open(source))
 
 

@@ -8,14 +8,14 @@ from typing import Annotated
 from foreglow.cli.app import app
 from foreglow.cli.offline import finish
 from foreglow.cli.sinks import progress_sink, recording_sinks
-from foreglow.options import PipelineOptions, SourceArgument, SourceOptions, VehicleOptions, file, with_groups
+from foreglow.options import PipelineOptions, SourceArgument, SourceOptions, VehicleOptions, output_file, with_options
 
 
 @app.command()
-@with_groups
+@with_options
 def record(
     source: SourceArgument,
-    out: Annotated[Path, file("The recording: FILE.mcap.")],
+    out: Annotated[Path, output_file("The recording: FILE.mcap.")],
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,

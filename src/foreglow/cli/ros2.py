@@ -23,7 +23,7 @@ from foreglow.options import (
     argument,
     flag,
     option,
-    with_groups,
+    with_options,
 )
 
 ros2 = typer.Typer(no_args_is_help=True, help="Run the pipeline as ROS 2 nodes, each in a process of its own.")
@@ -61,7 +61,7 @@ class OutputOptions:
 
 
 @ros2.command(context_settings=PASSING)
-@with_groups
+@with_options
 def source(
     context: typer.Context,
     frames: SourceArgument,
@@ -101,7 +101,7 @@ def _add_stage(name: str, text: str) -> None:
     """Adds the command of a node that runs one stage."""
 
     @ros2.command(name, help=text, context_settings=PASSING)
-    @with_groups
+    @with_options
     def stage(context: typer.Context, pipeline: PipelineOptions, node: NodeOptions) -> None:
         _run_node(name, context, pipeline, node, OutputOptions())
 
@@ -110,7 +110,7 @@ def _add_output(name: str, text: str) -> None:
     """Adds the command of a node that commands the beam."""
 
     @ros2.command(name, help=text, context_settings=PASSING)
-    @with_groups
+    @with_options
     def output(context: typer.Context, pipeline: PipelineOptions, node: NodeOptions, output: OutputOptions) -> None:
         _run_node(name, context, pipeline, node, output)
 
@@ -123,7 +123,7 @@ _add_output("pipeline", "Run all four in one node: image to beam.")
 
 
 @ros2.command("all", context_settings=PASSING)
-@with_groups
+@with_options
 def everything(
     context: typer.Context,
     frames: SourceArgument,
@@ -160,6 +160,7 @@ def everything(
 
 
 @ros2.command("launch-file")
+@with_options
 def launch_file() -> None:
     """Print the path of the launch file, for `ros2 launch`."""
     from importlib.resources import files

@@ -17,7 +17,7 @@ from foreglow.options import (
     ViewOptions,
     WorkerOptions,
     flag,
-    with_groups,
+    with_options,
 )
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@with_groups
+@with_options
 def run(
     source: SourceArgument,
     out: OutOption,
@@ -42,7 +42,7 @@ def run(
     from foreglow.runtime import Opening
 
     workers, configuration = work.workers(), pipeline.configuration()
-    opening = Opening(open_frames, (source, out, reading, vehicle))
+    opening = Opening(open_frames, (source, reading, vehicle))
     if work.is_parallel:
         if video or viewer.view or any(value is not None for value in (reading.limit, record, viewer.save)):
             raise ValueError(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, option, size_from, with_groups
+from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, option, size_from, with_options
 
 if TYPE_CHECKING:
     from foreglow.lab import simulation
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
-@with_groups
+@with_options
 def simulate(
     work: WorkerOptions,
     out: Annotated[Path | None, folder("Folder for the data set, or for the preview.")] = None,

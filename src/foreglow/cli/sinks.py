@@ -35,8 +35,6 @@ def recording_sinks(record: Path | None, source: Path, configuration: PipelineCo
         return []
     from foreglow.runtime.mcap import McapRecorder
 
-    if source.resolve() in (record.resolve(), record.with_name(record.name + ".partial").resolve()):
-        raise ValueError(f"{source}: expected a source that the recording {record} does not overwrite")
     return [McapRecorder(record, config=configuration, source_name=str(source))]
 
 

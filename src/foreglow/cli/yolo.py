@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, file, folder, option
+from foreglow.options import argument, folder, option, output_file, with_options
 
 yolo = typer.Typer(no_args_is_help=True, help="Train and run a YOLO on the same boxes, for comparison.")
 app.add_typer(yolo, name="yolo")
@@ -19,6 +19,7 @@ BoxesOption = Annotated[
 
 
 @app.command("export-yolo")
+@with_options
 def export_yolo(
     data: Annotated[Path, argument("DATA", "A data set with train, val and test, such as PVDN/day.")],
     out: Annotated[Path, folder("Folder of the YOLO data set.")],
@@ -36,6 +37,7 @@ def export_yolo(
 
 
 @yolo.command("train")
+@with_options
 def yolo_train(
     data: Annotated[Path, argument("DATA", "A data set, or what export-yolo made of one.")],
     out: Annotated[Path, folder("Folder of the run; one that was interrupted is continued.")],
@@ -62,10 +64,11 @@ def yolo_train(
 
 
 @yolo.command("predict")
+@with_options
 def yolo_predict(
     trained: Annotated[Path, argument("RUN", "Folder of a finished `yolo train`.")],
     split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
-    out: Annotated[Path, file("The predictions to write, JSON for `evaluate --predictions`.")],
+    out: Annotated[Path, output_file("The predictions to write, JSON for `evaluate --predictions`.")],
 ) -> None:
     """Write what a trained YOLO finds in a split."""
     from foreglow.datasets import open_labelled
