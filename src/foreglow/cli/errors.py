@@ -65,12 +65,12 @@ _ClickException: type[Any] = typer.BadParameter.__mro__[2]
 class Commands(TyperGroup):
     """The commands, with their errors turned into one line on stderr."""
 
-    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+    def main(self, *args: Any, **extra: Any) -> Any:
         """Runs the command line; where stderr is no terminal, an error of usage is one line, too, and not a box."""
-        if not standalone_mode or sys.stderr.isatty():
-            return super().main(*args, standalone_mode=standalone_mode, **extra)
+        if not extra.get("standalone_mode", True) or sys.stderr.isatty():
+            return super().main(*args, **extra)
         try:
-            code = super().main(*args, standalone_mode=False, **extra)
+            code = super().main(*args, **(extra | {"standalone_mode": False}))
         except _ClickException as error:
             if type(error).__name__ == "NoArgsIsHelpError":
                 error.show()

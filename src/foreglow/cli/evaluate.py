@@ -42,7 +42,7 @@ def evaluate(
     ] = None,
     threshold: Annotated[
         float | None,
-        option("SCORE", "Count boxes with a score above this (default: the configuration's).", min=0.0, max=1.0),
+        option("SCORE", "Count boxes with a score above this (default: that of the run).", min=0.0, max=1.0),
     ] = None,
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
     json_file: Annotated[Path | None, output_file("Also write the paper's metrics as JSON.", "--json")] = None,
@@ -67,7 +67,7 @@ def evaluate(
 
         require_matplotlib()
     if predictions is not None:
-        examination = _examined_file(split, predictions, 0.5 if threshold is None else threshold)
+        examination = _examined_file(split, predictions, _threshold_of(predictions) if threshold is None else threshold)
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     if json_file is not None:
@@ -96,6 +96,16 @@ def _configuration(options: PipelineOptions, predictions: Path | None, threshold
 
     classifier = ClassifierConfig(**(configuration.classifier.model_dump() | {"score_threshold": threshold}))
     return configuration.model_copy(update={"classifier": classifier})
+
+
+def _threshold_of(predictions: Path) -> float:
+    """The threshold that the run accepted its boxes with; 0.5, as the paper's, for predictions that no run wrote."""
+    from foreglow.config import read_config
+
+    path = predictions.with_name("config.toml")
+    if predictions.name != "frames.jsonl" or not path.is_file():
+        return 0.5
+    return read_config(path).classifier.score_threshold
 
 
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:

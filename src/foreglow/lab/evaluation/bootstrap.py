@@ -158,6 +158,8 @@ def percentile_interval(
 ) -> tuple[float, float]:
     """The 95 % interval of one figure, had other scenes of the same sort been drawn; NaN where it is never defined.
 
+    Of a single scene there is no interval, either: every resample is that scene.
+
     Args:
         counts: Shape (S, C), of each scene, that add up.
         figure: What is made of summed counts.
@@ -166,7 +168,7 @@ def percentile_interval(
 
     Source: as for `paired_bootstrap`.
     """
-    if not len(counts):
+    if len(counts) < 2:
         return math.nan, math.nan
     drawn = resampled(lambda weights: figure(weights @ counts), len(counts), num_resamples, seed)
     low, high = percentiles(drawn, (2.5, 97.5))

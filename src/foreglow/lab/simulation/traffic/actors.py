@@ -14,7 +14,7 @@ from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
 from foreglow.lab.simulation.traffic.kinematics import VehicleState, vehicle_state
 from foreglow.lab.simulation.world.bodies import BODIES, Body, LampMount
 from foreglow.lab.simulation.world.road import Road
-from foreglow.photometry import IntensityTable, high_beam, low_beam, matrix_beam, read_headlamps, read_ies, rear_lamp
+from foreglow.photometry import Headlamps, IntensityTable, high_beam, low_beam, read_ies, rear_lamp
 
 BEHIND_M = 15.0
 """A vehicle further than this behind our rear axle is left out: neither its light nor its body is in the image."""
@@ -97,20 +97,19 @@ def actors_at(
     return tuple(actors)
 
 
-def ego_tables(ego: EgoSpec, led_levels: Floats) -> tuple[IntensityTable, IntensityTable]:
-    """The light of our left and right headlamps; `led_levels`, shape (2, 84), 0..1, is for the matrix beam only."""
+def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[IntensityTable, IntensityTable]:
+    """The light of our left and right headlamps; `led_levels`, shape (2, L), 0..1, is for the matrix beam only."""
     if ego.beam == "matrix":
-        return matrix_beam("left").table(led_levels[0]), matrix_beam("right").table(led_levels[1])
+        return headlamps.left.matrix.table(led_levels[0]), headlamps.right.matrix.table(led_levels[1])
     table = high_beam() if ego.beam == "high" else _low_table(ego.low_beam_file)
     return table, table
 
 
 def ego_lamps(
-    ego: EgoSpec, pose: Pose, tables: tuple[IntensityTable, IntensityTable], layer: int
+    ego: EgoSpec, pose: Pose, tables: tuple[IntensityTable, IntensityTable], layer: int, mounts: Headlamps
 ) -> tuple[PlacedLamp, PlacedLamp]:
-    """Our headlamps in the world: mounted as in the built-in description, and misaligned as in the scene."""
+    """Our headlamps in the world: mounted as in their description, and misaligned as in the scene."""
     out_of_aim = Pose(np.zeros(3), _aim(ego.yaw_aim_deg, ego.pitch_aim_deg))
-    mounts = read_headlamps()
     left, right = (
         PlacedLamp(pose @ lamp.vehicle_from_lamp @ out_of_aim, table, layer, ego.brightness)
         for lamp, table in zip((mounts.left, mounts.right), tables, strict=True)

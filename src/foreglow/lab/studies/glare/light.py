@@ -54,9 +54,9 @@ class EyeLight(NamedTuple):
 class OurLight:
     """The light of our headlamps in one drive, as they are mounted, aimed and as bright as the scene has them."""
 
-    def __init__(self, scene: Scene) -> None:
-        """Takes the lamps that the simulator has."""
-        self._lamps = _aimed(read_headlamps(), scene.ego)
+    def __init__(self, scene: Scene, headlamps: Headlamps | None = None) -> None:
+        """Takes the scene, and our headlamps; None for the built-in ones."""
+        self._lamps = _aimed(headlamps or read_headlamps(), scene.ego)
         self._positions_m = np.stack(
             [lamp.vehicle_from_lamp.position_m for lamp in (self._lamps.left, self._lamps.right)]
         )

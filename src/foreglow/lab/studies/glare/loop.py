@@ -186,12 +186,14 @@ def exact_gaps(known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> list[Gap]
     return gaps
 
 
-def closed_loop(scene: Scene, car: Car, delays: Delays, quality: str) -> Iterator[Shone]:
+def closed_loop(
+    scene: Scene, car: Car, delays: Delays, quality: str, headlamps: Headlamps | None = None
+) -> Iterator[Shone]:
     """Drives `scene` with the commands of `car` at the lamps, frame by frame.
 
     Commands go over the bus as CAN frames, to the lamps' receiver, which starts in low beam as in a car.
     """
-    drive = Drive(with_beam(scene, "matrix"), quality)
+    drive = Drive(with_beam(scene, "matrix"), quality, headlamps)
     encoder, receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
     camera_ns, lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
     on_the_way: deque[tuple[int, BeamCommand]] = deque()

@@ -104,18 +104,23 @@ class Drives:
         """Takes the configuration, with a beam policy, and the delays from camera to beam."""
         self._config, self._delays, self._quality = config, delays, quality
         self._headlamps = read_headlamps(config.beam.headlamps)
+        if self._headlamps.num_leds != NUM_LEDS:
+            raise ValueError(
+                f"{config.beam.headlamps}: expected lamps of {NUM_LEDS} LEDs, as the CAN messages of the closed loop "
+                f"have them, got {self._headlamps.num_leds}"
+            )
 
     def pairs(self, scene: Scene) -> Iterator[tuple[Shone, Shone]]:
         """Both closed loops side by side, frame by frame: the paper's and ours."""
         loops = (
-            closed_loop(scene, car, self._delays, self._quality)
+            closed_loop(scene, car, self._delays, self._quality, self._headlamps)
             for car in (PaperCar(self._config), OurCar(self._config))
         )
         return zip(*loops, strict=True)
 
     def driven(self, scene: Scene, name: str, pairs: Iterator[tuple[Shone, Shone]]) -> DrivenScene:
         """All that is kept of a scene, from its closed loops."""
-        light = OurLight(scene)
+        light = OurLight(scene, self._headlamps)
         production = ProductionCar(self._config.beam, self._headlamps)
         oracle = ExactCar(self._config.beam, self._headlamps)
         record = _Record()
