@@ -24,9 +24,11 @@ def returned(frame: Frame) -> Frame:
     return parse_json(text, FrameMessage, "here").frame_of(frame.image, "there")
 
 
-@given(angles=st.tuples(FINITE, FINITE, FINITE), place=st.tuples(FINITE, FINITE, FINITE), focal=st.floats(1.0, 1e4))
-def test_a_camera(angles: tuple[float, float, float], place: tuple[float, float, float], focal: float) -> None:
-    pose = Pose(np.array(place), rotation(*angles))
+@given(
+    angles=st.tuples(FINITE, FINITE, FINITE), position_m=st.tuples(FINITE, FINITE, FINITE), focal=st.floats(1.0, 1e4)
+)
+def test_a_camera(angles: tuple[float, float, float], position_m: tuple[float, float, float], focal: float) -> None:
+    pose = Pose(np.array(position_m), rotation(*angles))
     camera = Camera(64, 48, (focal, 1.1 * focal), (31.7, 24.1), (-0.07, 0.015, 1e-4, -2e-5, 0.1), pose)
     found = returned(Frame(IMAGE, 3, camera=camera)).camera
     assert found is not None
@@ -52,7 +54,7 @@ def test_motion_and_time(speed: float, yaw: float, pitch: float, time_ns: int) -
     bound=st.floats(0.0, 100.0) | st.just(math.inf),
 )
 def test_a_road(heights: list[float], half_width: float, bound: float) -> None:
-    points = np.array([[5.0 * place, 0.1 * place, height] for place, height in enumerate(heights)])
+    points = np.array([[5.0 * index, 0.1 * index, height] for index, height in enumerate(heights)])
     road = RoadAhead(points, half_width, np.linspace(0.0, 0.1, len(points)), bound)
     found = returned(Frame(IMAGE, 0, road=road)).road
     assert found is not None
