@@ -97,8 +97,7 @@ def _configuration_of_run(run: Path, out: Path, options: PipelineOptions) -> Pip
 
 def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
     """The bus to the headlamps, which need as many LEDs as its messages have."""
-    from foreglow.beam.messages import NUM_LEDS
-    from foreglow.photometry import read_headlamps
+    from foreglow.photometry import NUM_LEDS, read_headlamps
     from foreglow.runtime.can_output import CanBus
 
     headlamps = read_headlamps(configuration.beam.headlamps)
@@ -123,7 +122,7 @@ def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> N
         if is_compact:
             raise ValueError("--compact: expected --can beside it: it is about the CAN log")
         return
-    from foreglow.beam.messages import NUM_LEDS
+    from foreglow.photometry import NUM_LEDS
     from foreglow.runtime.can_output import LOG_SUFFIXES
 
     importlib.import_module("can")
