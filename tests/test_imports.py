@@ -100,8 +100,8 @@ def imports_in(source: Path) -> list[Import]:
                 continue
             for name in dict.fromkeys(names):
                 if name.split(".")[0] == source.name:
-                    modules = (module[len(source.name) + 1 :] for module in (importer, name))
-                    found.append(Import(*modules, str(path.relative_to(source)), node.lineno))
+                    own, other = (module[len(source.name) + 1 :] for module in (importer, name))
+                    found.append(Import(own, other, str(path.relative_to(source)), node.lineno))
     return found
 
 
