@@ -1,4 +1,4 @@
-# make demo [SOURCE=path], make test, make check, make bench, make data [DATA=folder], make drives,
+# make demo [SOURCE=path], make test, make check, make docs, make bench, make data [DATA=folder], make drives,
 # make model, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check bench data drives model simulator-pictures simulator-report drive clean
+.PHONY: demo test check docs bench data drives model simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -23,6 +23,10 @@ $(VENV)/.run: $(BIN)/python pyproject.toml $(NATIVE)
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@ $(VENV)/.run
+
+$(VENV)/.docs: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@
 
 demo: $(VENV)/.run
 	$(BIN)/foreglow demo $(if $(SOURCE),"$(SOURCE)")
@@ -38,6 +42,11 @@ check: $(VENV)/.dev
 	$(BIN)/cmake -S native -B build/sanitized -DFOREGLOW_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
 	MAKEFLAGS= $(BIN)/cmake --build build/sanitized
 	build/sanitized/core_test
+
+# The documentation as a site in build/site; a broken link or anchor is an error. To search in it, serve it:
+# python3 -m http.server --directory build/site
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector

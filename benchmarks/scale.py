@@ -15,8 +15,8 @@ from benchmarks.synthetic_frames import night_frame
 from benchmarks.timing import CONSOLE, Contender, Row, interleaved, options, table, write_results
 from foreglow.config import preset
 from foreglow.datasets import PVDN
-from foreglow.datasets.pvdn_schema import Sequence as PVDNSequence
-from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter
+from foreglow.datasets.pvdn.schema import Sequence as PVDNSequence
+from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
 from foreglow.parallel import Cluster, Local, Parent, Workers
 from foreglow.runtime import Opening, OutputFolder, run_apart
 from foreglow.types import Frame

@@ -16,7 +16,7 @@ from benchmarks.memory import resident_mib
 from benchmarks.timing import CONSOLE, options, write_results
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.pipeline import Pipeline
-from foreglow.runs.frame_records import frame_record
+from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import LiveLoop, Paced
 from foreglow.types import BeamCommand, Frame, FrameResult
@@ -56,7 +56,7 @@ class Digests:
     def write(self, frame: Frame, result: FrameResult) -> None:
         digest = self._ends.get(frame.sequence)
         if digest is not None:
-            record = frame_record(dataclasses.replace(frame, sequence=""), result)
+            record = frame_to_line(dataclasses.replace(frame, sequence=""), result)
             digest.update(json.dumps(record).encode())
         self._count += 1
         if self._count % self._every == 0:

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
+import json
+from enum import IntEnum, StrEnum
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+import numpy as np
 import pytest
+from pydantic import BaseModel
 
-from foreglow.files import naming, open_atomic, read_text, write_atomic
+from foreglow.files import (
+    fields_to_json,
+    json_text,
+    naming,
+    open_atomic,
+    read_text,
+    to_json,
+    write_atomic,
+    write_json_results,
+)
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -56,3 +72,73 @@ def test_what_is_no_text(tmp_path: Path) -> None:
         read_text(path)
     with pytest.raises(FileNotFoundError, match="absent"):
         read_text(tmp_path / "absent")
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+class Level(IntEnum):
+    HIGH = 2
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Share:
+    num: int
+    total: int
+
+    @property
+    def share(self) -> float:
+        return self.num / self.total if self.total else float("nan")
+
+    def to_json(self) -> dict[str, Any]:
+        return fields_to_json(self, "share")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    values: Any
+    share: Share | None = None
+
+
+class Model(BaseModel):
+    rate_hz: float
+    path: Path
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (float("nan"), None),
+        (float("-inf"), None),
+        (np.float64("nan"), None),
+        (np.float32(0.5), 0.5),
+        (np.int64(3), 3),
+        (np.bool_(True), True),
+        (np.array([[1.0, np.nan], [np.inf, 2.0]]), [[1.0, None], [None, 2.0]]),
+        (np.array([], np.int32), []),
+        ((1, (2.0, "a")), [1, [2.0, "a"]]),
+        (Colour.RED, "red"),
+        (Level.HIGH, 2),
+        ({Colour.RED: Level.HIGH, 7: None}, {"red": 2, "7": None}),
+        (MappingProxyType({"a": np.float64(1.5)}), {"a": 1.5}),
+        (Path("a") / "b", "a/b"),
+        (Model(rate_hz=float("nan"), path=Path("x")), {"rate_hz": None, "path": "x"}),
+        (Results({"x": (float("nan"),)}), {"values": {"x": [None]}, "share": None}),
+        (Results(1, Share(1, 2)), {"values": 1, "share": {"num": 1, "total": 2, "share": 0.5}}),
+        ([Share(0, 0)], [{"num": 0, "total": 0, "share": None}]),
+    ],
+)
+def test_values_as_json(value: Any, expected: Any) -> None:
+    found = to_json(value)
+    assert found == expected
+    assert json.loads(json.dumps(found, allow_nan=False)) == expected  # nothing of numpy is left
+    assert json.loads(json_text(value)) == expected
+
+
+def test_a_value_that_json_cannot_hold_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="Unable to serialize unknown type: <class 'object'>"):
+        to_json({"a": [object()]})
+    with pytest.raises(ValueError, match="Unable to serialize"):
+        write_json_results(tmp_path / "results.json", object())
+    assert not list(tmp_path.iterdir())

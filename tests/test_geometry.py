@@ -90,12 +90,12 @@ def test_ray_through_a_pixel_meets_it_again(x: float, y: float) -> None:
 def test_projection_agrees_with_opencv() -> None:
     import cv2
 
-    one = camera()
+    mounted = camera()
     points = np.array([[20.0, 3.0, -1.0], [8.0, -2.5, 1.5], [300.0, -40.0, 2.0]])
     in_opencv = np.stack([-points[:, 1], -points[:, 2], points[:, 0]], -1)
     matrix = np.array([[1312.0, 0, 650.0], [0, 1300.0, 470.0], [0, 0, 1]])
-    expected, _ = cv2.projectPoints(in_opencv, np.zeros(3), np.zeros(3), matrix, np.array(one.distortion))
-    assert np.allclose(one.project(points), expected[:, 0], atol=1e-9)
+    expected, _ = cv2.projectPoints(in_opencv, np.zeros(3), np.zeros(3), matrix, np.array(mounted.distortion))
+    assert np.allclose(mounted.project(points), expected[:, 0], atol=1e-9)
 
 
 def test_a_scaled_camera_sees_the_same_directions() -> None:

@@ -1,14 +1,20 @@
-"""Files that appear whole or not at all, and errors that say which file they are about."""
+"""Files that appear whole or not at all, errors that name their file, and values as JSON."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
+import math
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol, runtime_checkable
+
+import numpy as np
+from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
 
 @contextlib.contextmanager
@@ -40,14 +46,63 @@ def write_atomic(path: Path, data: bytes) -> None:
         file.write(data)
 
 
+@runtime_checkable
+class OwnJson(Protocol):
+    """A value whose JSON differs from its fields: it adds properties, leaves fields out, or arranges them anew."""
+
+    def to_json(self) -> Any:
+        """What to write instead; `to_json` below is applied to it in turn, so NaN and arrays may be left in it."""
+        ...
+
+
+def to_json(value: Any) -> Any:
+    """`value` as JSON has it: objects, lists, texts, numbers, truth values and null.
+
+    Dataclasses become objects of their fields, pydantic models of theirs; arrays and tuples become lists, numpy's
+    scalars Python's, enumerations their values and paths texts. NaN and infinity become null. A value with a method
+    `to_json` is written as that says.
+
+    Raises:
+        ValueError: If a value within it is of a type that has no JSON; it is a `PydanticSerializationError`.
+
+    >>> to_json({"ranges_m": np.array([1.5, np.nan]), "path": Path("a/b")})
+    {'ranges_m': [1.5, None], 'path': 'a/b'}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        return to_json(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return [to_json(part) for part in value]
+    if isinstance(value, Mapping):
+        return {str(key): to_json(part) for key, part in value.items()}
+    if isinstance(value, OwnJson):
+        return to_json(value.to_json())
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return fields_to_json(value)
+    if isinstance(value, BaseModel):
+        return to_json(value.model_dump())
+    return to_jsonable_python(value)
+
+
+def fields_to_json(value: Any, *properties: str) -> dict[str, Any]:
+    """The fields of a dataclass by name as JSON has them, then these properties of it; for a method `to_json`."""
+    names = (*(field.name for field in dataclasses.fields(value)), *properties)
+    return {name: to_json(getattr(value, name)) for name in names}
+
+
 def write_json_results(path: Path, results: Any, indent: int = 1) -> None:
-    """Writes numbers and texts to `path` as JSON, whole or not at all.
+    """Writes `results` to `path` as `to_json` has them, whole or not at all.
 
     Raises:
         OSError: If it cannot be written.
-        ValueError: If a number is NaN or infinite: JSON knows null for what is not defined.
     """
-    write_atomic(path, (json.dumps(results, indent=indent, allow_nan=False) + "\n").encode())
+    write_atomic(path, json_text(results, indent).encode())
+
+
+def json_text(value: Any, indent: int = 1) -> str:
+    """The text of a JSON file that holds `value` as `to_json` has it; it ends in a new line."""
+    return json.dumps(to_json(value), indent=indent, allow_nan=False) + "\n"
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Coordinate frames: the world, a vehicle, a camera and its pixels; the only file that knows them.
+"""Coordinate frames: the world, a vehicle, a camera and its pixels. No other file defines them.
 
 * World: x east, y north, z up, metres.
 * Vehicle: x forward, y left, z up, metres; the origin lies on the road under the middle of the rear axle.
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 NUM_UNDISTORTION_STEPS = 20
-"""Fixed-point steps that invert the distortion; ordinary lenses are below 1e-9 after ten."""
+"""Fixed-point steps that invert the distortion; with ordinary lenses the error is below 1e-9 after ten."""
 
 
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
@@ -53,14 +53,14 @@ def rotation_angles_rad(turned: ArrayLike) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Where a body is and how it is turned: dst_from_body.
+    """Position and orientation of a body in an outer frame: dst_from_body.
 
     Attributes:
         position_m: Shape (3,), the body's origin in the outer frame.
         rotation: Shape (3, 3), columns are the body's forward, left and up in the outer frame.
 
     Raises:
-        ValueError: If a shape is wrong, a value is not finite, or the matrix is no rotation.
+        ValueError: If a shape is wrong, a value is not finite, or the matrix is not a rotation.
     """
 
     position_m: Floats
@@ -77,15 +77,15 @@ class Pose:
             object.__setattr__(self, name, array)
 
     def to_outer(self, points_body: ArrayLike) -> Floats:
-        """Points of shape (..., 3) of the body, in the outer frame."""
+        """Points of shape (..., 3) in the body's frame, transformed to the outer frame."""
         return np.asarray(points_body, np.float64) @ self.rotation.T + self.position_m
 
     def to_body(self, points_outer: ArrayLike) -> Floats:
-        """Points of shape (..., 3) of the outer frame, in the body's."""
+        """Points of shape (..., 3) in the outer frame, transformed to the body's frame."""
         return np.asarray((np.asarray(points_outer, np.float64) - self.position_m) @ self.rotation)
 
     def __matmul__(self, inner: Pose) -> Pose:
-        """The pose in this one's outer frame of a body that has the pose `inner` in this one's."""
+        """The pose, in this pose's outer frame, of a body whose pose in this body's frame is `inner`."""
         return Pose(self.to_outer(inner.position_m), self.rotation @ inner.rotation)
 
 
@@ -122,7 +122,7 @@ class Camera:
                 raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
 
     def scaled(self, width_px: int, height_px: int) -> Camera:
-        """The same camera with an image of another size: the field of view stays."""
+        """The same camera with an image of another size and the same field of view."""
         fx, fy = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,
@@ -135,8 +135,8 @@ class Camera:
     def project(self, points_camera: ArrayLike) -> Floats:
         """Pixels (x, y), shape (..., 2), of points of shape (..., 3) in the camera's frame; NaN behind the camera.
 
-        Beyond the field of view the distortion polynomial may fold back; check pixels against the image's size and
-        the angle.
+        Beyond the field of view, the distortion polynomial may fold back into the image; check the size of the image
+        and the angle.
         """
         points = np.asarray(points_camera, np.float64)
         forward = np.where(points[..., 0] > 1e-9, points[..., 0], np.nan)

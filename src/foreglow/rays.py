@@ -1,4 +1,4 @@
-"""Viewing rays of pixels in the vehicle's frame, fast enough for every pixel grid of every box."""
+"""Viewing rays of pixels in the vehicle's frame, fast enough for a grid of pixels in every box."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from foreglow.geometry import Camera, Floats, rotation
 from foreglow.types import Frame
 
 NODE_SPACING_PX = 16.0
-"""Between the nodes at which a camera's distortion is inverted exactly; between them a cubic spline is off by less
-than 1e-8 for lenses of PVDN's kind."""
+"""Distance between the nodes at which a camera's distortion is inverted exactly. Between them, the error of a cubic
+spline is below 1e-8 for lenses like PVDN's."""
 
 MAX_REPROJECTION_PX = 1e-3
-"""A node whose ray does not come back to its pixel this closely has no ray: the distortion folds over there."""
+"""A node whose ray does not project to its pixel this closely has no ray, because the distortion folds over there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Half-lines from the camera, in the vehicle's frame, z = 0 being the road under the car.
+    """Half-lines from the camera, in the vehicle's frame; z = 0 is the road under the car.
 
     Attributes:
-        origin_m: Shape (3,), the camera.
+        origin_m: Shape (3,), position of the camera.
         directions: Shape (M, 3), unit vectors.
-        pitch_sigma_rad: Standard deviation of their common error upwards.
+        pitch_sigma_rad: Standard deviation of the pitch error that they share.
     """
 
     origin_m: Floats
@@ -45,7 +45,7 @@ def calibrated(frame: Frame) -> Camera:
 
 
 class RayCaster:
-    """Turns pixels into rays; remembers the spline of the latest camera, which depends on its intrinsics alone."""
+    """Turns pixels into rays; remembers the splines of the latest camera, which depend on its intrinsics alone."""
 
     def __init__(self) -> None:
         self._key: tuple[object, ...] | None = None
@@ -70,7 +70,7 @@ class RayCaster:
         return Rays(origin, directions, pitch_sigma_rad)
 
     def _tangents_of(self, camera: Camera, pixels: Floats) -> Floats:
-        """Column and row of the undistorted image at focal length 1, shape (M, 2)."""
+        """Coordinates to the right and downwards in the undistorted image at focal length 1, shape (M, 2)."""
         if not any(camera.distortion):
             return np.asarray((pixels - camera.centre_px) / camera.focal_px)
         key = (camera.width_px, camera.height_px, camera.focal_px, camera.centre_px, camera.distortion)
@@ -81,7 +81,7 @@ class RayCaster:
 
 
 def _splines(camera: Camera) -> tuple[RectBivariateSpline, RectBivariateSpline]:
-    """The two tangents as functions of the pixel."""
+    """The two undistorted coordinates as functions of the pixel."""
     columns, rows = (
         np.linspace(0.0, size_px, max(int(np.ceil(size_px / NODE_SPACING_PX)), 4) + 1)
         for size_px in (camera.width_px, camera.height_px)

@@ -1,9 +1,9 @@
-"""Predictive street data (PSD): what a car is told about the road ahead, and the road that it tells.
+"""Predictive street data (PSD): the messages about the road ahead that a car gets, and the road they describe.
 
-A street message is made like those on real cars: the map is cut into segments with a length in steps of 2 m, a
-curvature at the start and at the end (8 bits and a sign) and one slope in steps of 0.5 %; the position on it comes
-with a class of longitudinal error. The scale of the curvature's code is not published, and decoders disagree; here it
-is geometric: codes 0..254 are the radii from 10 m to 10 km in equal ratios of 2.8 %, and 255 is straight.
+A street message resembles those in real cars: the map is cut into segments with a length in steps of 2 m, a curvature
+at the start and at the end (8 bits and a sign) and one slope in steps of 0.5 %; the position on the map comes with a
+class of longitudinal error. The scale of the curvature code is not published, and decoders disagree; here it is
+geometric: codes 0..254 are radii from 10 m to 10 km in equal ratios of 2.8 %, and 255 is straight.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ STRAIGHT_CODE = 255
 MIN_RADIUS_M = 10.0
 MAX_RADIUS_M = 10_000.0
 NUM_SEGMENT_IDS = 62
-"""Six bits, without 0 (no segment) and 63 (not known); ids come round again along the road."""
+"""Six bits, without 0 (no segment) and 63 (unknown); ids are reused further along the road."""
 
 ERROR_BOUNDS_M = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-"""Largest longitudinal error of each class. The last class, above 50 m, has no bound on real cars; here it has one."""
+"""Largest longitudinal error of each class. The last class, above 50 m, has no bound in real cars; here it has one."""
 
 _RADIUS_RATIO = (MAX_RADIUS_M / MIN_RADIUS_M) ** (1 / (STRAIGHT_CODE - 1))
 
 LANE_WIDTH_M = 3.25
-"""Taken where nobody says: between the 2.75 m and the 3.75 m of rural roads."""
+"""Assumed width of a lane: between the 2.75 m and the 3.75 m of rural roads."""
 
 ErrorClass: TypeAlias = Annotated[int, Field(ge=0, lt=len(ERROR_BOUNDS_M))]
 """Longitudinal error: 0 below 2 m, 1 below 5, 2 below 10, 3 below 20, 4 below 50, 5 above 50 m."""
@@ -43,15 +43,15 @@ _CurvatureCode: TypeAlias = Annotated[int, Field(ge=0, le=STRAIGHT_CODE)]
 
 
 class StreetSegment(FrozenModel):
-    """A piece of the road, as codes.
+    """A piece of the road, in codes.
 
     Attributes:
         segment_id: Its number, 1..62.
-        parent_id: Number of the segment before it; 0 for the map's first.
+        parent_id: Number of the segment before it; 0 for the first.
         length_code: Length in steps of 2 m.
-        start_curvature_code: Curvature where it begins; see `curvature_code`.
+        start_curvature_code: Curvature at its beginning; see `curvature_code`.
         is_start_left: Whether it bends to the left there.
-        end_curvature_code: Curvature where it ends; linear in between.
+        end_curvature_code: Curvature at its end; linear in between.
         is_end_left: Whether it bends to the left there.
         slope_code: Slope in steps of 0.5 %, positive upwards.
     """
@@ -67,12 +67,12 @@ class StreetSegment(FrozenModel):
 
     @property
     def length_m(self) -> float:
-        """Its length."""
+        """Length of the segment."""
         return self.length_code * LENGTH_STEP_M
 
     @property
     def curvatures_per_m(self) -> tuple[float, float]:
-        """Signed curvature where it begins and where it ends, positive to the left."""
+        """Curvature at the beginning and at the end, positive to the left."""
         return (
             curvature_from_code(self.start_curvature_code, self.is_start_left),
             curvature_from_code(self.end_curvature_code, self.is_end_left),
@@ -85,11 +85,11 @@ class StreetSegment(FrozenModel):
 
 
 class StreetMessage(FrozenModel):
-    """What the car is told about the road ahead.
+    """A message about the road ahead.
 
     Attributes:
-        segments: The most probable path; the car is believed to be in the first.
-        remaining_length_m: Whole metres from the believed position to the end of the first segment.
+        segments: The most probable path; the car is assumed to be in the first segment.
+        remaining_length_m: Whole metres from the assumed position to the end of the first segment.
         error_class: Class of the longitudinal error.
     """
 
@@ -112,14 +112,14 @@ class StreetMessage(FrozenModel):
 
     @property
     def error_bound_m(self) -> float:
-        """Largest longitudinal error of its class."""
+        """Largest longitudinal error of the message's class."""
         return ERROR_BOUNDS_M[self.error_class]
 
 
 def road_from_message(message: StreetMessage, lane_width_m: float = LANE_WIDTH_M) -> RoadAhead | None:
-    """The carriageway that the message tells, in the frame of a vehicle in the middle of the right lane, along it.
+    """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
-    The message knows no cross slope: it is taken as level. None where it tells less than a metre of road.
+    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
 
     Args:
         message: The street message.
@@ -132,22 +132,22 @@ def road_from_message(message: StreetMessage, lane_width_m: float = LANE_WIDTH_M
 
 
 def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:
-    """The road as the message tells it: a point each metre from the believed position on, shape (N, 3).
+    """The road that the message describes: a point each metre from the assumed position on, shape (N, 3).
 
-    In the frame of a vehicle that stands on the road and along it, so the first point is (0, left_m, 0).
+    Points are in the frame of a vehicle that heads along the road, so that the first point is (0, left_m, 0).
 
     Args:
         message: The street message.
-        left_m: Where the line runs beside us; the road's centre line is half a lane to our left.
+        left_m: Offset of the line to the vehicle's left; the road's centre line is half a lane to the left.
     """
     ends_m = np.cumsum([segment.length_m for segment in message.segments])
     begin_m = max(message.segments[0].length_m - message.remaining_length_m, 0.0)
-    places_m = np.arange(begin_m, ends_m[-1] + 1e-9)
-    middles_m = (places_m[1:] + places_m[:-1]) / 2
+    arc_lengths_m = np.arange(begin_m, ends_m[-1] + 1e-9)
+    middles_m = (arc_lengths_m[1:] + arc_lengths_m[:-1]) / 2
     knots_m = np.stack([ends_m - [segment.length_m for segment in message.segments], ends_m], -1).ravel()
     curvatures = np.array([segment.curvatures_per_m for segment in message.segments]).ravel()
     slopes = np.array([segment.slope for segment in message.segments])
-    # One step is one metre. A curvature may jump between segments, so that it is taken in the middle of each step.
+    # One step is one metre. Since the curvature may jump between segments, it is taken in the middle of each step.
     turns_rad = np.interp(middles_m, knots_m, curvatures)
     headings_rad = np.cumsum(turns_rad) - turns_rad / 2
     rises_m = slopes[np.minimum(np.searchsorted(ends_m, middles_m), len(slopes) - 1)]
@@ -158,7 +158,7 @@ def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:
 
 
 def curvature_code(curvature_per_m: float) -> int:
-    """Code of the nearest radius in ratio, 0..254, or 255 for straight: a radius beyond 10 km.
+    """Code of the radius with the nearest ratio, 0..254, or 255 for straight: a radius beyond 10 km.
 
     >>> curvature_code(0.0), curvature_code(-1 / 10), curvature_code(1 / 10_000)
     (255, 0, 254)
@@ -169,7 +169,7 @@ def curvature_code(curvature_per_m: float) -> int:
 
 
 def curvature_from_code(code: int, is_left: bool) -> float:
-    """Signed curvature in 1/m, positive to the left, that `code` stands for; within 1.4 % of what was coded."""
+    """Curvature in 1/m, positive to the left, that `code` stands for; within 1.4 % of the encoded one."""
     if code == STRAIGHT_CODE:
         return 0.0
     magnitude = float(_RADIUS_RATIO**-code / MIN_RADIUS_M)

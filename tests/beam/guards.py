@@ -50,7 +50,7 @@ def towards_cd(command: BeamCommand, azimuth_rad: float, elevation_rad: float, r
     ray[2] = np.sin(elevation_rad)
     point = CAMERA.vehicle_from_camera.position_m + range_m * ray
     shone = []
-    for place, lamp in enumerate((LAMPS.left, LAMPS.right)):
+    for index, lamp in enumerate((LAMPS.left, LAMPS.right)):
         seen = point - lamp.vehicle_from_lamp.position_m
-        shone.append(float(LAMPS.intensities_cd(seen[np.newaxis])[1][0, place] @ command.levels[place]))
+        shone.append(float(LAMPS.intensities_cd(seen[np.newaxis])[1][0, index] @ command.levels[index]))
     return np.array(shone)

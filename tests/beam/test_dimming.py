@@ -87,7 +87,7 @@ def test_without_gaps_all_is_lit_and_beside_one_it_stays_so() -> None:
 def test_each_lamp_has_its_own_place() -> None:
     """What is near ahead of the left lamp lies to the left of the right one."""
     levels = DIMMER.levels([Gap(0.005, 0.055, 12.0, 14.0)]).reshape(2, -1, LAMPS.num_columns).mean(axis=1)
-    left, right = ((1.0 - its) @ np.arange(LAMPS.num_columns) / (1.0 - its).sum() for its in levels)
+    left, right = ((1.0 - lamp) @ np.arange(LAMPS.num_columns) / (1.0 - lamp).sum() for lamp in levels)
     assert right > left + 2.0
 
 
@@ -115,7 +115,7 @@ def test_light_goes_at_once_and_returns_slowly(
 def test_dark_for_the_hold_and_then_up_at_the_rate() -> None:
     ramp = Ramp(hold_s=0.3, restore_s=2.0)
     full = np.ones((2, 1))
-    levels = [ramp.step(full * (place != 1), place * 100_000_000)[0, 0] for place in range(27)]
+    levels = [ramp.step(full * (step != 1), step * 100_000_000)[0, 0] for step in range(27)]
     assert levels[:4] == [1.0, 0.0, 0.0, 0.0]  # dimmed at 0.1 s, held to 0.4 s
     assert levels[4] == pytest.approx(0.05)
     assert levels[13] == pytest.approx(0.5)

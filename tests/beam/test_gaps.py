@@ -18,13 +18,13 @@ GAPS = st.builds(
 )
 
 
-def covers(gaps: list[Gap], one: Gap) -> bool:
-    """Whether one of `gaps` holds all of `one`, its directions and its ranges."""
+def covers(gaps: list[Gap], inner: Gap) -> bool:
+    """Whether one of `gaps` holds all of `inner`, its directions and its ranges."""
     return any(
-        gap.right_rad <= one.right_rad
-        and one.left_rad <= gap.left_rad
-        and gap.near_m <= one.near_m
-        and one.far_m <= gap.far_m
+        gap.right_rad <= inner.right_rad
+        and inner.left_rad <= gap.left_rad
+        and gap.near_m <= inner.near_m
+        and inner.far_m <= gap.far_m
         for gap in gaps
     )
 

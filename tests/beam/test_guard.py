@@ -135,7 +135,7 @@ def test_tentative_tracks_and_other_lights_are_not_protected() -> None:
     for is_vehicle, dark in ((None, (0, 2)), (np.array([True, True, False]), (0,)), (np.zeros(3, bool), ())):
         command = next_check(running(), frame_at(25), tracks, is_vehicle=is_vehicle)
         shone = [towards_cd(command, azimuth, -0.004, 60.0).max() for azimuth in (-0.1, 0.0, 0.1)]
-        assert [place for place in range(3) if shone[place] <= 275.0] == list(dark)
+        assert [span for span in range(3) if shone[span] <= 275.0] == list(dark)
         assert len(command.gaps_rad) == len(dark)
         assert command.mode == (BeamMode.GLARE_FREE if dark else BeamMode.FULL)
 

@@ -36,12 +36,12 @@ def bound(least_deg: Floats, most_deg: Floats) -> Floats:
 def test_above_what_is_shone(azimuth: float, elevation: float, width: float, height: float) -> None:
     least = np.array([azimuth, elevation])
     most = least + np.array([width, height])
-    told = bound(least, most)
+    bounded = bound(least, most)
     # At worst the peak lies in the middle of a cell, 0.1 degrees from its corners along both axes.
-    assert (told * 1.02 + 1e-3 >= shone(least, most)).all()
+    assert (bounded * 1.02 + 1e-3 >= shone(least, most)).all()
     # A span of more than eight cells is looked up in larger ones, up to a quarter as large as the span.
     grown = 0.2 + np.array([width, height]).max() / 3.5
-    assert (told <= shone(least - grown, most + grown, 160) * 1.02 + 1e-3).all()
+    assert (bounded <= shone(least - grown, most + grown, 160) * 1.02 + 1e-3).all()
 
 
 @pytest.mark.parametrize("azimuth", [-60.0, -44.95, 44.95, 60.0, 179.0])
@@ -50,8 +50,8 @@ def test_far_aside_there_is_nothing(azimuth: float) -> None:
 
 
 def test_everything_at_once() -> None:
-    told = bound(np.array([-180.0, -90.0]), np.array([180.0, 90.0]))
-    np.testing.assert_allclose(told, 20_000.0, rtol=0.02)
+    bounded = bound(np.array([-180.0, -90.0]), np.array([180.0, 90.0]))
+    np.testing.assert_allclose(bounded, 20_000.0, rtol=0.02)
 
 
 def test_each_span_and_lamp_on_its_own() -> None:

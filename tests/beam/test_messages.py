@@ -73,11 +73,11 @@ def test_levels_come_back_never_brighter(command: BeamCommand, counter: int) -> 
     frames = encode_levels(command, counter)
     assert [frame.frame_id for frame in frames] == list(LEVELS_IDS)
     assert {len(frame.data) for frame in frames} == {48}
-    told = decode_levels(reversed(frames))
-    assert told.header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
-    assert (told.levels <= command.levels).all()
-    assert (command.levels - told.levels <= 1 / 255 + 1e-12).all()
-    again = BeamCommand(command.timestamp_ns, command.mode, told.levels, faults=command.faults)
+    decoded = decode_levels(reversed(frames))
+    assert decoded.header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
+    assert (decoded.levels <= command.levels).all()
+    assert (command.levels - decoded.levels <= 1 / 255 + 1e-12).all()
+    again = BeamCommand(command.timestamp_ns, command.mode, decoded.levels, faults=command.faults)
     assert encode_levels(again, counter) == frames
 
 
@@ -93,29 +93,29 @@ def test_each_led_has_its_byte() -> None:
 @given(commands(), counters, st.floats(0, 3))
 def test_gaps_come_back_never_brighter(command: BeamCommand, counter: int, ramp_s: float) -> None:
     frame = encode_gaps(command, counter, ramp_s)
-    told = decode_gaps(*frame)
+    decoded = decode_gaps(*frame)
     assert (frame.frame_id, len(frame.data)) == (GAPS_ID, 24)
-    assert told.header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
-    assert 0 <= told.ramp_s - ramp_s <= 0.2 + 1e-12
-    assert len(told.gaps_rad) <= 4
-    assert (np.diff(told.gaps_rad.ravel()) > 0).all()
+    assert decoded.header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
+    assert 0 <= decoded.ramp_s - ramp_s <= 0.2 + 1e-12
+    assert len(decoded.gaps_rad) <= 4
+    assert (np.diff(decoded.gaps_rad.ravel()) > 0).all()
     edge_rad, step_rad = math.radians(20.4), math.radians(0.04)
     for (right, left), range_m in zip(command.gaps_rad, command.gap_ranges_m, strict=True):
         inside = np.clip([right, left], -edge_rad, edge_rad)
-        covers = (told.gaps_rad[:, 0] <= inside[0] + 1e-12) & (inside[1] <= told.gaps_rad[:, 1] + 1e-12)
+        covers = (decoded.gaps_rad[:, 0] <= inside[0] + 1e-12) & (inside[1] <= decoded.gaps_rad[:, 1] + 1e-12)
         assert covers.sum() == 1
-        told_m = told.gap_ranges_m[covers][0]
+        told_m = decoded.gap_ranges_m[covers][0]
         assert math.isnan(told_m) or told_m <= range_m
     if len(command.gaps_rad) == 1:
         expected = np.clip(command.gaps_rad[0], -edge_rad, edge_rad)
-        assert (np.abs(told.gaps_rad[0] - expected) < step_rad + 1e-9).all()
+        assert (np.abs(decoded.gaps_rad[0] - expected) < step_rad + 1e-9).all()
         if command.gap_ranges_m[0] < 1018:
-            assert command.gap_ranges_m[0] - told.gap_ranges_m[0] <= 2.0
-        assert math.isnan(told.gap_ranges_m[0]) == math.isnan(command.gap_ranges_m[0])
+            assert command.gap_ranges_m[0] - decoded.gap_ranges_m[0] <= 2.0
+        assert math.isnan(decoded.gap_ranges_m[0]) == math.isnan(command.gap_ranges_m[0])
     again = BeamCommand(
-        command.timestamp_ns, command.mode, command.levels, told.gaps_rad, told.gap_ranges_m, command.faults
+        command.timestamp_ns, command.mode, command.levels, decoded.gaps_rad, decoded.gap_ranges_m, command.faults
     )
-    assert encode_gaps(again, counter, told.ramp_s) == frame
+    assert encode_gaps(again, counter, decoded.ramp_s) == frame
 
 
 @pytest.mark.parametrize(
@@ -135,10 +135,10 @@ def test_gaps_come_back_never_brighter(command: BeamCommand, counter: int, ramp_
     ],
 )
 def test_gaps_by_hand(gaps_deg: Any, ranges_m: Any, expected_deg: Any, expected_m: Any) -> None:
-    told = decode_gaps(*encode_gaps(command_of(*gaps_deg, ranges_m=tuple(ranges_m)), 0))
-    np.testing.assert_allclose(np.degrees(told.gaps_rad), expected_deg, atol=0.0401)
-    assert (np.degrees(told.gaps_rad)[:, 0] <= np.array(expected_deg)[:, 0] + 1e-9).all()
-    np.testing.assert_array_equal(told.gap_ranges_m, expected_m)
+    decoded = decode_gaps(*encode_gaps(command_of(*gaps_deg, ranges_m=tuple(ranges_m)), 0))
+    np.testing.assert_allclose(np.degrees(decoded.gaps_rad), expected_deg, atol=0.0401)
+    assert (np.degrees(decoded.gaps_rad)[:, 0] <= np.array(expected_deg)[:, 0] + 1e-9).all()
+    np.testing.assert_array_equal(decoded.gap_ranges_m, expected_m)
 
 
 @quick
@@ -147,17 +147,17 @@ def test_cantools_reads_what_we_write(command: BeamCommand, counter: int) -> Non
     encoder = CommandEncoder(1.0)
     encoder.counter = counter
     frames = encoder.frames(command)
-    told = [dbc()[frame.frame_id].decode(frame.data, decode_choices=False) for frame in frames]
-    levels = [value for part in told[:4] for name, value in part.items() if name[-2:].isdigit()]
+    decoded = [dbc()[frame.frame_id].decode(frame.data, decode_choices=False) for frame in frames]
+    levels = [value for part in decoded[:4] for name, value in part.items() if name[-2:].isdigit()]
     np.testing.assert_allclose(np.reshape(levels, (2, NUM_LEDS)), decode_levels(frames[:4]).levels, atol=1e-12)
     gaps = decode_gaps(*frames[4])
-    for place, (right, left) in enumerate(np.degrees(gaps.gaps_rad)):
-        assert (told[4][f"Right{place}"], told[4][f"Left{place}"]) == pytest.approx((right, left), abs=1e-9)
-        range_m = gaps.gap_ranges_m[place]
-        assert told[4][f"Range{place}"] == (1022 if math.isnan(range_m) else range_m)
-    assert told[4]["NumGaps"] == len(gaps.gaps_rad)
-    assert told[4]["Ramp"] == pytest.approx(1.0)
-    for part in told:
+    for index, (right, left) in enumerate(np.degrees(gaps.gaps_rad)):
+        assert (decoded[4][f"Right{index}"], decoded[4][f"Left{index}"]) == pytest.approx((right, left), abs=1e-9)
+        range_m = gaps.gap_ranges_m[index]
+        assert decoded[4][f"Range{index}"] == (1022 if math.isnan(range_m) else range_m)
+    assert decoded[4]["NumGaps"] == len(gaps.gaps_rad)
+    assert decoded[4]["Ramp"] == pytest.approx(1.0)
+    for part in decoded:
         header = (part["Counter"], part["Time"], part["Mode"], part["HasFaults"])
         assert header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
 
@@ -178,13 +178,13 @@ def test_names_of_the_leds_in_the_dbc() -> None:
 
 def test_counter_goes_round() -> None:
     encoder = CommandEncoder()
-    told = [decode_levels(encoder.frames(command_of())[:4]).header.counter for _ in range(258)]
-    assert told == [*range(256), 0, 1]
+    counters = [decode_levels(encoder.frames(command_of())[:4]).header.counter for _ in range(258)]
+    assert counters == [*range(256), 0, 1]
 
 
 @pytest.mark.parametrize("frame_id", [*LEVELS_IDS, GAPS_ID])
 def test_any_changed_bit_is_noticed(frame_id: int) -> None:
-    frame = next(one for one in CommandEncoder().frames(command_of((1, 2))) if one.frame_id == frame_id)
+    frame = next(sent for sent in CommandEncoder().frames(command_of((1, 2))) if sent.frame_id == frame_id)
     for bit in range(8 * len(frame.data)):
         changed = bytearray(frame.data)
         changed[bit // 8] ^= 1 << bit % 8
@@ -218,15 +218,15 @@ def test_content_that_no_command_has() -> None:
     assert fault_of(resealed(gaps, b3=1 | 5 << 3)) == LinkFault.CONTENT  # five of them
     word = int.from_bytes(gaps.data[8:12], "little")
     for bad in (word | 0x3FF, word & ~0xFFC00, (word & ~0x1FF00000) | 510 << 20, word | 0xFFC00):
-        changed = {f"b{8 + place}": value for place, value in enumerate(bad.to_bytes(4, "little"))}
+        changed = {f"b{8 + index}": value for index, value in enumerate(bad.to_bytes(4, "little"))}
         assert fault_of(resealed(gaps, **changed)) == LinkFault.CONTENT
 
 
 def test_beyond_the_last_border() -> None:
     gaps = encode_gaps(command_of((19, 20)), 0)
     assert fault_of(resealed(gaps, b8=0, b9=0xFC, b10=0x0F)) == LinkFault.CONTENT  # code 1023
-    told = decode_gaps(*resealed(gaps, b8=0, b9=0xF0, b10=0x0F))  # code 1020
-    assert np.degrees(told.gaps_rad[0]) == pytest.approx([-20.4, 20.4])
+    decoded = decode_gaps(*resealed(gaps, b8=0, b9=0xF0, b10=0x0F))  # code 1020
+    assert np.degrees(decoded.gaps_rad[0]) == pytest.approx([-20.4, 20.4])
 
 
 def test_torn_commands() -> None:

@@ -27,8 +27,8 @@ def road(
     return RoadAhead(np.column_stack([points, np.zeros(len(points))]), half_width_m)
 
 
-def expected(one: RoadAhead, light_range_m: float) -> Occurrence:
-    found = occurrence(one, light_range_m)
+def expected(road: RoadAhead, light_range_m: float) -> Occurrence:
+    found = occurrence(road, light_range_m)
     assert found is not None
     return found
 

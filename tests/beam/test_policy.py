@@ -38,17 +38,17 @@ class Seen(NamedTuple):
 
 def tracks_at(number: int, *seen: Seen) -> Tracks:
     tracks = tracks_of(
-        [box_around(one.azimuth_rad, -0.005, 0.006) for one in seen],
-        [one.range_m for one in seen],
-        sigmas_m=[math.inf if math.isnan(one.range_m) else one.sigma_m for one in seen],
-        states=[one.state for one in seen],
+        [box_around(track.azimuth_rad, -0.005, 0.006) for track in seen],
+        [track.range_m for track in seen],
+        sigmas_m=[math.inf if math.isnan(track.range_m) else track.sigma_m for track in seen],
+        states=[track.state for track in seen],
         ages_s=1.0 + number * S,
     )
     return dataclasses.replace(
         tracks,
-        ids=np.array([one.number for one in seen], np.int64),
-        direct_probabilities=np.array([one.direct for one in seen], np.float64),
-        confidences=np.array([one.confidence for one in seen], np.float64),
+        ids=np.array([track.number for track in seen], np.int64),
+        direct_probabilities=np.array([track.direct for track in seen], np.float64),
+        confidences=np.array([track.confidence for track in seen], np.float64),
     )
 
 
@@ -60,11 +60,11 @@ def policy(kind: type[Any] = ForeglowPolicy, **fields: Any) -> Any:
     return kind(CONFIG.model_copy(update=fields), LAMPS)
 
 
-def gaps_after(one: ForeglowPolicy, *scenes: tuple[Seen, ...], road: RoadAhead | None = STRAIGHT) -> list[Gap]:
+def gaps_after(made: ForeglowPolicy, *scenes: tuple[Seen, ...], road: RoadAhead | None = STRAIGHT) -> list[Gap]:
     """The gaps of the last of some frames."""
     gaps: list[Gap] = []
     for number, seen in enumerate(scenes):
-        gaps = one.gaps(frame(number, road), tracks_at(number, *seen))
+        gaps = made.gaps(frame(number, road), tracks_at(number, *seen))
     return gaps
 
 
@@ -91,8 +91,8 @@ def test_without_tracks_there_is_full_beam() -> None:
 def test_a_lamp_has_a_gap_that_holds_its_vehicle() -> None:
     command = policy().command(frame(0), tracks_at(0, LAMP))
     assert command.mode == BeamMode.GLARE_FREE
-    (right, left), *others = command.gaps_rad.tolist()
-    assert not others
+    (right, left), *rest = command.gaps_rad.tolist()
+    assert not rest
     margin = math.atan2(1.2, LAMP.range_m) + math.radians(CONFIG.margin_deg)
     azimuth_rad, range_m = from_origin(LAMP.azimuth_rad, LAMP.range_m)
     assert right < azimuth_rad - margin < azimuth_rad + margin < left
@@ -179,10 +179,10 @@ def test_tentative_lamps_count_while_a_gap_is_open() -> None:
 
 
 def test_a_gap_is_held_and_then_light_returns() -> None:
-    one, modes, levels = policy(), [], []
+    made, modes, levels = policy(), [], []
     num_frames = math.ceil((2 * CONFIG.hold_s + CONFIG.restore_s) / S) + 4
     for number in range(num_frames):
-        command = one.command(frame(number), tracks_at(number, *((LAMP,) if number < 3 else ())))
+        command = made.command(frame(number), tracks_at(number, *((LAMP,) if number < 3 else ())))
         modes.append(len(command.gaps_rad))
         levels.append(command.levels)
         is_full = not len(command.gaps_rad) and bool((command.levels == 1.0).all())
@@ -217,13 +217,13 @@ def test_without_a_camera_nothing_has_a_direction(kind: type[Any]) -> None:
 
 @pytest.mark.parametrize("kind", [ForeglowPolicy, PaperPolicy])
 def test_a_new_start_knows_nothing(kind: type[Any]) -> None:
-    def lived(one: BeamPolicy) -> list[BeamCommand]:
-        return [one.command(frame(n), tracks_at(n, *((LAMP,) if n in (1, 2) else ()))) for n in range(5)]
+    def lived(made: BeamPolicy) -> list[BeamCommand]:
+        return [made.command(frame(n), tracks_at(n, *((LAMP,) if n in (1, 2) else ()))) for n in range(5)]
 
-    one = policy(kind)
-    first = lived(one)
-    one.reset()
-    for before, after in zip(first, lived(one), strict=True):
+    made = policy(kind)
+    first = lived(made)
+    made.reset()
+    for before, after in zip(first, lived(made), strict=True):
         assert before.mode == after.mode
         np.testing.assert_array_equal(before.levels, after.levels)
         np.testing.assert_array_equal(before.gaps_rad, after.gaps_rad)
@@ -240,12 +240,12 @@ def lit(number: int, *lights: tuple[Seen, int]) -> Frame:
 
 @pytest.mark.parametrize("is_first_brighter", [True, False])
 def test_the_paper_sends_the_brightest_plausible_track_alone(is_first_brighter: bool) -> None:
-    other = Seen(-0.1, direct=0.1, number=1)
+    light = Seen(-0.1, direct=0.1, number=1)
     unproven = Seen(0.2, state=TENTATIVE, number=2)
     values = (220, 140) if is_first_brighter else (140, 220)
-    seen = lit(0, (LAMP, values[0]), (other, values[1]), (unproven, 255))
-    (gap,) = policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP, other, unproven))
-    chosen = LAMP if is_first_brighter else other
+    seen = lit(0, (LAMP, values[0]), (light, values[1]), (unproven, 255))
+    (gap,) = policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP, light, unproven))
+    chosen = LAMP if is_first_brighter else light
     assert holding([gap], chosen.azimuth_rad)
     assert gap.left_rad - gap.right_rad == pytest.approx(0.006 + 2 * math.radians(CONFIG.margin_deg), rel=0.1)
     assert not policy(PaperPolicy).gaps(seen, tracks_at(0, unproven))
@@ -262,13 +262,13 @@ def test_brightness_of_boxes() -> None:
 
 @pytest.mark.parametrize(("name", "mode", "level"), [("low", BeamMode.LOW, 0.0), ("high", BeamMode.FULL, 1.0)])
 def test_plain_beams_look_at_nothing(name: str, mode: BeamMode, level: float) -> None:
-    one = make_policy(BeamConfig(policy=name), LAMPS)  # type: ignore[arg-type]
+    made = make_policy(BeamConfig(policy=name), LAMPS)  # type: ignore[arg-type]
     for seen in ((), (LAMP, LIGHT)):
-        command = one.command(frame(3), tracks_at(3, *seen))
+        command = made.command(frame(3), tracks_at(3, *seen))
         assert (command.mode, command.timestamp_ns) == (mode, 3 * FRAME_NS)
         assert (command.levels == level).all()
         assert len(command.gaps_rad) == 0
-    one.reset()
+    made.reset()
 
 
 def test_policies_have_names() -> None:
@@ -278,9 +278,9 @@ def test_policies_have_names() -> None:
 
 
 def test_a_gap_is_not_held_when_time_jumps_back() -> None:
-    one = policy()
-    assert one.gaps(frame(10), tracks_at(10, LAMP))
-    assert not one.gaps(frame(0), tracks_at(0))
+    made = policy()
+    assert made.gaps(frame(10), tracks_at(10, LAMP))
+    assert not made.gaps(frame(0), tracks_at(0))
 
 
 def test_light_far_below_is_no_lamp() -> None:
@@ -290,6 +290,6 @@ def test_light_far_below_is_no_lamp() -> None:
 
 
 def test_a_vehicle_beside_us_does_not_darken_the_whole_beam() -> None:
-    near, far = (policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=one)))[0] for one in (3.0, 15.0))
+    near, far = (policy().gaps(frame(0), tracks_at(0, LAMP._replace(range_m=range_m)))[0] for range_m in (3.0, 15.0))
     assert near.left_rad - near.right_rad < math.radians(12.0)
     assert near.near_m == far.near_m == pytest.approx(20.0)

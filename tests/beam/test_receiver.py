@@ -101,23 +101,23 @@ def test_after_a_greater_step_the_next_one_is_taken() -> None:
     assert receiver.noticed == {LinkFault.LOST: 1}
 
 
-@pytest.mark.parametrize("place", range(4))
-def test_lost_frame_of_a_command(place: int) -> None:
+@pytest.mark.parametrize("index", range(4))
+def test_lost_frame_of_a_command(index: int) -> None:
     receiver = running()
     frames = frames_of(10, level=0.2)
-    feed(receiver, frames[:place] + frames[place + 1 :], arrival(10))
+    feed(receiver, frames[:index] + frames[index + 1 :], arrival(10))
     assert brightness(receiver, arrival(10)) == 1  # nothing of it
     feed(receiver, frames_of(11, level=0.4), arrival(11))
     assert brightness(receiver, arrival(11)) == pytest.approx(0.4, abs=1 / 255)
     assert receiver.noticed == {LinkFault.TORN: 1, LinkFault.LOST: 1}
 
 
-@pytest.mark.parametrize("place", range(4))
-def test_frames_always_lost_end_in_low_beam(place: int) -> None:
+@pytest.mark.parametrize("index", range(4))
+def test_frames_always_lost_end_in_low_beam(index: int) -> None:
     receiver = running()
     for number in range(10, 20):
         frames = frames_of(number)
-        feed(receiver, frames[:place] + frames[place + 1 :], arrival(number))
+        feed(receiver, frames[:index] + frames[index + 1 :], arrival(number))
     assert brightness(receiver, arrival(20)) == 0
     assert LinkFault.TORN in receiver.shining(arrival(20))[1]
 
@@ -142,7 +142,7 @@ def test_any_order_of_the_parts() -> None:
     receiver = running()
     for number, order in ((10, (3, 1, 0, 2)), (11, (2, 3, 1, 0))):
         frames = frames_of(number, level=0.1 * number - 0.8)
-        feed(receiver, [frames[place] for place in order], arrival(number))
+        feed(receiver, [frames[index] for index in order], arrival(number))
         assert brightness(receiver, arrival(number)) == pytest.approx(0.1 * number - 0.8, abs=1 / 255)
     assert not receiver.noticed
 
@@ -238,17 +238,17 @@ def _traffic(draw: st.DrawFn) -> list[tuple[int, tuple[CanFrame, ...]]]:
     traffic, latest_ns = [], START
     for number in range(draw(st.integers(10, 40))):
         frames = frames_of(number, image=draw(st.sampled_from([number] * 6 + [3, number - 1])))
-        what = draw(st.sampled_from(["good"] * 6 + ["lost", "torn", "changed", "twice", "swapped"]))
-        if what == "torn":
+        fault = draw(st.sampled_from(["good"] * 6 + ["lost", "torn", "changed", "twice", "swapped"]))
+        if fault == "torn":
             frames = frames[: draw(st.integers(0, 3))]
-        elif what == "changed":
+        elif fault == "changed":
             frames = (*frames[:3], CanFrame(frames[3].frame_id, b"\x55" + frames[3].data[1:]))
-        elif what == "twice":
+        elif fault == "twice":
             frames += frames
-        elif what == "swapped":
+        elif fault == "swapped":
             frames = frames[::-1]
         latest_ns = max(latest_ns, arrival(number) + draw(st.sampled_from([0] * 6 + [90, 400])) * MS)
-        if what != "lost":
+        if fault != "lost":
             traffic.append((latest_ns, frames))
     return traffic
 

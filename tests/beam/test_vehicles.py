@@ -96,13 +96,13 @@ def test_every_lamp_is_in_one_vehicle(lamps_m: list[tuple[float, float, float]],
     """Whatever the order of the tracks, each is in one group, and the groups are the same."""
     tracks = tracks_at(*lamps_m)
     groups = grouped(tracks)
-    assert sorted(place for group in groups for place in group) == list(range(len(tracks)))
+    assert sorted(index for group in groups for index in group) == list(range(len(tracks)))
     assert all(len(group) in (1, 2) for group in groups)
     assert groups == sorted(groups)
     order = np.random.default_rng(seed).permutation(len(lamps_m))
     shuffled = [
-        sorted(int(order[place]) for place in group) for group in grouped(tracks_at(*[lamps_m[k] for k in order]))
+        sorted(int(order[index]) for index in group) for group in grouped(tracks_at(*[lamps_m[k] for k in order]))
     ]
-    pairs = {tuple(one) for one in groups if len(one) == 2}
+    pairs = {tuple(group) for group in groups if len(group) == 2}
     if len({round(lamp[0], 3) for lamp in lamps_m}) == len(lamps_m):  # equal deviations may go either way
-        assert {tuple(one) for one in shuffled if len(one) == 2} == pairs
+        assert {tuple(group) for group in shuffled if len(group) == 2} == pairs

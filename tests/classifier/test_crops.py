@@ -107,8 +107,8 @@ def test_crops_span_zero_to_one_and_keep_order() -> None:
     crops, _ = _native.extract_crops(image, boxes, 2, SIZE_PX)
     assert (crops.min(axis=(1, 2, 3)) == 0).all()
     assert (crops.max(axis=(1, 2, 3)) == 1).all()
-    for box, one in zip(boxes, crops, strict=True):
-        np.testing.assert_array_equal(crop(image, tuple(box)), one[0])
+    for box, channels in zip(boxes, crops, strict=True):
+        np.testing.assert_array_equal(crop(image, tuple(box)), channels[0])
 
 
 def test_no_boxes() -> None:

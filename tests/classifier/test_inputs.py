@@ -101,7 +101,7 @@ def test_frames_without_proposals_are_remembered() -> None:
 
 
 def test_features_say_what_stretching_hides() -> None:
-    names = {name: place for place, name in enumerate(FEATURES)}
+    names = {name: index for index, name in enumerate(FEATURES)}
     maker = InputMaker(InputSpec(16, 2, None, len(FEATURES)))
     flat = np.full((96, 128), 10, np.uint8)
     flat[30:42, 40:60] = 250

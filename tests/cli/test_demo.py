@@ -13,7 +13,7 @@ from foreglow import datasets
 from foreglow.cli import app
 from foreglow.config import read_config
 from foreglow.datasets import PVDN
-from foreglow.lab.simulation import read_truth
+from foreglow.datasets.simulated import read_truth
 from foreglow.lab.simulation.writing.dataset import simulate_dataset
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.simulation.stub_drive import drive, scene

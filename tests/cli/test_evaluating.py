@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.runs.frame_records import FrameRecords
+from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.json_lines import LineSink
 from foreglow.types import Frame
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.stand_ins import night_image, result_of, tracks_of
@@ -103,7 +104,7 @@ def test_report_on_predictions(tmp_path: Path, split: Path, predictions: Path) -
 
 
 def test_direct_light_is_rated_where_a_run_says_it(tmp_path: Path, split: Path) -> None:
-    records = FrameRecords(tmp_path / "frames.jsonl")
+    records = LineSink(tmp_path / "frames.jsonl", frame_to_line)
     for image_id in (2, 4):
         frame = Frame(night_image(image_id), image_id, frame=image_id)
         result = result_of(frame, [[5, 5, 15, 15]], [0.9])

@@ -44,7 +44,7 @@ def some_frames() -> list[Frame]:
 
 def same(a: Ranges, b: Ranges) -> bool:
     pairs = ((a.ranges_m, b.ranges_m), (a.sigmas_m, b.sigmas_m))
-    return all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
+    return all(np.array_equal(array, other, equal_nan=True) for array, other in pairs)
 
 
 @pytest.mark.parametrize("heuristic", HEURISTICS)
@@ -93,10 +93,10 @@ def test_boxes_do_not_know_each_other(name: str) -> None:
     if name == "road_surface":
         boxes = detections([[40, 60, 43, 63], [100, 50, 130, 95], [200, 70, 206, 72]])
     together = make(name).estimate(seen, boxes)
-    for place in range(len(boxes)):
-        alone = make(name).estimate(seen, detections([boxes.boxes_xyxy_px[place].tolist()]))
-        assert alone.ranges_m[0] == pytest.approx(together.ranges_m[place], rel=1e-5, nan_ok=True)
-        assert alone.sigmas_m[0] == pytest.approx(together.sigmas_m[place], rel=1e-5)
+    for index in range(len(boxes)):
+        alone = make(name).estimate(seen, detections([boxes.boxes_xyxy_px[index].tolist()]))
+        assert alone.ranges_m[0] == pytest.approx(together.ranges_m[index], rel=1e-5, nan_ok=True)
+        assert alone.sigmas_m[0] == pytest.approx(together.sigmas_m[index], rel=1e-5)
 
 
 def test_the_image_may_have_another_size(name: str) -> None:

@@ -24,12 +24,12 @@ Scene = list[tuple[Detections, Ranges | None]]
 def crowd(seed: int, num_frames: int = 60) -> Scene:
     """Lights that wander, flicker, appear and leave, some beside the image, with ranges now and then."""
     rng = np.random.default_rng(seed)
-    places, speeds = rng.uniform(0, 1, (14, 2)) * (1280, 960), rng.normal(0, 8, (14, 2))
+    positions, speeds = rng.uniform(0, 1, (14, 2)) * (1280, 960), rng.normal(0, 8, (14, 2))
     scene: Scene = []
     for number in range(num_frames):
-        places = places + speeds
+        positions = positions + speeds
         is_seen = rng.random(14) < (0.0 if number % 20 == 19 else 0.7)
-        low = np.rint(places[is_seen] + rng.normal(0, 1, (is_seen.sum(), 2)))
+        low = np.rint(positions[is_seen] + rng.normal(0, 1, (is_seen.sum(), 2)))
         rows = np.concatenate([low, low + rng.integers(5, 40, low.shape), rng.random((len(low), 1))], axis=1)
         found = detections_of(*rows.tolist())
         ranges_m = np.where(rng.random(len(low)) < 0.5, rng.uniform(5, 300, len(low)), np.nan)
@@ -40,14 +40,14 @@ def crowd(seed: int, num_frames: int = 60) -> Scene:
 
 def followed(tracker: Tracker, scene: Scene) -> list[Tracks]:
     return [
-        tracker.update(frame_at(place * FRAME_S, yaw_rate_radps=0.1), found, ranges)
-        for place, (found, ranges) in enumerate(scene)
+        tracker.update(frame_at(index * FRAME_S, yaw_rate_radps=0.1), found, ranges)
+        for index, (found, ranges) in enumerate(scene)
     ]
 
 
-def assert_same(one: Tracks, other: Tracks) -> None:
+def assert_same(tracks: Tracks, other: Tracks) -> None:
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(tracks, name), getattr(other, name), err_msg=name)
 
 
 def test_ids_are_never_given_twice(name: str) -> None:
@@ -92,8 +92,8 @@ def test_the_same_frames_give_the_same_tracks_also_after_a_reset(name: str) -> N
     first = followed(tracker, crowd(4))
     followed(tracker, crowd(5))
     tracker.reset()
-    for one, other in zip(first, followed(tracker, crowd(4)), strict=True):
-        assert_same(one, other)
+    for tracks, other in zip(first, followed(tracker, crowd(4)), strict=True):
+        assert_same(tracks, other)
 
 
 def test_earlier_results_stay_as_they_are(name: str) -> None:
@@ -101,8 +101,8 @@ def test_earlier_results_stay_as_they_are(name: str) -> None:
     scene = crowd(6)
     kept = followed(tracker, scene[:20])
     copies = [{field: getattr(tracks, field).copy() for field in FIELDS} for tracks in kept]
-    for place, (found, ranges) in enumerate(scene[20:], start=20):
-        tracker.update(frame_at(place * FRAME_S), found, ranges)
+    for index, (found, ranges) in enumerate(scene[20:], start=20):
+        tracker.update(frame_at(index * FRAME_S), found, ranges)
     for tracks, copy in zip(kept, copies, strict=True):
         for field in FIELDS:
             np.testing.assert_array_equal(getattr(tracks, field), copy[field])
@@ -110,14 +110,14 @@ def test_earlier_results_stay_as_they_are(name: str) -> None:
 
 def test_nothing_gives_nothing(name: str) -> None:
     tracker = make_tracker(CONFIGS[name])
-    for place in range(3):
-        assert len(tracker.update(frame_at(place * FRAME_S), detections_of(), None)) == 0
+    for index in range(3):
+        assert len(tracker.update(frame_at(index * FRAME_S), detections_of(), None)) == 0
 
 
 def test_a_light_that_stays_is_one_confirmed_track(name: str) -> None:
     tracker = make_tracker(CONFIGS[name])
-    for place in range(10):
-        tracks = tracker.update(frame_at(place * FRAME_S), detections_of((600, 400, 620, 416, 0.9)), None)
+    for index in range(10):
+        tracks = tracker.update(frame_at(index * FRAME_S), detections_of((600, 400, 620, 416, 0.9)), None)
     assert tracks.ids.tolist() == [0]
     assert tracks.states.tolist() == [TrackState.CONFIRMED]
     assert tracks.num_hits.tolist() == [10]
@@ -129,8 +129,8 @@ def test_two_hundred_boxes(name: str) -> None:
     x, y = np.meshgrid(np.arange(20) * 60, np.arange(10) * 80)
     rows = np.stack([x, y, x + 20, y + 20, np.full(x.shape, 0.9)], -1).reshape(-1, 5).tolist()
     tracker = make_tracker(CONFIGS[name])
-    for place in range(6):
-        tracks = tracker.update(frame_at(place * FRAME_S), detections_of(*rows), None)
+    for index in range(6):
+        tracks = tracker.update(frame_at(index * FRAME_S), detections_of(*rows), None)
     assert tracks.ids.tolist() == list(range(200))
     assert tracks.detections.tolist() == list(range(200))
     assert (tracks.states == TrackState.CONFIRMED).all()

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import PVDN, open_source, shipped_drive
-from foreglow.datasets.pvdn_schema import Cycle
+from foreglow.datasets.pvdn.schema import Cycle
+from foreglow.datasets.simulated import read_truth
 from foreglow.lab.evaluation.boxes.lights import read_lights
-from foreglow.lab.simulation import read_scene, read_truth
+from foreglow.lab.simulation import read_scene
+from foreglow.lab.simulation.writing.scene_files import scene_of
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def test_a_command_takes_it_as_a_source() -> None:
 
 def test_its_truth_is_that_of_its_scene(drive: PVDN) -> None:
     (truth,) = read_truth(drive.root)
-    assert truth.scene == read_scene(drive.root / "scene.toml")
+    assert scene_of(truth) == read_scene(drive.root / "scene.toml")
     assert (truth.camera.width_px, truth.camera.height_px) == (1280, 960)
     assert [frame.image_id for frame in truth.frames] == list(drive.frame_ids)
     with pytest.raises(FileNotFoundError):
@@ -44,14 +46,14 @@ def test_its_truth_is_that_of_its_scene(drive: PVDN) -> None:
 
 
 def test_light_comes_a_second_before_the_car_after_a_calm_beginning(drive: PVDN) -> None:
-    lights = [one for its in read_lights(drive).values() for one in its]
+    lights = [light for its in read_lights(drive).values() for light in its]
     first_light, first_lamp = (
-        min(drive.labels.place_of[one.image_id] for one in lights if one.is_direct is is_direct) / drive.rate_hz
+        min(drive.time_s(light.image_id) for light in lights if light.is_direct is is_direct)
         for is_direct in (False, True)
     )
     assert 1.5 <= first_light <= 2.0
     assert 1.0 <= first_lamp - first_light <= 1.5
-    assert max(drive.labels.place_of.values()) / drive.rate_hz - first_lamp > 1.5
+    assert max(map(drive.time_s, drive.frame_ids)) - first_lamp > 1.5
 
 
 def test_an_unknown_drive_is_named() -> None:

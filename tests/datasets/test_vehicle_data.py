@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN, Equipped, shipped_drive
+from foreglow.datasets.simulated import read_truth
 from foreglow.geometry import Camera, Pose
-from foreglow.lab.simulation import read_truth
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
 from tests.datasets.tiny_pvdn import make_pvdn

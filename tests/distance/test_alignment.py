@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, believed
+from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, map_alignment
 from foreglow.distance.ribbon import Alignment
 from foreglow.types import EgoMotion, RoadAhead
 from tests.distance.roads import camera, frame, line, road, straight
@@ -24,19 +24,19 @@ def mapped(place_m: float, bound_m: float) -> RoadAhead:
 
 def drive(error_m: float, bound_m: float, num_frames: int = 60) -> list[Alignment]:
     """A drive along the road, whose map believes us `error_m` further than we are."""
-    aligner, told = RoadAligner(), []
+    aligner, alignments = RoadAligner(), []
     for number in range(num_frames):
         place_m = 30.0 + number * SPEED_MPS * STEP_S
         motion = EgoMotion(SPEED_MPS, SPEED_MPS * float(CURVATURES[round(place_m)]))
         known = mapped(place_m + error_m, bound_m)
-        told.append(aligner.align(frame(NOTHING, None, known, motion, number * STEP_S)))
-    return told
+        alignments.append(aligner.align(frame(NOTHING, None, known, motion, number * STEP_S)))
+    return alignments
 
 
 @pytest.mark.parametrize("error_m", [-12.0, 8.0])
 def test_the_shift_is_found_where_the_road_bends(error_m: float) -> None:
-    told = drive(error_m, 20.0)
-    straight_on, in_bend = told[2], told[23]
+    alignments = drive(error_m, 20.0)
+    straight_on, in_bend = alignments[2], alignments[23]
     assert straight_on.shift_sigma_m > 0.7 * BOUND_SHARE * 20.0
     assert in_bend.shift_sigma_m < 0.7 * BOUND_SHARE * 20.0
     assert abs(in_bend.shift_m + error_m) < min(0.6 * abs(error_m), 2 * in_bend.shift_sigma_m)
@@ -46,9 +46,11 @@ def test_a_straight_road_tells_nothing_of_the_shift() -> None:
     aligner = RoadAligner()
     for number in range(20):
         motion = EgoMotion(SPEED_MPS, 0.0)
-        told = aligner.align(frame(NOTHING, None, road(line(np.zeros(450)), error_bound_m=20.0), motion, number * 0.25))
-    assert told.shift_m == pytest.approx(0.0, abs=1e-6)
-    assert told.shift_sigma_m == pytest.approx(BOUND_SHARE * 20.0, rel=0.1)
+        alignment = aligner.align(
+            frame(NOTHING, None, road(line(np.zeros(450)), error_bound_m=20.0), motion, number * 0.25)
+        )
+    assert alignment.shift_m == pytest.approx(0.0, abs=1e-6)
+    assert alignment.shift_sigma_m == pytest.approx(BOUND_SHARE * 20.0, rel=0.1)
 
 
 def test_a_gap_in_time_forgets_and_so_does_reset() -> None:
@@ -70,20 +72,20 @@ def test_small_and_boundless_errors_are_not_searched(bound_m: float) -> None:
 
 def test_without_road_or_motion_the_map_is_believed() -> None:
     for known in (frame(NOTHING, None, None), frame(NOTHING, None, straight())):
-        assert RoadAligner().align(known) == believed(known)
-    assert math.isinf(believed(frame(NOTHING, None, None)).shift_sigma_m)
+        assert RoadAligner().align(known) == map_alignment(known)
+    assert math.isinf(map_alignment(frame(NOTHING, None, None)).shift_sigma_m)
 
 
 def test_yaw_and_offset_come_from_the_markings_and_fade() -> None:
     aligner = RoadAligner()
     for number in range(8):
         image = marked(yaw_rad=0.01, left_m=0.4)
-        told = aligner.align(frame(image, camera(), straight(), time_s=number * 0.1))
-    assert told.left_m == pytest.approx(0.4, abs=0.08)
-    assert 0.0 < told.yaw_rad < 0.012
-    assert told.left_sigma_m < LEFT_SIGMA_M
+        alignment = aligner.align(frame(image, camera(), straight(), time_s=number * 0.1))
+    assert alignment.left_m == pytest.approx(0.4, abs=0.08)
+    assert 0.0 < alignment.yaw_rad < 0.012
+    assert alignment.left_sigma_m < LEFT_SIGMA_M
     for number in range(60):
-        told = aligner.align(frame(NOTHING, camera(), straight(), time_s=0.8 + number * 0.25))
-    assert told.left_m == pytest.approx(0.0, abs=0.01)
-    assert told.left_sigma_m == pytest.approx(LEFT_SIGMA_M, rel=0.01)
-    assert told.yaw_sigma_rad == pytest.approx(YAW_SIGMA_RAD, rel=0.01)
+        alignment = aligner.align(frame(NOTHING, camera(), straight(), time_s=0.8 + number * 0.25))
+    assert alignment.left_m == pytest.approx(0.0, abs=0.01)
+    assert alignment.left_sigma_m == pytest.approx(LEFT_SIGMA_M, rel=0.01)
+    assert alignment.yaw_sigma_rad == pytest.approx(YAW_SIGMA_RAD, rel=0.01)

@@ -20,8 +20,8 @@ def light_by_hand(image: Image, boxes_xyxy_px: Boxes) -> tuple[Floats, Floats]:
 
     def read(x: Floats, y: Floats) -> Floats:
         rows, columns = (
-            np.minimum(np.maximum(places, 0.0), size - 0.5).astype(int)
-            for places, size in zip((y, x), image.shape, strict=True)
+            np.minimum(np.maximum(coordinates, 0.0), size - 0.5).astype(int)
+            for coordinates, size in zip((y, x), image.shape, strict=True)
         )
         return np.asarray(image[rows, columns], np.float64)
 

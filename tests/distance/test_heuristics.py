@@ -39,10 +39,10 @@ def test_places_in_a_box() -> None:
     boxes = np.array([[10, 20, 15, 23], [0, 0, 1, 1]], np.int32)
     assert HEURISTICS["centre"].pixels(boxes).tolist() == [[[12.5, 21.5]], [[0.5, 0.5]]]
     assert HEURISTICS["lowest"].pixels(boxes).tolist() == [[[12.5, 22.5]], [[0.5, 0.5]]]
-    places = HEURISTICS["mean"].pixels(boxes)
-    assert places[0].min(axis=0).tolist() == [10.5, 20.5]
-    assert places[0].max(axis=0).tolist() == [14.5, 22.5]
-    assert (places[1] == 0.5).all()
+    samples = HEURISTICS["mean"].pixels(boxes)
+    assert samples[0].min(axis=0).tolist() == [10.5, 20.5]
+    assert samples[0].max(axis=0).tolist() == [14.5, 22.5]
+    assert (samples[1] == 0.5).all()
     assert HEURISTICS["mean"].pixels(boxes[:0]).shape == (0, 9, 2)
 
 

@@ -168,7 +168,7 @@ def test_sigmas_are_honest_where_the_model_holds() -> None:
     means = parameters.features[kinds] + parameters.feature_slopes[kinds] * (cells.log_ranges[drawn, None] - 4.0)
     features = means + parameters.feature_sigmas * rng.normal(size=means.shape)
     alone = shipped.model_copy(
-        update={"kinds": tuple(one.model_copy(update={"pair_logit": -20.0}) for one in shipped.kinds)}
+        update={"kinds": tuple(kind.model_copy(update={"pair_logit": -20.0}) for kind in shipped.kinds)}
     )
     weights = log_weights(parameters_of(alone), cells, evidence(seen, features))
     near_m, range_m, far_m = np.exp(

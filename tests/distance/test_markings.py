@@ -84,8 +84,8 @@ def test_images_of_sixteen_bits_are_seen_alike() -> None:
 
 def test_the_pitch_of_markings_is_weighted_with_the_body_at_rest() -> None:
     source = MarkingsPitch()
-    told = source.pitch(frame(marked(pitch_rad=0.004), camera(), straight()))
-    assert 0.001 < told.rad < 0.004
-    assert told.sigma_rad < REST_SIGMA_RAD
+    measured = source.pitch(frame(marked(pitch_rad=0.004), camera(), straight()))
+    assert 0.001 < measured.rad < 0.004
+    assert measured.sigma_rad < REST_SIGMA_RAD
     unknown = source.pitch(frame(NOTHING, camera(), straight()))
     assert unknown == (0.0, REST_SIGMA_RAD)

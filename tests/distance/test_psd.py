@@ -45,14 +45,14 @@ def test_psd_3d_is_the_least_distance_of_ray_and_line(yaw: float, pitch: float) 
     """Against brute force over places of a fine line."""
     points = winding()
     found = range_m("psd_3d", frame(camera(1.4, yaw_rad=yaw, pitch_rad=pitch), RoadAhead(points, 3.2)))
-    places = np.arange(0.0, len(points) - 1, 0.01)
-    fine = np.stack([np.interp(places, np.arange(len(points)), column) for column in points.T], -1) - [0, 0, 1.4]
+    arc_lengths = np.arange(0.0, len(points) - 1, 0.01)
+    fine = np.stack([np.interp(arc_lengths, np.arange(len(points)), column) for column in points.T], -1) - [0, 0, 1.4]
     direction = rotation(yaw, pitch)[:, 0]
     along = np.maximum(fine @ direction, 0.0)
     squared = (fine**2).sum(1) - along**2
     best = int(squared.argmin())
     if np.isnan(found):
-        assert along[best] == 0.0 or best in (0, len(places) - 1)
+        assert along[best] == 0.0 or best in (0, len(arc_lengths) - 1)
     else:
         gap = np.linalg.norm(fine - found * direction, axis=1).min()
         assert gap <= math.sqrt(squared[best]) + 1e-4

@@ -60,10 +60,12 @@ def test_a_place_that_is_not_known_at_all_is_no_place() -> None:
 def test_where_light_contradicts_the_map_the_map_does_not_count() -> None:
     """The maps turn away to the right at once, each otherwise; the lamp is ahead to the left."""
     lamp = np.array([[60.0, 12.0, 0.65]])
-    (one, truth_m), (other, _) = (estimated(lamp, road(line(np.full(120, -1 / radius_m)))) for radius_m in (40.0, 55.0))
-    np.testing.assert_allclose(one.ranges_m, other.ranges_m, rtol=0.05)
-    assert np.abs(one.ranges_m - truth_m) < 2 * one.sigmas_m
-    assert one.sigmas_m > 0.3 * one.ranges_m
+    (sharp, truth_m), (wide, _) = (
+        estimated(lamp, road(line(np.full(120, -1 / radius_m)))) for radius_m in (40.0, 55.0)
+    )
+    np.testing.assert_allclose(sharp.ranges_m, wide.ranges_m, rtol=0.05)
+    assert np.abs(sharp.ranges_m - truth_m) < 2 * sharp.sigmas_m
+    assert sharp.sigmas_m > 0.3 * sharp.ranges_m
 
 
 @settings(derandomize=True, max_examples=20, deadline=None)
@@ -93,9 +95,9 @@ def test_the_same_frames_give_the_same_ranges_after_a_reset() -> None:
     bend = road(line(np.r_[np.zeros(30), np.full(420, 1 / 200.0)]), error_bound_m=20.0)
     frames = [frame(image, camera(), bend, EgoMotion(20.0, 0.02 * number), number * 0.25) for number in range(4)]
     estimator = RoadSurface(DistanceConfig(estimator="road_surface", align=True, pitch="markings"))
-    first = [estimator.estimate(one, boxes).ranges_m for one in frames]
+    first = [estimator.estimate(image, boxes).ranges_m for image in frames]
     estimator.reset()
-    np.testing.assert_array_equal([estimator.estimate(one, boxes).ranges_m for one in frames], first)
+    np.testing.assert_array_equal([estimator.estimate(image, boxes).ranges_m for image in frames], first)
     assert (first[3] != first[0]).any()  # what came before counts
 
 

@@ -95,14 +95,14 @@ def test_any_number_of_kinds(num_kinds: int) -> None:
 
 def test_no_box_and_boxes_without_partners() -> None:
     cells, boxes = some_cells(len(SHIPPED.side), 1), some_boxes(6, 2)
-    assert Weigher(SHIPPED).ranges(cells, BoxEvidence(*(one[:0] for one in boxes))).shape == (3, 0)
+    assert Weigher(SHIPPED).ranges(cells, BoxEvidence(*(column[:0] for column in boxes))).shape == (3, 0)
     assert_as_specified(SHIPPED, cells, boxes._replace(pair_log_ranges=np.full(6, np.nan)))
 
 
 def test_one_cell_is_every_quantile() -> None:
-    one = parameters_of(Hypotheses(kinds=(Kind(name="lamp", offset_sigma_m=0.5, height_sigma_m=0.1),)))
+    single = parameters_of(Hypotheses(kinds=(Kind(name="lamp", offset_sigma_m=0.5, height_sigma_m=0.1),)))
     cells = Cells(*(np.array([value]) for value in (0.1, 0.0, 1e-5, 0.0, 1e-5, 3.0, -1.0)))
-    np.testing.assert_allclose(Weigher(one).ranges(cells, some_boxes(4, 3)), np.exp(3.0))
+    np.testing.assert_allclose(Weigher(single).ranges(cells, some_boxes(4, 3)), np.exp(3.0))
 
 
 def test_a_box_that_nothing_explains_still_has_a_range() -> None:

@@ -36,7 +36,7 @@ def run_interrupted(drives: Path, out: Path, presses: int) -> RunSummary:
         pressed.append(True)
 
     pressed: list[bool] = []
-    return run_apart(Opening(SlowSplit, (drives,)), preset("foreglow"), OutputFolder(out), Local(2), told=press)
+    return run_apart(Opening(SlowSplit, (drives,)), preset("foreglow"), OutputFolder(out), Local(2), progress=press)
 
 
 def test_what_is_done_of_every_sequence_is_kept_in_order(drives: Path, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ from tests.parallel.tasks import SlowSplit
 
 run_apart(
     Opening(SlowSplit, (Path(sys.argv[1]),)), preset("foreglow"), OutputFolder(Path(sys.argv[2])), Local(2),
-    told=lambda *_: Path(sys.argv[3]).write_text("told"),
+    progress=lambda *_: Path(sys.argv[3]).write_text("told"),
 )
 """
 

@@ -117,7 +117,7 @@ def test_run_with_a_lost_worker(tmp_path: Path, drives: Path, workers: Workers) 
     def note(sequence: str, num_done: int) -> None:
         told[sequence] = num_done
 
-    summary = run_apart(Opening(DeadlySplit, (source,)), config, out, workers, told=note)
+    summary = run_apart(Opening(DeadlySplit, (source,)), config, out, workers, progress=note)
     assert told == {"S00001": 3, "S00002": 3, "S00003": 3}
     begun = Counter(path.name.partition("-")[0] for path in (source / "begun").iterdir())
     assert begun == {"S00001": 1, "S00002": 2, "S00003": 1}

@@ -194,9 +194,9 @@ def test_faults_are_named(tmp_path: Path, left: str, grid: str, complaint: str) 
 
 def test_lamps_with_different_numbers_of_leds(tmp_path: Path) -> None:
     led_file(tmp_path, "one.ies", 0.0, 0.0)
-    one, two = "led_files = [['one.ies']]", "led_files = [['one.ies', 'one.ies']]"
+    single, pair = "led_files = [['one.ies']]", "led_files = [['one.ies', 'one.ies']]"
     with pytest.raises(ValueError, match="expected as many LEDs and columns left as right"):
-        read_headlamps(written(tmp_path, POSITIONS.format(left=one, right=two)))
+        read_headlamps(written(tmp_path, POSITIONS.format(left=single, right=pair)))
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:

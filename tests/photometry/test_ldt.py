@@ -95,8 +95,8 @@ def changed(line: int, text: str) -> list[str]:
     [
         (GOOD[:-1], "intensities: expected 9 numbers, the file ends after 8"),
         (GOOD[:44], "angles C: expected 4 numbers, the file ends after 2"),
-        (GOOD[:10], "line 24: conversion factor: expected a number, the file ends before"),
-        ([], "line 3: symmetry Isym: expected a number"),
+        (GOOD[:10], "conversion factor: expected a number, the file ends after 0"),
+        ([], "symmetry Isym: expected a number, the file ends after 0"),
         (changed(3, "5"), "line 3: symmetry Isym: expected 0, 1, 2, 3 or 4, got 5"),
         (changed(4, "3"), "line 4: number of C planes: expected a multiple of 2 with Isym = 2, got 3"),
         (changed(4, "2.5"), "line 4: number of C planes: expected a whole number of at least 1, got 2.5"),

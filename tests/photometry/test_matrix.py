@@ -17,8 +17,10 @@ SIDES: tuple[Side, ...] = ("left", "right")
 @given(led=st.integers(0, NUM_LEDS - 1), other=st.integers(0, NUM_LEDS - 1), share=st.floats(0, 1))
 def test_linear_in_the_levels(led: int, other: int, share: float) -> None:
     lamp = matrix_beam("left")
-    one, two = np.eye(NUM_LEDS)[led], np.eye(NUM_LEDS)[other]
-    mixed, first, second = (lamp.table(x).intensities_cd for x in (share * one + (1 - share) * two, one, two))
+    lit, other_lit = np.eye(NUM_LEDS)[led], np.eye(NUM_LEDS)[other]
+    mixed, first, second = (
+        lamp.table(x).intensities_cd for x in (share * lit + (1 - share) * other_lit, lit, other_lit)
+    )
     np.testing.assert_allclose(mixed, share * first + (1 - share) * second, rtol=1e-5, atol=0.02)
 
 

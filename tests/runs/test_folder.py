@@ -6,38 +6,80 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.runtime import RESULT_NAMES, OutputFolder
+from foreglow.config import config_to_toml, read_config
+from foreglow.runs.folder import RESULT_NAMES, OutputFolder, part_sinks
+from foreglow.runs.summary import read_summary
+from foreglow.runs.tally import Tally
+from tests.stand_ins import REFERENCE, night_frames, result_of
+
+SUMMARY = Tally().summary("here", [], REFERENCE, is_complete=True, dispatch=None)
+DESCRIPTION = {"config.toml", "summary.json"}
 
 
 def contents(path: Path) -> dict[str, str]:
-    return {entry.name: entry.read_text() for entry in path.iterdir()}
+    """The files in `path` but for those that describe the run."""
+    return {entry.name: entry.read_text() for entry in path.iterdir() if entry.name not in DESCRIPTION}
 
 
 def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
     folder = OutputFolder(tmp_path)
-    folder.write_text("summary.json", "{}")
-    assert not (tmp_path / "summary.json").exists()
+    folder.write_text("beam.log", "new")
+    assert [entry.name for entry in tmp_path.iterdir() if entry.suffix != ".partial"] == []
     folder.partial("frames.jsonl").unlink()
-    folder.publish()
-    assert contents(tmp_path) == {"summary.json": "{}"}
+    folder.publish(REFERENCE, SUMMARY)
+    assert contents(tmp_path) == {"beam.log": "new"}
+    assert read_config(tmp_path / "config.toml") == REFERENCE
+    assert read_summary(tmp_path / "summary.json").source == "here"
 
 
 def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path: Path) -> None:
     for name in (*RESULT_NAMES, "notes.txt"):
         (tmp_path / name).write_text("old")
     folder = OutputFolder(tmp_path)
-    folder.write_text("config.toml", "new")
     folder.partial("frames.jsonl").write_text("new")
-    folder.publish()
-    assert contents(tmp_path) == {"config.toml": "new", "frames.jsonl": "new", "notes.txt": "old"}
+    folder.publish(REFERENCE, SUMMARY)
+    assert contents(tmp_path) == {"frames.jsonl": "new", "notes.txt": "old"}
+    assert (tmp_path / "config.toml").read_text() == config_to_toml(REFERENCE)
 
 
 def test_publishing_removes_what_a_killed_run_left(tmp_path: Path) -> None:
     (tmp_path / "overlay.mp4.partial").write_text("half")
     folder = OutputFolder(tmp_path)
     folder.write_text("frames.jsonl", "new")
-    folder.publish()
+    folder.publish(REFERENCE, SUMMARY)
     assert contents(tmp_path) == {"frames.jsonl": "new"}
+
+
+def test_an_error_in_its_block_leaves_nothing(tmp_path: Path) -> None:
+    def fail() -> None:
+        with OutputFolder(tmp_path / "out") as folder:
+            folder.write_text("frames.jsonl", "new")
+            folder.make_parts()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_are_joined_in_the_order_of_their_names(tmp_path: Path) -> None:
+    frames = night_frames(3)
+    whole, joined = OutputFolder(tmp_path / "whole"), OutputFolder(tmp_path / "joined")
+    parts = joined.make_parts()
+    for name, its in (("b", frames[2:]), ("a", frames[:2])):
+        for sink in part_sinks(parts, name):
+            for frame in its:
+                sink.write(frame, result_of(frame, [[0, 0, 4, 4]]))
+            sink.close()
+    joined.join_parts(parts, ["a", "b"])
+    for sink in whole.line_sinks():
+        for frame in frames:
+            sink.write(frame, result_of(frame, [[0, 0, 4, 4]]))
+        sink.close()
+    for folder in (whole, joined):
+        folder.publish(REFERENCE, SUMMARY)
+    assert contents(joined.path) == contents(whole.path)
+    assert set(contents(whole.path)) == {"frames.jsonl", "times.jsonl"}
 
 
 def test_discarding_removes_only_what_it_made(tmp_path: Path) -> None:

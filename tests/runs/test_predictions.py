@@ -1,3 +1,5 @@
+"""Predictions of all forms are read; damaged ones are refused with a message that says where."""
+
 from __future__ import annotations
 
 import json
@@ -5,11 +7,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.lab.evaluation import read_predictions
+from foreglow.runs.predictions import Predictions, read_predictions, write_predictions
 
 _LINE: dict[str, Any] = {
     "frame": 7,
@@ -60,7 +63,10 @@ def test_the_published_form(tmp_path: Path) -> None:
         ([_LINE | {"frame": "7"}], "line 1: frame: expected a valid integer, got '7'"),
         ([_LINE | {"scores": [1]}], "line 1: scores: expected 2, one a box, got 1"),
         ([_LINE, _LINE | {"frame": 8, "scores": None}], "line 2: scores: expected in every line or in none"),
-        ([_LINE | {"proposals_xyxy_px": [[1, 2, 3]]}], "line 1: proposals_xyxy_px.0.3: field is missing"),
+        (
+            [_LINE | {"proposals_xyxy_px": [[1, 2, 3]]}],
+            "line 1: proposals_xyxy_px.0: List should have at least 4",
+        ),
         ([_LINE | {"scores": [1, float("nan")]}], "line 1: scores.1: expected a finite number"),
         ([{"frame": 7}], "line 1: proposals_xyxy_px: field is missing"),
         (["[]"], "line 1: document: expected an object"),
@@ -91,6 +97,18 @@ def test_bad_lines(tmp_path: Path, lines: list[object], message: str) -> None:
 def test_bad_documents(tmp_path: Path, document: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         read_predictions(_write(tmp_path / "predictions.json", document))
+
+
+@pytest.mark.parametrize("is_scored", [True, False])
+def test_what_is_written_comes_back(tmp_path: Path, is_scored: bool) -> None:
+    boxes = {7: np.array([[1.0, 2.0, 3.5, 4.0]]), 8: np.zeros((0, 4))}
+    scores = {7: np.array([1.0 if not is_scored else 0.1]), 8: np.zeros(0)}
+    write_predictions(tmp_path / "predictions.json", Predictions(boxes, scores, is_scored))
+    found = read_predictions(tmp_path / "predictions.json")
+    assert found.is_scored == is_scored
+    for image_id in (7, 8):
+        np.testing.assert_array_equal(found.boxes_xyxy_px[image_id], boxes[image_id])
+        np.testing.assert_array_equal(found.scores[image_id], scores[image_id])
 
 
 def test_no_file(tmp_path: Path) -> None:

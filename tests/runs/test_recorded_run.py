@@ -3,43 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from foreglow.config import config_to_toml
-from foreglow.runs.frame_records import frame_record, time_record
-from foreglow.runs.recorded_run import read_run
+from foreglow.runs.folder import OutputFolder
+from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.recorded_run import read_run, source_of_run
+from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
 
-SUMMARY = {
-    "source": "images",
-    "is_complete": True,
-    "num_frames": 2,
-    "num_proposals": 4,
-    "num_accepted": 2,
-    "num_tracks": 1,
-    "num_skipped": 0,
-    "beam": None,
-    "run_time_ms": {"total": {"median": 0.25}},
-    "version": "1.0",
-    "commit": None,
-    "has_local_changes": None,
-    "processor": "one",
-}
 
-
-def write_run(folder: Path, made: list[tuple[Frame, FrameResult]], **changes: object) -> Path:
-    """As a run leaves it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "frames.jsonl").write_text("".join(json.dumps(frame_record(*one)) + "\n" for one in made))
-    (folder / "times.jsonl").write_text("".join(json.dumps(time_record(*one)) + "\n" for one in made))
-    (folder / "summary.json").write_text(json.dumps(SUMMARY | changes))
-    (folder / "config.toml").write_text(config_to_toml(REFERENCE))
-    return folder
+def write_run(path: Path, made: list[tuple[Frame, FrameResult]]) -> Path:
+    """Writes a folder as a run does."""
+    tally = Tally()
+    with OutputFolder(path) as folder:
+        for sink in folder.line_sinks():
+            for frame, result in made:
+                sink.write(frame, result)
+            sink.close()
+        for frame, result in made:
+            tally.add(frame, result)
+        folder.publish(REFERENCE, tally.summary("images", [], REFERENCE, is_complete=True, dispatch=None))
+    return path
 
 
 def made_up(number: int, sequence: str = "S00001", faults: tuple[str, ...] = ()) -> tuple[Frame, FrameResult]:
@@ -56,11 +44,14 @@ def made_up(number: int, sequence: str = "S00001", faults: tuple[str, ...] = ())
 def test_everything_comes_back(tmp_path: Path) -> None:
     made = [made_up(1, "A"), made_up(2, "A", ("camera_dark",)), made_up(3, "B")]
     run = read_run(write_run(tmp_path / "run", made))
-    assert {name: [one.frame for one in results] for name, results in run.sequences.items()} == {"A": [1, 2], "B": [3]}
-    found = [one for its in run.sequences.values() for one in its]
-    for (frame, _), result in zip(made, found, strict=True):
-        expected = frame_record(*made[frame.frame - 1])
-        assert frame_record(frame, result) == expected
+    sequences = {name: [result.frame for result in results] for name, results in run.sequences.items()}
+    assert sequences == {"A": [1, 2], "B": [3]}
+    found = [result for results in run.sequences.values() for result in results]
+    for (frame, written), result in zip(made, found, strict=True):
+        assert frame_to_line(frame, result) == frame_to_line(frame, written)
+        assert result.stage_ms == written.stage_ms
+    assert run.config == REFERENCE
+    assert (run.summary.source, run.summary.num_frames, run.summary.live) == ("images", 3, None)
 
 
 def test_a_run_without_tracks_and_beam(tmp_path: Path) -> None:
@@ -79,9 +70,24 @@ def test_what_is_no_run(tmp_path: Path) -> None:
     (tmp_path / "frames.jsonl").write_text(text.replace('"glare_free"', '"bright"'))
     with pytest.raises(ValueError, match=r"frames\.jsonl: line 1: beam\.mode"):
         read_run(tmp_path)
-    (tmp_path / "frames.jsonl").write_text(text.replace("[500, ", "[", 1))
+    (tmp_path / "frames.jsonl").write_text(text.replace("[500,", "[", 1))
     with pytest.raises(ValueError, match=r"frames\.jsonl: line 1"):
         read_run(tmp_path)
     (tmp_path / "summary.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"summary\.json"):
         read_run(tmp_path)
+
+
+def test_where_a_run_had_its_frames(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"summary\.json: no such file"):
+        source_of_run(tmp_path)
+    path = write_run(tmp_path / "run", []) / "summary.json"
+    text = path.read_text()
+    path.write_text(text.replace('"images"', f'"{tmp_path}"'))
+    assert source_of_run(path.parent) == tmp_path
+    path.write_text(text.replace('"images"', '"/nowhere/at/all"'))
+    with pytest.raises(FileNotFoundError, match=r"source: expected the run's frames, there is nothing at /nowhere"):
+        source_of_run(path.parent)
+    path.write_text(text.replace('"images"', "3"))
+    with pytest.raises(ValueError, match=r"summary\.json: source: expected a valid string"):
+        source_of_run(path.parent)

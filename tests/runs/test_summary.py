@@ -1,134 +1,65 @@
-"""Run-times and provenance."""
+"""What is written to `summary.json`, and that it is read back as it was."""
 
 from __future__ import annotations
 
 import dataclasses
-import subprocess
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from foreglow import provenance
 from foreglow.config import preset
-from foreglow.pipeline import Pipeline
-from foreglow.runs import summary
-from foreglow.runs.frame_records import frame_record
-from foreglow.types import BeamCommand, BeamMode, Ranges, TrackState
-from tests.stand_ins import night_frames, result_of, tracks_of
-
-STATES = [TrackState.CONFIRMED, TrackState.TENTATIVE]
+from foreglow.files import json_text
+from foreglow.runs.summary import FaultEvent, LiveSummary, RunSummary, read_summary
+from foreglow.runs.tally import Tally
+from foreglow.types import BeamCommand, BeamMode
+from tests.stand_ins import night_frames, result_of
 
 
-def test_run_time_of_a_hundred_values() -> None:
-    assert summary.run_time([float(k) for k in range(101)]) == {"median": 50.0, "p95": 95.0, "p99": 99.0}
+def a_summary() -> RunSummary:
+    tally = Tally()
+    commands = [BeamCommand(0, BeamMode.FULL, np.ones((2, 4))), BeamCommand.low(0, 4, "too_slow")]
+    for frame, command in zip(night_frames(2), commands, strict=True):
+        tally.add(frame, dataclasses.replace(result_of(frame, [[0, 0, 4, 4]], [0.9]), beam=command))
+    return tally.summary("here", ["a.png: broken"], preset("foreglow"), is_complete=False, dispatch="avx2")
 
 
-def test_scored_boxes_are_counted() -> None:
-    frame = night_frames(1)[0]
-    tally = summary.Tally()
-    tally.add(frame, result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1]))
-    tally.add(frame, result_of(frame, [], []))
-    counted = tally.summary("here", [], Pipeline(), is_complete=True)
-    assert (counted.num_ranged, counted.num_tracks) == (0, None)
-    assert (counted.num_frames, counted.num_proposals, counted.num_scored, counted.num_accepted) == (2, 2, 2, 1)
-    assert counted.run_time_ms["total"] == {"median": 0.25, "p95": 0.25, "p99": 0.25}
+def test_a_run_comes_back(tmp_path: Path) -> None:
+    path, summary = tmp_path / "summary.json", a_summary()
+    path.write_text(json_text(summary))
+    assert "live" not in json.loads(path.read_text())
+    found = read_summary(path)
+    assert found.live is None
+    assert json_text(found) == json_text({**json.loads(path.read_text()), "live": None})
 
 
-def test_ranges_and_tracks_are_counted() -> None:
-    frames = night_frames(2)
-    tally = summary.Tally()
-    for frame, followed in zip(frames, (tracks_of([[0, 0, 4, 4], [8, 8, 9, 9]], STATES), tracks_of([])), strict=True):
-        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1])
-        assert result.detections is not None
-        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
-        tally.add(frame, dataclasses.replace(result, ranges=ranges, tracks=followed))
-    tally.add(night_frames(1, "S00002")[0], dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]])))
-    counted = tally.summary("here", [], Pipeline(), is_complete=True)
-    assert (counted.num_ranged, counted.num_tracks) == (2, 2)  # the tentative track does not count
-    without = tally.summary("here", [], Pipeline(preset("foreglow").detector_only), is_complete=True)
-    assert without.num_ranged is None
+def test_a_live_run_comes_back(tmp_path: Path) -> None:
+    path, run = tmp_path / "summary.json", a_summary()
+    events = (FaultEvent("camera_gone", 5, 9, "cable"), FaultEvent("bus_failed", 7))
+    summary = LiveSummary(
+        run=run, num_dropped=1, num_late=2, num_unrecorded=3, sink_errors=["full"], fault_counts={"x": 2}, faults=events
+    )
+    path.write_text(json_text(summary))
+    found = read_summary(path)
+    assert json_text(found) == path.read_text()
+    assert found.live is not None
+    assert tuple(found.live.faults) == events
+    assert (found.source, found.live.num_late, found.live.fault_counts) == ("here", 2, {"x": 2})
 
 
-def test_beam_commands_are_counted() -> None:
-    frame = night_frames(1)[0]
-    bright, gaps_rad = np.ones((2, 4)), np.radians([[-3.0, -1.0], [0.0, 4.0]])
-    commands = [
-        BeamCommand(0, BeamMode.FULL, bright),
-        BeamCommand(0, BeamMode.GLARE_FREE, bright, gaps_rad, np.array([50.0, np.nan])),
-        BeamCommand.low(0, 4, "too_slow"),
-        BeamCommand.low(0, 4, "image_black", "too_slow"),
-    ]
-    tally = summary.Tally()
-    assert tally.summary("here", [], Pipeline(), is_complete=True).beam is None
-    for command in commands:
-        tally.add(frame, dataclasses.replace(result_of(frame, []), beam=command))
-    counted = tally.summary("here", [], Pipeline(), is_complete=True).beam
-    assert counted is not None
-    assert (counted.num_low, counted.num_glare_free, counted.num_full) == (2, 1, 1)
-    assert counted.mean_gap_deg == 3.0
-    assert list(counted.faults.items()) == [("too_slow", 2), ("image_black", 1)]
-
-
-def test_record_keeps_scores_exactly_and_lists_accepted_boxes() -> None:
-    frame = night_frames(1)[0]
-    score = float(np.nextafter(np.float32(0.5), np.float32(1)))
-    record = frame_record(frame, result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [score, 0.5]))
-    assert record["scores"] == [score, 0.5]
-    assert record["detections_xyxy_px"] == [[0, 0, 4, 4]]
-
-
-def test_commit_of_this_checkout() -> None:
-    commit, has_local_changes = provenance.checkout_state()
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        assert (commit, has_local_changes) == (None, None)
-        return
-    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-    assert commit == subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-
-
-def test_no_commit_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "")
-    assert provenance.checkout_state() == (None, None)
-
-
-def test_tallies_of_parts_are_that_of_the_whole() -> None:
-    rng = np.random.default_rng(3)
-    whole, first, second = summary.Tally(), summary.Tally(), summary.Tally()
-    for place, frame in enumerate([*night_frames(3, "S00001"), *night_frames(3, "S00002")]):
-        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], rng.random(2).tolist())
-        gaps_rad = np.radians([[-3.0, -1.0], [0.0, 4.0 + place]])
-        levels = np.ones((2, 4))
-        beam = (
-            BeamCommand.low(0, 4, f"fault_{place % 2}")
-            if place % 3
-            else BeamCommand(0, BeamMode.GLARE_FREE, levels, gaps_rad, np.array([50.0, np.nan]))
-        )
-        assert result.detections is not None
-        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
-        result = dataclasses.replace(
-            result, ranges=ranges, tracks=tracks_of([[0, 0, 4, 4]], ids=[place // 2]), beam=beam
-        )
-        result = dataclasses.replace(result, stage_ms={"proposals": float(rng.random())})
-        for tally in (whole, second if place >= 3 else first):
-            tally.add(frame, result)
-    joined = summary.Tally()
-    for part in (first, second):
-        joined.extend(part)
-    expected, found = (one.summary("here", [], Pipeline(), is_complete=True) for one in (whole, joined))
-    assert found == expected
-    assert found.to_json() == expected.to_json()  # also the order of faults
-    assert expected.num_tracks == 4
-
-
-def test_a_tally_of_days_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(summary, "NUM_TIMES", 10)
-    tally = summary.Tally()
-    frame = night_frames(1)[0]
-    for number in range(200):
-        result = result_of(frame, [[0, 0, 4, 4]], [0.9])
-        tally.add(frame, dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]], ids=[number // 4])))
-    assert len(tally._counted) == 1
-    assert {len(values) for values in tally._stage_ms.values()} == {10}
-    assert tally.summary("here", [], Pipeline(), is_complete=True).num_tracks == 50
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("num_frames", "2", r"num_frames: expected a valid integer, got '2'"),
+        ("beam", {"num_low": 1}, r"beam\.num_glare_free: field is missing"),
+        ("run_time_ms", {"total": {"median": "fast"}}, r"run_time_ms\.total\.median: expected a valid number"),
+        ("live", {}, r"live\.num_dropped: field is missing"),
+    ],
+)
+def test_a_broken_summary_names_the_field(tmp_path: Path, field: str, value: object, complaint: str) -> None:
+    path = tmp_path / "summary.json"
+    path.write_text(json.dumps(json.loads(json_text(a_summary())) | {field: value}))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_summary(path)
+    assert str(caught.value).startswith(str(path))

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from foreglow.config import read_config
+from foreglow.files import json_text
 from foreglow.pipeline import Pipeline
 from foreglow.runtime import OutputFolder, RunSummary, run
 from foreglow.types import Frame, FrameResult
@@ -80,7 +81,7 @@ def test_writes_one_line_a_frame(tmp_path: Path) -> None:
 def test_summary_counts_and_says_on_what(tmp_path: Path) -> None:
     returned = run_into(tmp_path, ListSource(night_frames(3), ["a.png: expected an image"]))
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary == json.loads(returned.to_json())
+    assert summary == json.loads(json_text(returned))
     lines = records(tmp_path)
     assert summary["source"] == "here"
     assert summary["num_frames"] == 3

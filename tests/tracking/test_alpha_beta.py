@@ -13,12 +13,12 @@ ALPHAS = np.array([0.5, 0.3])
 GAINS = (ALPHAS, steady_betas(ALPHAS))
 
 
-def follow(places: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def follow(positions: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values and rates after measuring `places`, shape (T, K), at `times_s`, from the first one at rest."""
-    values, rates = places[:1].copy(), np.zeros((1, places.shape[1]))
-    for place, step_s in zip(places[1:], np.diff(times_s), strict=True):
+    values, rates = positions[:1].copy(), np.zeros((1, positions.shape[1]))
+    for position, step_s in zip(positions[1:], np.diff(times_s), strict=True):
         predicted = predict(values, rates, step_s)
-        values, rates = correct(predicted, rates, place[None], np.full_like(values, step_s), GAINS)
+        values, rates = correct(predicted, rates, position[None], np.full_like(values, step_s), GAINS)
     return values, rates
 
 

@@ -36,16 +36,16 @@ def random_overlap(seed: int, shape: tuple[int, int]) -> np.ndarray:
 @given(st.integers(0, 2**32 - 1))
 def test_overlap_counts_pixels(seed: int) -> None:
     """On whole pixels, IoU is a count of pixels."""
-    ones, others = random_boxes(seed, 3), random_boxes(seed + 1, 4)
+    boxes_a, boxes_b = random_boxes(seed, 3), random_boxes(seed + 1, 4)
     filled = []
-    for boxes in (ones, others):
+    for boxes in (boxes_a, boxes_b):
         images = np.zeros((len(boxes), 50, 50), np.bool_)
         for image, (x1, y1, x2, y2) in zip(images, boxes.astype(int), strict=True):
             image[y1:y2, x1:x2] = True
         filled.append(images)
     both = (filled[0][:, None] & filled[1]).sum(axis=(2, 3))
     either = (filled[0][:, None] | filled[1]).sum(axis=(2, 3))
-    np.testing.assert_allclose(overlaps(ones, others), both / either)
+    np.testing.assert_allclose(overlaps(boxes_a, boxes_b), both / either)
 
 
 def test_growing_keeps_the_centre() -> None:
@@ -86,9 +86,9 @@ def test_greatest_gives_each_detection_its_best_track_or_none(seed: int, shape: 
     expected = np.full(shape[0], UNASSIGNED)
     for track in range(shape[0]):
         suitors = [
-            (overlap[track, one], -one)
-            for one in range(shape[1])
-            if overlap[:, one].argmax() == track and overlap[track, one] > 0.1
+            (overlap[track, detection], -detection)
+            for detection in range(shape[1])
+            if overlap[:, detection].argmax() == track and overlap[track, detection] > 0.1
         ]
         if suitors:
             expected[track] = -max(suitors)[1]

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from foreglow.config import TrackerConfig
 from foreglow.tracking.alpha_beta import moving_mean
-from foreglow.tracking.confirmation import CONFIRMATIONS, MAX_EVIDENCE, MAX_LOOK_EVIDENCE, Looks
+from foreglow.tracking.confirmation import CONFIRMATIONS, MAX_EVIDENCE, MAX_SCORE_EVIDENCE, Observations
 
 
 def history(config: TrackerConfig, scores: Sequence[float]) -> list[bool]:
     """Whether a track is plausible after each of its `scores`, NaN for a miss."""
-    return [bool(plausible) for plausible, _ in looked(config, scores)]
+    return [bool(plausible) for plausible, _ in outcomes(config, scores)]
 
 
-def looked(
+def outcomes(
     config: TrackerConfig, scores: Sequence[float], since_plausible_s: float = inf
 ) -> list[tuple[bool, np.ndarray]]:
     rule = CONFIRMATIONS[config.confirmation](config)
@@ -31,7 +31,9 @@ def looked(
         newest = np.array([score])
         num_hits = num_hits + ~np.isnan(newest)
         confidences = moving_mean(confidences, newest, config.alpha_confidence)
-        memory, plausible = rule.look(memory, Looks(newest, num_hits, confidences, plausible, since_plausible_s))
+        memory, plausible = rule.update(
+            memory, Observations(newest, num_hits, confidences, plausible, since_plausible_s)
+        )
         assert memory.shape == (1, rule.memory_size)
         assert plausible.dtype == np.bool_
         outcome.append((bool(plausible[0]), memory))
@@ -84,7 +86,7 @@ class TestEvidence:
         return TrackerConfig.model_validate({"confirmation": "evidence"} | rounded | fields)
 
     def test_sum_of_log_odds_by_hand(self) -> None:
-        outcome = looked(self.config(neutral_score=0.2, detection_probability=0.75), [0.8, nan, 0.5])
+        outcome = outcomes(self.config(neutral_score=0.2, detection_probability=0.75), [0.8, nan, 0.5])
         expected = [2 * log(4), log(4), 2 * log(4)]
         assert [memory[0, 0] for _, memory in outcome] == pytest.approx(expected)
 
@@ -98,7 +100,7 @@ class TestEvidence:
         assert history(self.config(confirm_evidence=log(4) - 1e-9), [0.8])[0]
 
     def test_evidence_against_does_not_pile_up(self) -> None:
-        assert looked(self.config(), [0.1, nan, 0.1])[-1][1][0, 0] == 0.0
+        assert outcomes(self.config(), [0.1, nan, 0.1])[-1][1][0, 0] == 0.0
         assert history(self.config(), [0.1, 0.1, 0.1, 0.9, 0.9])[-1]
 
     def test_plausible_until_nothing_is_left(self) -> None:
@@ -108,21 +110,23 @@ class TestEvidence:
         config = self.config(reject_evidence=2.0)
         assert history(config, [0.9, 0.9, 0.2, 0.5, 0.2, 0.9]) == [False, True, True, True, False, True]
 
-    def test_company_asks_for_more(self) -> None:
+    def test_a_second_track_needs_more(self) -> None:
         config = self.config(company_s=2.0)
-        alone, beside = ([one for one, _ in looked(config, [0.9] * 4, since_s)] for since_s in (2.01, 2.0))
-        assert alone == [False, True, True, True]  # 4.4 of 3
-        assert beside == [False, False, True, True]  # 6.6 of 5
+        first, second = (
+            [is_plausible for is_plausible, _ in outcomes(config, [0.9] * 4, since_s)] for since_s in (2.01, 2.0)
+        )
+        assert first == [False, True, True, True]  # 4.4 of 3
+        assert second == [False, False, True, True]  # 6.6 of 5
 
-    def test_company_undoes_nothing(self) -> None:
+    def test_a_second_track_takes_nothing_back(self) -> None:
         rule = CONFIRMATIONS["evidence"](self.config())
-        looks = Looks(np.array([0.5]), np.array([9]), np.array([0.5]), np.array([True]), 0.05)
-        assert rule.look(np.array([[3.5]]), looks)[1].tolist() == [True]
+        observed = Observations(np.array([0.5]), np.array([9]), np.array([0.5]), np.array([True]), 0.05)
+        assert rule.update(np.array([[3.5]]), observed)[1].tolist() == [True]
 
     def test_no_score_is_certain(self) -> None:
-        assert looked(self.config(), [1.0])[0][1][0, 0] == MAX_LOOK_EVIDENCE
-        assert looked(self.config(), [1.0] * 9)[-1][1][0, 0] == MAX_EVIDENCE
-        assert looked(self.config(), [1.0, 0.0, 0.0, 1.0])[-1][1][0, 0] == MAX_LOOK_EVIDENCE
+        assert outcomes(self.config(), [1.0])[0][1][0, 0] == MAX_SCORE_EVIDENCE
+        assert outcomes(self.config(), [1.0] * 9)[-1][1][0, 0] == MAX_EVIDENCE
+        assert outcomes(self.config(), [1.0, 0.0, 0.0, 1.0])[-1][1][0, 0] == MAX_SCORE_EVIDENCE
 
     @given(st.lists(st.floats(0, 1) | st.just(nan), min_size=1, max_size=12), st.floats(0, 1))
     def test_a_higher_score_never_confirms_later(self, scores: list[float], raised: float) -> None:
@@ -138,27 +142,29 @@ def test_tracks_do_not_know_of_each_other(rule: str) -> None:
     made = CONFIRMATIONS[rule](config)
     rng = np.random.default_rng(3)
     memory = rng.integers(0, 2, (6, made.memory_size)).astype(np.float64)
-    looks = Looks(
+    observed = Observations(
         np.where(rng.random(6) < 0.3, nan, rng.random(6)),
         rng.integers(1, 9, 6),
         rng.random(6),
         rng.random(6) < 0.5,
         0.5,
     )
-    together = made.look(memory, looks)
-    for one in range(6):
-        its = slice(one, one + 1)
-        alone = Looks(looks.scores[its], looks.num_hits[its], looks.confidences[its], looks.was_plausible[its], 0.5)
-        its_memory, its_plausible = made.look(memory[one : one + 1], alone)
-        np.testing.assert_array_equal(its_memory[0], together[0][one])
-        assert its_plausible[0] == together[1][one]
+    together = made.update(memory, observed)
+    for track in range(6):
+        row = slice(track, track + 1)
+        alone = Observations(
+            observed.scores[row], observed.num_hits[row], observed.confidences[row], observed.was_plausible[row], 0.5
+        )
+        own_memory, own_plausible = made.update(memory[row], alone)
+        np.testing.assert_array_equal(own_memory[0], together[0][track])
+        assert own_plausible[0] == together[1][track]
 
 
 @pytest.mark.parametrize("rule", CONFIRMATIONS)
 def test_no_tracks(rule: str) -> None:
     made = CONFIRMATIONS[rule](TrackerConfig.model_validate({"confirmation": rule}))
     none = np.zeros(0)
-    looks = Looks(none, none.astype(np.int64), none, none.astype(np.bool_), inf)
-    memory, plausible = made.look(np.zeros((0, made.memory_size)), looks)
+    observed = Observations(none, none.astype(np.int64), none, none.astype(np.bool_), inf)
+    memory, plausible = made.update(np.zeros((0, made.memory_size)), observed)
     assert memory.shape == (0, made.memory_size)
     assert plausible.shape == (0,)

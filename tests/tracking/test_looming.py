@@ -42,9 +42,9 @@ def test_the_noise_of_a_rate_is_that_of_the_filter() -> None:
 
 
 def test_two_estimates_as_one() -> None:
-    one = (np.array([60.0, np.nan, 50.0, np.nan, 70.0]), np.array([10.0, np.inf, 5.0, np.inf, np.inf]))
-    other = (np.array([90.0, 80.0, np.nan, np.nan, np.nan]), np.array([20.0, 8.0, np.inf, np.inf, np.inf]))
-    ranges_m, sigmas_m = fused(one, other)
+    first = (np.array([60.0, np.nan, 50.0, np.nan, 70.0]), np.array([10.0, np.inf, 5.0, np.inf, np.inf]))
+    second = (np.array([90.0, 80.0, np.nan, np.nan, np.nan]), np.array([20.0, 8.0, np.inf, np.inf, np.inf]))
+    ranges_m, sigmas_m = fused(first, second)
     np.testing.assert_allclose(ranges_m, [66.0, 80.0, 50.0, np.nan, 70.0])
     np.testing.assert_allclose(sigmas_m, [np.sqrt(80.0), 8.0, 5.0, np.inf, np.inf])
 

@@ -23,16 +23,16 @@ def trace() -> list[dict[str, Any]]:
     return frames
 
 
-def as_in_trace(one: PublishedObject | None) -> dict[str, Any] | None:
-    if one is None:
+def as_in_trace(obj: PublishedObject | None) -> dict[str, Any] | None:
+    if obj is None:
         return None
     return {
-        "bbox": pytest.approx(one.box, abs=1e-9),
-        "future": pytest.approx(one.future_box, abs=1e-9),
-        "p": pytest.approx(one.score, abs=1e-12),
-        "vis": one.num_hits,
-        "lost": one.num_lost,
-        "dist": pytest.approx(one.distance_m, abs=1e-9),
+        "bbox": pytest.approx(obj.box, abs=1e-9),
+        "future": pytest.approx(obj.future_box, abs=1e-9),
+        "p": pytest.approx(obj.score, abs=1e-12),
+        "vis": obj.num_hits,
+        "lost": obj.num_lost,
+        "dist": pytest.approx(obj.distance_m, abs=1e-9),
     }
 
 
@@ -49,7 +49,7 @@ def test_trace_field_by_field(trace: list[dict[str, Any]]) -> None:
     tracker = PublishedTracker(TrackerConfig())
     for frame in trace:
         follow(tracker, frame)
-        assert frame["tracks"] == [as_in_trace(one) for one in tracker.objects], frame["frame"]
+        assert frame["tracks"] == [as_in_trace(obj) for obj in tracker.objects], frame["frame"]
         assert frame["focus"] == as_in_trace(tracker.focus), frame["frame"]
 
 
@@ -60,7 +60,7 @@ def lights(*rows: tuple[float, float, float, float, float]) -> list[Sighting]:
 def test_a_score_of_a_tenth_is_used() -> None:
     tracker = PublishedTracker(TrackerConfig())
     tracker.follow(lights((10, 10, 30, 30, 0.1), (100, 10, 130, 30, 0.0999)), LIMITS_PX, 0.0)
-    assert [one.box for one in tracker.objects] == [(10, 10, 30, 30)]
+    assert [obj.box for obj in tracker.objects] == [(10, 10, 30, 30)]
 
 
 def test_copies_have_ids_of_their_own() -> None:
@@ -105,12 +105,12 @@ def test_a_lost_object_outlives_three_frames() -> None:
 def test_ranges_without_sigma_and_none_at_zero() -> None:
     tracker = PublishedTracker(TrackerConfig())
     box = (100, 100, 120, 120, 0.9)
-    for place, range_m in enumerate((50.0, 10.0)):
+    for index, range_m in enumerate((50.0, 10.0)):
         found = detections_of(box)
-        tracks = tracker.update(frame_at(place / 18), found, ranges_of(found, [range_m], [5.0]))
+        tracks = tracker.update(frame_at(index / 18), found, ranges_of(found, [range_m], [5.0]))
     assert tracks.ranges_m[0] == pytest.approx(18.0)
     assert np.isinf(tracks.sigmas_m).all()
-    for place in (2, 3):
-        tracks = tracker.update(frame_at(place / 18), detections_of(), None)
+    for index in (2, 3):
+        tracks = tracker.update(frame_at(index / 18), detections_of(), None)
     assert np.isnan(tracks.ranges_m[0])
     assert tracks.states.tolist() == [TrackState.TENTATIVE]

@@ -41,8 +41,8 @@ def run(
 ) -> list[Tracks]:
     """The tracks after each frame, of which each is its boxes with scores."""
     return [
-        tracker.update(frame_at(start_s + place * step_s), detections_of(*rows), None)
-        for place, rows in enumerate(frames)
+        tracker.update(frame_at(start_s + index * step_s), detections_of(*rows), None)
+        for index, rows in enumerate(frames)
     ]
 
 
@@ -54,11 +54,11 @@ def test_lamps_are_told_from_their_light_by_a_moving_mean() -> None:
     """A miss leaves it, what the model does not say leaves it, and the first that is known begins it."""
     tracker = paper(alpha_confidence=0.25)
     found = []
-    for place, direct in enumerate([nan, 0.5, 1.0, None, nan, 0.0]):
+    for index, direct in enumerate([nan, 0.5, 1.0, None, nan, 0.0]):
         detections = detections_of(*([] if direct is None else [LAMP]))
         if direct is not None:
             detections = dataclasses.replace(detections, direct_probabilities=np.array([direct], np.float32))
-        found += tracker.update(frame_at(place * FRAME_S), detections, None).direct_probabilities.tolist()
+        found += tracker.update(frame_at(index * FRAME_S), detections, None).direct_probabilities.tolist()
     np.testing.assert_allclose(found, [nan, 0.5, 0.625, 0.625, 0.625, 0.46875])
 
 
@@ -66,7 +66,7 @@ class TestPaper:
     def test_fifth_detection_confirms(self) -> None:
         history = run(paper(), [[LAMP]] * 6)
         assert states(history) == [[TENTATIVE]] * 4 + [[CONFIRMED]] * 2
-        assert [one.num_hits.tolist() for one in history] == [[1], [2], [3], [4], [5], [6]]
+        assert [tracks.num_hits.tolist() for tracks in history] == [[1], [2], [3], [4], [5], [6]]
 
     def test_confidence_must_exceed_a_half(self) -> None:
         assert states(run(paper(), [[moved(LAMP, score=0.5)]] * 9)) == [[TENTATIVE]] * 9
@@ -83,7 +83,7 @@ class TestPaper:
     def test_three_frames_of_occlusion(self) -> None:
         history = run(paper(), [[LAMP]] * 5 + [[]] * 4)
         assert states(history)[4:] == [[CONFIRMED], [COASTING], [COASTING], [COASTING], []]
-        assert [one.num_misses.tolist() for one in history[5:]] == [[1], [2], [3], []]
+        assert [tracks.num_misses.tolist() for tracks in history[5:]] == [[1], [2], [3], []]
         assert history[5].detections.tolist() == [-1]
 
     def test_after_three_frames_it_is_the_same_track(self) -> None:
@@ -110,9 +110,9 @@ class TestPaper:
 
     def test_range_is_filtered(self) -> None:
         tracker = paper()
-        for place, range_m in enumerate((90.0, 80.0)):
+        for index, range_m in enumerate((90.0, 80.0)):
             found = detections_of(LAMP)
-            tracks = tracker.update(frame_at(place * FRAME_S), found, ranges_of(found, [range_m], [9.0]))
+            tracks = tracker.update(frame_at(index * FRAME_S), found, ranges_of(found, [range_m], [9.0]))
         assert tracks.ranges_m[0] == pytest.approx(90 - 0.8 * 10)
         assert tracks.sigmas_m[0] >= 9.0
 
@@ -129,17 +129,17 @@ class TestPaper:
     def test_two_close_boxes_are_two_tracks(self, association: str) -> None:
         frames = [[moved(LAMP, dx=2 * k), moved(LAMP, dx=22 + 2 * k)] for k in range(8)]
         history = run(paper(association=association), frames)
-        assert [one.ids.tolist() for one in history] == [[0, 1]] * 8
-        assert [one.detections.tolist() for one in history] == [[0, 1]] * 8
+        assert [tracks.ids.tolist() for tracks in history] == [[0, 1]] * 8
+        assert [tracks.detections.tolist() for tracks in history] == [[0, 1]] * 8
 
 
 class TestTime:
     def test_half_the_frames_halve_the_misses(self) -> None:
         """At 9 frames a second, three frames of 18 are over with the second miss."""
         frames: list[Rows] = [*[[LAMP]] * 5, *[[]] * 4]
-        alive = [len(one) for one in run(ours(max_misses=3), frames, step_s=2 * FRAME_S)[5:]]
+        alive = [len(tracks) for tracks in run(ours(max_misses=3), frames, step_s=2 * FRAME_S)[5:]]
         assert alive == [1, 0, 0, 0]
-        counted = [len(one) for one in run(ours(max_misses=3, clock="frames"), frames, step_s=2 * FRAME_S)[5:]]
+        counted = [len(tracks) for tracks in run(ours(max_misses=3, clock="frames"), frames, step_s=2 * FRAME_S)[5:]]
         assert counted == [1, 1, 1, 0]
 
     def test_frames_that_come_late_do_not_end_a_track_early(self) -> None:
@@ -180,8 +180,8 @@ class TestTime:
         (*_, last) = run(tracker, [[LAMP]] * 3)
         again = tracker.update(frame_at(2 * FRAME_S), detections_of(LAMP), None)
         assert again is last
-        other = tracker.update(frame_at(2 * FRAME_S), detections_of(moved(LAMP, dx=1)), None)
-        assert other.ids.tolist() == [1]
+        changed = tracker.update(frame_at(2 * FRAME_S), detections_of(moved(LAMP, dx=1)), None)
+        assert changed.ids.tolist() == [1]
 
     def test_the_clock_of_frames_reads_no_time(self) -> None:
         tracker = paper()
@@ -194,10 +194,10 @@ class TestTime:
 class TestRanges:
     @staticmethod
     def run(tracker: AlphaBetaTracker, ranges_m: Sequence[float], sigma_m: float = 9.0) -> Tracks:
-        for place, range_m in enumerate(ranges_m):
+        for index, range_m in enumerate(ranges_m):
             found = detections_of(LAMP)
             sigmas_m = [inf if isnan(range_m) else sigma_m]
-            tracks = tracker.update(frame_at(place * FRAME_S), found, ranges_of(found, [range_m], sigmas_m))
+            tracks = tracker.update(frame_at(index * FRAME_S), found, ranges_of(found, [range_m], sigmas_m))
         return tracks
 
     def test_unknown_ranges(self) -> None:
@@ -226,9 +226,9 @@ class TestRanges:
         """The light at 40 m goes out, and another at 200 m shows at the same place."""
         for gate, expected in ((3.0, [0, 1]), (inf, [0])):
             tracker = ours(range_gate=gate)
-            for place, range_m in enumerate((40.0, 40.0, 200.0)):
+            for index, range_m in enumerate((40.0, 40.0, 200.0)):
                 found = detections_of(LAMP)
-                tracks = tracker.update(frame_at(place * FRAME_S), found, ranges_of(found, [range_m], [8.0]))
+                tracks = tracker.update(frame_at(index * FRAME_S), found, ranges_of(found, [range_m], [8.0]))
             assert tracks.ids.tolist() == expected
 
 

@@ -1,4 +1,15 @@
-"""Where tracks are, seen from the vehicle: directions, how fast they move aside, how far away they are."""
+"""Where tracks are, seen from the vehicle: azimuth, elevation, angular rate and range.
+
+Units: metres, radians, seconds; x forward, y left; azimuths to the left, elevations upwards. A box that the camera sees
+at the azimuth a and the range r, as a camera at (x, y) in the vehicle's frame, is seen from the vehicle's origin at
+
+    forward = x + r cos(a),   left = y + r sin(a),   azimuth = atan2(left, forward),   range = hypot            (1)
+
+Without a range, the camera's azimuth is taken as it is. The rate of the azimuth is an exponential moving mean over
+frames that are dt apart:
+
+    rate <- rate + 0.25 ((azimuth - azimuth before) / dt - rate)                                                (2)
+"""
 
 from __future__ import annotations
 
@@ -12,7 +23,7 @@ from foreglow.rays import RayCaster
 from foreglow.types import Frame, Tracks
 
 RATE_GAIN = 0.25
-"""Share of a new rate in the filtered one: a rate of single frames would be noise."""
+"""Weight of a new rate in the filtered one, (2); a rate from two frames alone would be noise."""
 
 
 @dataclass(slots=True)
@@ -20,14 +31,14 @@ class Bearing:
     """One track, seen from the vehicle's origin.
 
     Attributes:
-        azimuth_rad: Of the box's centre, to the left.
-        elevation_rad: Likewise, upwards.
-        half_width_rad: Of the box.
-        rate_radps: How fast it moves to the left.
-        range_m: NaN where unknown.
+        azimuth_rad: Azimuth of the box's centre.
+        elevation_rad: Elevation of the box's centre.
+        half_width_rad: Half the width of the box.
+        rate_radps: Filtered rate of the azimuth.
+        range_m: Range; NaN where unknown.
         direct: Probability that it is a lamp itself; NaN where unknown.
-        confidence: The greatest confidence that it ever had.
-        is_plausible: Whether it may be acted on.
+        confidence: The greatest confidence that the track ever had.
+        is_plausible: Whether the track may be acted on.
     """
 
     azimuth_rad: float
@@ -41,7 +52,7 @@ class Bearing:
 
 
 class Bearings:
-    """The bearings of all tracks, frame after frame, by their ids."""
+    """The bearings of all tracks by their ids, updated frame by frame."""
 
     def __init__(self) -> None:
         self._caster = RayCaster()
@@ -53,7 +64,7 @@ class Bearings:
         self._timestamp_ns = 0
 
     def update(self, frame: Frame, tracks: Tracks) -> dict[int, Bearing]:
-        """The bearings of `tracks`; the frame has a camera."""
+        """The bearings of `tracks` by their ids; the frame must have a camera."""
         assert frame.camera is not None
         step_s = (frame.timestamp_ns - self._timestamp_ns) / 1e9
         known, self._timestamp_ns, self._bearings = self._bearings, frame.timestamp_ns, {}
@@ -71,14 +82,16 @@ class Bearings:
             tracks.is_plausible.tolist(),
             strict=True,
         )
-        for one, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
-            before, rate = known.get(one), 0.0
+        for track_id, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
+            before, rate = known.get(track_id), 0.0
             azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
-                    rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)
-            self._bearings[one] = Bearing(azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible)
+                    rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)  # (2)
+            self._bearings[track_id] = Bearing(
+                azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible
+            )
         return self._bearings
 
     def _directions(self, camera: Camera, tracks: Tracks) -> tuple[list[float], list[float], list[float]]:
@@ -95,7 +108,7 @@ class Bearings:
 
 
 def _from_origin(camera: Camera, azimuth_rad: float, range_m: float) -> tuple[float, float]:
-    """Azimuth and range from the vehicle's origin of what the camera sees; as they are where the range is unknown."""
+    """Azimuth and range from the vehicle's origin, by (1); unchanged where the range is unknown."""
     if math.isnan(range_m):
         return azimuth_rad, range_m
     x, y, _ = camera.vehicle_from_camera.position_m.tolist()

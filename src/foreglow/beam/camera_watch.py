@@ -45,13 +45,13 @@ NUM_FRESH = 3
 NUM_RELEASED = 5
 """After so many images with more change than refinement, what is usual is learnt anew: the scene has become calmer."""
 
-NEW_EDGES_SHARE, EDGE_RATIO = 0.006, 1.5
-"""More new edges on the encoder's grid than this are damage: in intact video there are at most .0056 of its squares."""
+NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
+"""More new edges on the encoder's grid than this are damage; both have to be exceeded."""
 
-REPEATED_SHARE = 0.03
+REPEATED_SHARE = 0.4
 """So many more repeated rows than usual are damage."""
 
-ONE_VALUE_SHARE = 0.08
+ONE_VALUE_SHARE = 0.05
 """So many more samples than usual of one and the same value, and not a dark one, are damage: what a decoder fills in."""
 
 STUCK_SHARE = 0.5
@@ -82,7 +82,7 @@ class CameraWatch:
         self._stillness.reset()
         self._damage.reset()
 
-    def check(
+    def faults(
         self, image: Image, timestamp_ns: int = 0, *, is_moving: bool | None = None, is_damaged: bool = False
     ) -> list[GuardFault]:
         """What is wrong with the next image.
@@ -170,7 +170,7 @@ class _Damage:
         repeated, one_value = share_of_repeated_rows(image), _share_of_one_value(sample)
         is_new = _rose(repeated, self._repeated, REPEATED_SHARE) or _rose(one_value, self._one_value, ONE_VALUE_SHARE)
         if change is not None:
-            is_new |= change.share_new_edges > NEW_EDGES_SHARE and change.edge_ratio > EDGE_RATIO
+            is_new |= change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
             is_new |= self._has_stuck_part(change)
             self._bands.append(change.bands)
         self._repeated.append(repeated)

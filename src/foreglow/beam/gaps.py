@@ -1,4 +1,4 @@
-"""Dark gaps in the beam: intervals of azimuth in the vehicle's frame, each with how far away what it is for may be."""
+"""Dark gaps in the beam: intervals of azimuth in the vehicle's frame, each for something within a span of ranges."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ class Gap(NamedTuple):
     Attributes:
         right_rad: Right border, azimuth to the left in the vehicle's frame.
         left_rad: Left border.
-        near_m: Nearest range of what it is for, from the vehicle's origin; infinite where only the direction is known.
-        far_m: Farthest.
+        near_m: Nearest range at which the protected vehicle may be, from the vehicle's origin; infinite where only the
+            direction is known.
+        far_m: Farthest range at which it may be.
     """
 
     right_rad: float
@@ -22,7 +23,7 @@ class Gap(NamedTuple):
 
 
 def merged(gaps: list[Gap]) -> list[Gap]:
-    """The same darkness in gaps that are apart, from right to left.
+    """Separate gaps that cover the given ones, from right to left.
 
     >>> merged([Gap(0.1, 0.3, 50, 60), Gap(0.2, 0.4, 30, 70), Gap(-0.2, -0.1, 90, 90)])[1]
     Gap(right_rad=0.1, left_rad=0.4, near_m=30, far_m=70)

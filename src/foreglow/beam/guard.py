@@ -1,7 +1,23 @@
-"""An independent check of every beam command: what it lets through keeps the invariants, whatever a policy wants.
+"""An independent check of every beam command: what passes keeps the invariants, whatever a policy wants.
 
-It knows no policy. From the command, the tracks, the frame and the time alone it dims what shines at vehicles, lets
-light return slowly, and commands low beam where anything is wrong. `docs/guard.md` has the invariants.
+It knows no policy. From the command, the tracks, the frame and the time alone, it dims the LEDs that shine at vehicles,
+lets light return slowly, and commands low beam when anything is wrong. `docs/guard.md` has the invariants.
+
+Units: seconds, radians, candela. Levels of the LEDs lie in [0, 1]. They rise at most linearly over time,
+
+    level <- min(wanted, level + dt / brightening_s)                                                            (1)
+
+For each protected vehicle and lamp, with the upper bound B_i on what LED i shines towards it at level 1 (`led_bounds`)
+and the limit I for its range, all LEDs together may shine no more than I. Those that shine most are capped at c:
+
+    sum over i of min(level_i B_i, c) <= I                                                                      (2)
+
+With the LEDs sorted by level_i B_i and S_j the sum of the j faintest of L, the cap is the greatest of
+
+    c_j = (I - S_j) / (L - j),   j = 0 .. L - 1                                                                 (3)
+
+because the right j fulfils (2) as an equation, and any other j would leave more light than that, hence a smaller c.
+An LED is then dimmed to the level c / B_i, if that is lower.
 """
 
 from __future__ import annotations
@@ -22,13 +38,13 @@ from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 
 
 class Guard:
-    """Checks one command after another: doubt is low beam."""
+    """Checks one command after another; when in doubt, it commands low beam."""
 
     def __init__(self, config: GuardConfig, lamps: Lamps) -> None:
-        """Takes the limits, and where the lamps are and what their LEDs shine.
+        """A guard with the limits of `config` for the given lamps.
 
         Raises:
-            ValueError: If an LED shines beyond the directions that the guard knows.
+            ValueError: If an LED shines beyond the directions of `led_bounds`.
         """
         self._config = config
         self._bounds = led_bounds(lamps)
@@ -39,7 +55,7 @@ class Guard:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was before, as at the start of a sequence: begins with low beam."""
+        """Forgets earlier frames, as at the start of a sequence: begins with low beam."""
         self._levels = np.zeros((2, self._bounds.num_leds))
         self._frame_ns: int | None = None
         self._time_ns: int | None = None
@@ -57,21 +73,21 @@ class Guard:
         pipeline_faults: Sequence[str] = (),
         is_vehicle: NDArray[np.bool_] | None = None,
     ) -> BeamCommand:
-        """What may be shone.
+        """The command that may be carried out.
 
         Args:
-            wanted: What a policy made of the frame.
+            wanted: The policy's command for the frame.
             tracks: The frame's tracks; None is a fault.
-            frame: The frame; its image, time, camera and motion are looked at.
-            time_ns: The time now, by the frames' clock; None off line, where no time passes.
-            pipeline_faults: What the pipeline says is wrong with it; any of it means low beam.
-            is_vehicle: Shape (M,), which tracks are of a vehicle's lamps; None for all. Only plausible ones count.
+            frame: The frame; its image, time, camera and motion are checked.
+            time_ns: The time now, by the frames' clock; None offline, where no time passes.
+            pipeline_faults: Faults that the pipeline reports; any of them means low beam.
+            is_vehicle: Shape (M,), which tracks are a vehicle's lamps; None for all. Only plausible tracks count.
 
         Raises:
-            ValueError: If the camera's distortion cannot be undone; nothing else is an error here.
+            ValueError: If the camera's distortion cannot be undone; nothing else raises.
         """
         elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
-        faults += self._watch.check(
+        faults += self._watch.faults(
             frame.image, frame.timestamp_ns, is_moving=self._is_moving(frame), is_damaged=frame.is_damaged
         )
         faults += self._motion_faults(frame)
@@ -81,7 +97,7 @@ class Guard:
             self._levels = np.zeros_like(self._levels)
             names = (*pipeline_faults, *(str(fault) for fault in faults))
             return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)
-        levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)
+        levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)  # (1)
         gaps_rad, gap_ranges_m, mode = wanted.gaps_rad, wanted.gap_ranges_m, wanted.mode
         is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
         if is_protected.any():
@@ -100,7 +116,7 @@ class Guard:
         return BeamCommand(frame.timestamp_ns, mode, levels, gaps_rad, gap_ranges_m)
 
     def _clock_faults(self, frame_ns: int, time_ns: int) -> tuple[float, list[GuardFault]]:
-        """Time since the frame before, 0 for the first, and what is wrong with the times."""
+        """Time since the previous frame, 0 for the first, and what is wrong with the times."""
         elapsed_s = 0.0 if self._frame_ns is None else (frame_ns - self._frame_ns) / 1e9
         is_first, has_gone_back = self._frame_ns is None, self._time_ns is not None and time_ns < self._time_ns
         self._frame_ns, self._time_ns = frame_ns, time_ns
@@ -116,7 +132,7 @@ class Guard:
         return elapsed_s, faults
 
     def _is_moving(self, frame: Frame) -> bool | None:
-        """Whether we move fast enough for every image to change; None where the speed is not known."""
+        """Whether the vehicle is fast enough for every image to change; None where its speed is not known."""
         speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
         return None if math.isnan(speed_mps) else speed_mps >= self._config.low_below_mps
 
@@ -140,7 +156,7 @@ class Guard:
             is_right = is_right and is_vehicle.shape == (len(tracks),) and is_vehicle.dtype == np.bool_
         faults = [] if is_right else [GuardFault.BAD_TRACKS]
         ages_s = dict(zip(tracks.ids.tolist(), tracks.ages_s.tolist(), strict=True))
-        if elapsed_s > 0 and any(age_s <= self._ages_s.get(one, -math.inf) for one, age_s in ages_s.items()):
+        if elapsed_s > 0 and any(age_s <= self._ages_s.get(track_id, -math.inf) for track_id, age_s in ages_s.items()):
             faults.append(GuardFault.STALE_TRACKS)
         self._ages_s = ages_s
         return faults
@@ -158,15 +174,14 @@ class Guard:
 
 
 def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) -> Floats:
-    """Levels at most as given, with which neither lamp shines more than the limit in any of the spans.
+    """The levels, lowered by (2) and (3) so that neither lamp shines more than the limit in any of the spans.
 
-    In each span and lamp the LEDs that shine most there are dimmed to one intensity, so that the sum is the limit;
-    those that only touch it stay as they are.
+    In each span, the LEDs that shine most into it are dimmed to the same intensity; the fainter ones stay as they are.
 
     Args:
         levels: Shape (2, L).
-        bounds_cd: Shape (M, 2, L), what each LED shines in each span at level 1, at most.
-        limits_cd: Shape (M,), for the sum over the LEDs of either lamp.
+        bounds_cd: Shape (M, 2, L), upper bound of what each LED shines into each span at level 1.
+        limits_cd: Shape (M,), for the sum over the LEDs of one lamp.
 
     >>> levels = dimmed(np.ones((2, 3)), np.array([[[900.0, 100.0, 0.0], [80.0, 0.0, 0.0]]]), np.array([300.0]))
     >>> np.round(levels * [900.0, 100.0, 1.0])
@@ -177,19 +192,17 @@ def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) ->
     if not (np.add.reduce(shining_cd, axis=-1) > limits_cd[:, np.newaxis]).any():
         return levels
     shining_cd.sort(axis=-1)
-    # With the j faintest as they are and the others at c, the sum is limit = sum_j + (L - j) c. The right c is the
-    # greatest over j: with a wrong j, more shines than with the right one, so that c has to be less.
-    fainter_cd = np.add.accumulate(shining_cd, axis=-1) - shining_cd
-    num_brighter = np.arange(shining_cd.shape[-1], 0, -1)
-    caps_cd = np.maximum.reduce((limits_cd[:, np.newaxis, np.newaxis] - fainter_cd) / num_brighter, axis=-1)
+    fainter_cd = np.add.accumulate(shining_cd, axis=-1) - shining_cd  # S_j
+    num_brighter = np.arange(shining_cd.shape[-1], 0, -1)  # L - j
+    caps_cd = np.maximum.reduce((limits_cd[:, np.newaxis, np.newaxis] - fainter_cd) / num_brighter, axis=-1)  # (3)
     allowed = caps_cd[..., np.newaxis] / np.maximum(bounds_cd, caps_cd[..., np.newaxis])
     return np.minimum(levels, np.minimum.reduce(allowed, axis=0))
 
 
 def united(gaps_rad: Floats, ranges_m: Floats) -> tuple[Floats, Floats]:
-    """Gaps, shape (G, 2), from right to left and apart, that cover the given ones, each with its nearest range.
+    """Separate gaps that cover the given ones, shape (G, 2), from right to left, and the nearest range of each.
 
-    A range is NaN, unknown, where one of them is.
+    A range is NaN, for unknown, where that of any covered gap is.
 
     >>> united(np.array([[0.3, 0.4], [0.0, 0.1], [0.05, 0.2]]), np.array([90.0, 50.0, 70.0]))
     (array([[0. , 0.2],

@@ -8,6 +8,7 @@ are counted on means and lines of the image, never on all of its pixels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -42,14 +43,14 @@ class ImageChange:
         share_changed: Share of the samples that are not the same as before.
         share_new_edges: Edges of the encoder's grid that stand out in the change, less those of a grid shifted by half
             a square, over the number of squares. Negative by chance.
-        edge_ratio: The first of these numbers over the second; five are added to both.
+        edge_deviations: The same difference in standard deviations of what chance makes of it (Poisson's).
     """
 
     strongest: float
     bands: NDArray[np.float64]
     share_changed: float
     share_new_edges: float
-    edge_ratio: float
+    edge_deviations: float
 
 
 class ImageComparer:
@@ -81,7 +82,7 @@ class ImageComparer:
             bands=np.array(bands + [0.0] * (NUM_BANDS - len(bands))),
             share_changed=float(np.count_nonzero(digest.samples != before.samples)) / digest.samples.size,
             share_new_edges=(num_on - num_off) / num_squares,
-            edge_ratio=(num_on + 5) / (num_off + 5),
+            edge_deviations=(num_on - num_off) / math.sqrt(max(1, num_on + num_off)),
         )
 
 
@@ -145,24 +146,23 @@ def _levels(image: Image) -> float:
 
 
 def _lines(image: Image, first_px: int) -> tuple[tuple[Image, Image], ...]:
-    """Pixels before and behind each second line of a grid, every second of them, as rows: shape (lines, pixels)."""
-    rows = slice(first_px - 1, image.shape[0] - 1, 2 * GRID_PX), slice(first_px, image.shape[0], 2 * GRID_PX)
-    columns = slice(first_px - 1, image.shape[1] - 1, 2 * GRID_PX), slice(first_px, image.shape[1], 2 * GRID_PX)
+    """Pixels before and behind the lines of a grid, as rows: shape (lines, pixels); horizontal lines, vertical ones."""
+    rows = slice(first_px - 1, image.shape[0] - 1, GRID_PX), slice(first_px, image.shape[0], GRID_PX)
+    columns = slice(first_px - 1, image.shape[1] - 1, GRID_PX), slice(first_px, image.shape[1], GRID_PX)
     return (
-        (image[rows[0], ::2].copy(), image[rows[1], ::2].copy()),
-        (image[::2, columns[0]].T.copy(), image[::2, columns[1]].T.copy()),
+        (image[rows[0]].copy(), image[rows[1]].copy()),
+        (image[:, columns[0]].T.copy(), image[:, columns[1]].T.copy()),
     )
 
 
 def _num_edges(now: tuple[Image, Image], then: tuple[Image, Image], levels: float) -> int:
-    """Edges of squares, four times those that are looked at, across which the change differs by `EDGE_LEVELS`."""
-    length = GRID_PX // 2
-    num = now[0].shape[1] // length
+    """Edges of squares across which the change differs by `EDGE_LEVELS`, in the mean along the edge."""
+    num = now[0].shape[1] // GRID_PX
     if not now[0].size or not num:
         return 0
-    jumps = now[1].astype(np.int32)
-    jumps -= now[0]
-    jumps -= then[1]
-    jumps += then[0]
-    sums = jumps[:, : num * length].reshape(len(jumps), num, length).sum(axis=2)
-    return 2 * int(np.count_nonzero(np.abs(sums) > EDGE_LEVELS * length / levels))
+    sums = [
+        line[:, : num * GRID_PX].reshape(len(line), num, GRID_PX).sum(axis=2, dtype=np.int32)
+        for line in (now[1], now[0], then[1], then[0])
+    ]
+    jumps = (sums[0] - sums[1]) - (sums[2] - sums[3])
+    return int(np.count_nonzero(np.abs(jumps) > EDGE_LEVELS * GRID_PX / levels))

@@ -1,4 +1,21 @@
-"""How much each LED shines, at most, anywhere in a span of directions."""
+"""Upper bounds on what each LED shines anywhere within a span of directions: a pyramid of maxima.
+
+Units: degrees inside, radians in the interface, candela at level 1; azimuth to the left, elevation upwards, in the
+vehicle's frame. For a lamp and an LED, I(e, a) is its intensity on a grid of directions 0.2 degrees apart. The table of
+level 0 bounds each cell of the grid by its corners; every further level has cells twice as large:
+
+    T0[i, j] = max(I[i, j], I[i, j + 1], I[i + 1, j], I[i + 1, j + 1])                                          (1)
+    Tn[i, j] = max(T(n-1)[2i, 2j], T(n-1)[2i, 2j + 1], T(n-1)[2i + 1, 2j], T(n-1)[2i + 1, 2j + 1])              (2)
+
+The bound over a span of azimuths and elevations is the maximum of all cells that it touches, on the finest level n on
+which it touches at most 8 cells along either axis:
+
+    B = max of Tn[i, j] over e1 >> n <= i <= e2 >> n, a1 >> n <= j <= a2 >> n                                   (3)
+
+with the cells e1 .. e2 and a1 .. a2 that the span touches on level 0. So the span is enlarged by less than a cell to
+each side, and the cost does not grow with it. (1) holds for light that is bilinear between directions of the grid; a
+peak that is narrower than 0.2 degrees could exceed it.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +30,29 @@ from foreglow.geometry import Floats, Pose
 STEP_DEG = 0.2
 AZIMUTHS_DEG = np.arange(-45.0, 45.0 + STEP_DEG / 2, STEP_DEG)
 ELEVATIONS_DEG = np.arange(-10.0, 15.0 + STEP_DEG / 2, STEP_DEG)
-"""The LEDs have to shine within these; a spread of light above the low beam is smaller."""
+"""The grid. LEDs must not shine beyond it; the matrix light of headlamps is narrower."""
 
 DARK_CD = 1.0
-"""Less than this at the edges of the grid is taken as nothing."""
+"""An LED may shine so much at the edges of the grid: it counts as nothing."""
 
 MAX_NUM_CELLS = 8
-"""Along each axis; a larger span is looked up in larger cells."""
+"""Greatest number of cells along each axis in (3)."""
 
 NUM_LEVELS = 7
-"""Of the table, each with cells twice as large as the one before."""
+"""Levels of the pyramid."""
 
 
 class Lamp(Protocol):
-    """Where a lamp is."""
+    """A lamp with its pose."""
 
     @property
     def vehicle_from_lamp(self) -> Pose:
-        """Its place and aim."""
+        """Position and aim."""
         ...
 
 
 class Lamps(Protocol):
-    """The two lamps, as far as the guard has to know them."""
+    """What the guard needs to know of the two lamps."""
 
     @property
     def left(self) -> Lamp:
@@ -50,25 +67,25 @@ class Lamps(Protocol):
     def __hash__(self) -> int: ...
 
     def intensities_cd(self, directions: Floats, /) -> tuple[Floats, Floats]:
-        """Towards directions in the vehicle's frame, shape (P, 3): low beam (P, 2), and LEDs at level 1 (P, 2, L)."""
+        """Intensities towards directions in the vehicle's frame, shape (P, 3).
+
+        Of the low beam, shape (P, 2), and of the LEDs at level 1, shape (P, 2, L).
+        """
         ...
 
 
 class LedBounds:
     """Upper bounds of the LEDs' intensities over spans of azimuth and elevation.
 
-    A table of directions is made once; a cell holds the greatest of its four corners. A span is bounded by the cells
-    that it touches, at most 8 x 8 of them: so it is grown by up to a cell to either side.
-
     Attributes:
         num_leds: LEDs of each lamp.
     """
 
     def __init__(self, lamps: Lamps) -> None:
-        """Makes the table.
+        """Makes the tables.
 
         Raises:
-            ValueError: If an LED shines beyond its directions.
+            ValueError: If an LED shines beyond the grid.
         """
         corners = np.stack([_row(lamps, elevation_deg) for elevation_deg in ELEVATIONS_DEG])  # (E, A, 2, L)
         edges = (corners[0], corners[-1], corners[:, 0], corners[:, -1])
@@ -88,21 +105,22 @@ class LedBounds:
         table = self._tables[0]
         first = np.array([AZIMUTHS_DEG[0], AZIMUTHS_DEG[0], ELEVATIONS_DEG[0], ELEVATIONS_DEG[0]])
         last = np.array([table.shape[1], table.shape[1], table.shape[0], table.shape[0]]) - 1
-        places = np.floor((np.degrees(spans_rad) - first) / STEP_DEG)
-        cells = np.minimum(np.maximum(places, 0), last).astype(np.intp).tolist()
-        for number, spans in enumerate(cells):
+        steps = np.floor((np.degrees(spans_rad) - first) / STEP_DEG)
+        cells = np.minimum(np.maximum(steps, 0), last).astype(np.intp).tolist()
+        for index, spans in enumerate(cells):
             for lamp, (a1, a2, e1, e2) in enumerate(spans):
                 level = 0
                 while max((a2 >> level) - (a1 >> level), (e2 >> level) - (e1 >> level)) >= MAX_NUM_CELLS:
                     level += 1
                 rows, columns = slice(e1 >> level, (e2 >> level) + 1), slice(a1 >> level, (a2 >> level) + 1)
-                np.maximum.reduce(self._tables[level][rows, columns, lamp], axis=(0, 1), out=bounds[number, lamp])
+                table = self._tables[level][rows, columns, lamp]
+                np.maximum.reduce(table, axis=(0, 1), out=bounds[index, lamp])  # (3)
         return bounds
 
 
 @lru_cache(maxsize=4)
 def led_bounds(lamps: Lamps) -> LedBounds:
-    """The bounds of `lamps`, made once: guards of the same lamps share them."""
+    """The bounds of `lamps`; guards of the same lamps share them."""
     return LedBounds(lamps)
 
 
@@ -117,12 +135,12 @@ def _row(lamps: Lamps, elevation_deg: float) -> NDArray[np.float32]:
 
 
 def _greatest_of_four(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of neighbours along the first two axes."""
+    """Equation (1): the maxima of neighbours along the first two axes."""
     rows = np.maximum(table[1:], table[:-1])
     return np.maximum(rows[:, 1:], rows[:, :-1])
 
 
 def _halved(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The greatest of 2 x 2 cells along the first two axes; the last ones may stand alone."""
+    """Equation (2): the maxima of 2 x 2 cells along the first two axes; at the end there may be fewer."""
     rows = np.maximum.reduceat(table, np.arange(0, table.shape[0], 2), axis=0)
     return np.maximum.reduceat(rows, np.arange(0, table.shape[1], 2), axis=1)

@@ -1,8 +1,8 @@
-"""A `BeamCommand` as CAN FD frames, and back; `docs/beam_can.md` has the layout, `foreglow_beam.dbc` says it to tools.
+"""A `BeamCommand` as CAN FD frames, and back; `docs/beam_can.md` has the layout, `foreglow_beam.dbc` is for tools.
 
-Four frames tell the level of each LED, one tells cars that take borders where the dark gaps are. All frames of a
-command carry the same counter and time. Each is protected as by AUTOSAR E2E profile 5: CRC, counter and data id. What
-does not fit the steps of a message is rounded so that it is never brighter.
+Four frames carry the level of each LED; a fifth carries the dark gaps, for cars whose lamps take borders instead. All
+frames of a command have the same counter and time. Each is protected as in AUTOSAR E2E profile 5: CRC, counter and data
+id. Values are rounded to the steps of the message so that the light is never brighter.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from foreglow.types import BeamCommand, BeamMode
 OWN_DBC = Path(__file__).with_name("foreglow_beam.dbc")
 
 LEVELS_IDS = (0x3B0, 0x3B1, 0x3B2, 0x3B3)
-"""LEDs 0 to 41 and 42 to 83 of the left lamp, then those of the right one."""
+"""Identifiers of the levels: LEDs 0 to 41 and 42 to 83 of the left lamp, then those of the right lamp."""
 
 GAPS_ID = 0x3B4
 
@@ -66,34 +66,34 @@ class CanFrame(NamedTuple):
 
 
 class LinkFault(StrEnum):
-    """What may go wrong between us and the lamps."""
+    """What may go wrong between the beam controller and the lamps."""
 
     LENGTH = "length"
-    """A frame of another length than its kind has."""
+    """A frame has the wrong length for its identifier."""
     CRC = "crc"
-    """A frame that was changed on its way, or was meant for another id."""
+    """A frame was changed on its way, or was meant for another identifier."""
     CONTENT = "content"
-    """A frame that says what no command says."""
+    """A frame holds values that no command has."""
     TORN = "torn"
-    """Frames of different commands, or not all of one."""
+    """The frames belong to different commands, or some of a command are missing."""
     LOST = "lost"
     """Commands are missing."""
     REPEATED = "repeated"
-    """The same command again."""
+    """The same command came again."""
     DISORDER = "disorder"
-    """An older command after a newer one."""
+    """An older command came after a newer one."""
     STALE = "stale"
-    """A new command that follows from no newer image."""
+    """A new command follows from an image that is not newer."""
     LATE = "late"
-    """A command that follows from too old an image."""
+    """A command follows from an image that is too old."""
     TIMEOUT = "timeout"
-    """No valid and fresh command in time."""
+    """No valid and fresh command came in time."""
     SENDER = "sender"
-    """The sender itself has commanded low beam for a fault."""
+    """The sender itself commands low beam because of a fault."""
 
 
 class MessageError(ValueError):
-    """A frame, or a set of frames, that is not to be used.
+    """A frame, or a set of frames, that must not be used.
 
     Attributes:
         fault: What is wrong.
@@ -105,13 +105,13 @@ class MessageError(ValueError):
 
 
 class Header(NamedTuple):
-    """What all frames of a command have in common.
+    """The header that all frames of a command share.
 
     Attributes:
-        counter: 0..255, one more with each command.
+        counter: 0..255, increased with each command.
         time_ms: Time of exposure of the image, whole milliseconds modulo 65,536.
         mode: Low beam, glare-free or full high beam.
-        has_faults: Whether the sender commands low beam for a fault.
+        has_faults: Whether the sender commands low beam because of a fault.
     """
 
     counter: int
@@ -121,16 +121,16 @@ class Header(NamedTuple):
 
 
 class LevelsPart(NamedTuple):
-    """What one of the four frames with levels says.
+    """The content of one of the four frames with levels.
 
     Attributes:
-        header: What it has in common with the others.
-        place: 0..3, which of the four it is.
-        codes: A byte an LED; 255 is full.
+        header: The same in all frames of a command.
+        index: 0..3, which of the four frames it is.
+        codes: One byte for each LED; 255 is full.
     """
 
     header: Header
-    place: int
+    index: int
     codes: bytes
 
 
@@ -149,14 +149,14 @@ class LevelsMessage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapsMessage:
-    """A command for cars that take borders.
+    """A command for cars whose lamps take the borders of gaps.
 
     Attributes:
         header: Its counter, time and mode.
         gaps_rad: Shape (G, 2), G <= 4, right and left border in steps of 0.04 degrees; 20.4 degrees stands for that
-            and all beyond.
+            angle and any beyond.
         gap_ranges_m: Shape (G,), in steps of 2 m, at most 1018; NaN where unknown.
-        ramp_s: How long the lamps shall take to brighten, in steps of 0.2 s.
+        ramp_s: Time that the lamps shall take to brighten, in steps of 0.2 s.
     """
 
     header: Header
@@ -168,7 +168,7 @@ class GapsMessage:
 def crc(frame_id: int, content: bytes) -> int:
     """The CRC of a frame whose bytes after the CRC are `content`: CRC-16/CCITT-FALSE over them and the identifier.
 
-    As by AUTOSAR E2E profile 5, with the identifier as data id: low byte first, after the content, and not sent.
+    As in AUTOSAR E2E profile 5, with the identifier as data id: low byte first, after the content, and not sent.
 
     >>> hex(crc(0x1234, bytes(6)))  # the profile's own example
     '0xca1c'
@@ -177,25 +177,25 @@ def crc(frame_id: int, content: bytes) -> int:
 
 
 class CommandEncoder:
-    """Makes the frames of one command after another, with a counter that goes on.
+    """Makes the frames of one command after another, counting the commands.
 
     Attributes:
-        counter: That of the next command.
+        counter: Counter of the next command.
     """
 
     def __init__(self, ramp_s: float = 0.0, *, has_levels: bool = True) -> None:
         """An encoder whose counter begins at 0.
 
         Args:
-            ramp_s: How long lamps of cars that take borders shall take to brighten; at most 3 s.
-            has_levels: False leaves out the levels: for cars that take borders alone, with lamps of any kind.
+            ramp_s: Brightening time for lamps that take the borders of gaps; at most 3 s.
+            has_levels: False leaves out the levels, for cars that only take borders, with lamps of any kind.
         """
         self.counter = 0
         self._ramp_s = ramp_s
         self._has_levels = has_levels
 
     def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
-        """The four frames with the levels, if they are wanted, then the one with the gaps.
+        """The four frames with the levels, if wanted, then the frame with the gaps.
 
         Raises:
             ValueError: As `encode_levels` and `encode_gaps`.
@@ -210,23 +210,23 @@ def encode_levels(command: BeamCommand, counter: int) -> tuple[CanFrame, ...]:
     """The command's levels as four frames of 48 bytes; each level is rounded down to a step of 1/255.
 
     Raises:
-        ValueError: If the command is not for 84 LEDs a lamp, or the counter is outside 0..255.
+        ValueError: If the command is not for 84 LEDs per lamp, or the counter is outside 0..255.
     """
     if command.levels.shape[1] != NUM_LEDS:
         raise ValueError(f"BeamCommand.levels: expected {NUM_LEDS} LEDs a lamp, got {command.levels.shape[1]}")
     codes = (LEVELS.searchsorted(command.levels.ravel(), side="right") - 1).astype(np.uint8).tobytes()
     header = _packed_header(command, counter)
     return tuple(
-        _protected(frame_id, header + codes[place * NUM_LEDS_A_FRAME : (place + 1) * NUM_LEDS_A_FRAME])
-        for place, frame_id in enumerate(LEVELS_IDS)
+        _protected(frame_id, header + codes[index * NUM_LEDS_A_FRAME : (index + 1) * NUM_LEDS_A_FRAME])
+        for index, frame_id in enumerate(LEVELS_IDS)
     )
 
 
 def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = 0.0) -> CanFrame:
     """The command's gaps as one frame of 24 bytes.
 
-    Borders are rounded outwards, ranges nearer, the ramp longer. Gaps that then touch become one, and of more than four
-    those with the least light between them: with the nearer range, unknown where one is.
+    Borders are rounded outwards, ranges down, the ramp up. Gaps that touch are joined, and so are those with the least
+    light between them while there are more than four. A joined gap has the nearer range, unknown if either is.
 
     Raises:
         ValueError: If the ramp is not within 0 to 3 s, or the counter is outside 0..255.
@@ -242,10 +242,10 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = 0.0) -> CanF
 
 
 def decode_part(frame_id: int, data: bytes) -> LevelsPart:
-    """What one of the four frames with levels says.
+    """The content of one of the four frames with levels.
 
     Raises:
-        MessageError: If it is broken, or is no such frame.
+        MessageError: If the frame is broken, or has another identifier.
     """
     if frame_id not in LEVELS_IDS:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected one of levels, 0x3B0 to 0x3B3")
@@ -258,23 +258,23 @@ def decode_part(frame_id: int, data: bytes) -> LevelsPart:
 
 
 def decode_levels(frames: Iterable[CanFrame]) -> LevelsMessage:
-    """The levels that four frames say, in any order.
+    """The levels in four frames, given in any order.
 
     Raises:
-        MessageError: If one is broken or missing, or they are of different commands.
+        MessageError: If a frame is broken or missing, or they belong to different commands.
     """
     return join_levels([decode_part(*frame) for frame in frames])
 
 
 def join_levels(parts: Iterable[LevelsPart]) -> LevelsMessage:
-    """The levels that the four parts of a command say, in any order.
+    """The levels in the four parts of a command, given in any order.
 
     Raises:
-        MessageError: If one is missing or there twice, or they are of different commands.
+        MessageError: If a part is missing or there twice, or they belong to different commands.
     """
-    ordered = sorted(parts, key=lambda part: part.place)
-    if [part.place for part in ordered] != list(range(len(LEVELS_IDS))):
-        raise MessageError(LinkFault.TORN, f"levels: expected parts 0 to 3, got {[part.place for part in ordered]}")
+    ordered = sorted(parts, key=lambda part: part.index)
+    if [part.index for part in ordered] != list(range(len(LEVELS_IDS))):
+        raise MessageError(LinkFault.TORN, f"levels: expected parts 0 to 3, got {[part.index for part in ordered]}")
     if len({part.header for part in ordered}) > 1:
         raise MessageError(LinkFault.TORN, "levels: expected parts of one command, got several")
     codes = np.frombuffer(b"".join(part.codes for part in ordered), np.uint8)
@@ -282,10 +282,10 @@ def join_levels(parts: Iterable[LevelsPart]) -> LevelsMessage:
 
 
 def decode_gaps(frame_id: int, data: bytes) -> GapsMessage:
-    """What the frame with gaps says.
+    """The gaps in the frame with gaps.
 
     Raises:
-        MessageError: If it is broken, or is no such frame.
+        MessageError: If the frame is broken, or has another identifier.
     """
     if frame_id != GAPS_ID:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected that of gaps, 0x{GAPS_ID:X}")
@@ -317,7 +317,7 @@ def _packed_header(command: BeamCommand, counter: int, num_gaps: int = 0) -> byt
 
 
 def time_ms(timestamp_ns: int) -> int:
-    """A time as the messages tell it.
+    """A time as the messages carry it.
 
     >>> time_ms(65_537_999_999)
     1
@@ -326,12 +326,12 @@ def time_ms(timestamp_ns: int) -> int:
 
 
 def _header(frame_id: int, content: bytes) -> tuple[Header, int]:
-    """The header, and the number of gaps beside it."""
-    counter, flags, told_ms = _HEADER.unpack_from(content)
+    """The header, and the number of gaps next to it."""
+    counter, flags, exposed_ms = _HEADER.unpack_from(content)
     mode = flags & 3
     if mode > BeamMode.FULL:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: mode: expected 0 to 2, got {mode}")
-    return Header(counter, told_ms, BeamMode(mode), bool(flags & 4)), flags >> 3 & 7
+    return Header(counter, exposed_ms, BeamMode(mode), bool(flags & 4)), flags >> 3 & 7
 
 
 def _protected(frame_id: int, content: bytes) -> CanFrame:
@@ -343,14 +343,14 @@ def _checked(frame_id: int, data: bytes, size: int) -> bytes:
     if len(data) != size:
         raise MessageError(LinkFault.LENGTH, f"frame 0x{frame_id:X}: expected {size} bytes, got {len(data)}")
     content = data[_CRC_SIZE:]
-    told, expected = int.from_bytes(data[:_CRC_SIZE], "little"), crc(frame_id, content)
-    if told != expected:
-        raise MessageError(LinkFault.CRC, f"frame 0x{frame_id:X}: CRC: expected 0x{expected:04X}, got 0x{told:04X}")
+    received, expected = int.from_bytes(data[:_CRC_SIZE], "little"), crc(frame_id, content)
+    if received != expected:
+        raise MessageError(LinkFault.CRC, f"frame 0x{frame_id:X}: CRC: expected 0x{expected:04X}, got 0x{received:04X}")
     return content
 
 
 def _gap_codes(right_rad: float, left_rad: float, range_m: float) -> tuple[int, int, int]:
-    """Codes of the borders, outwards and at least a step apart, and of the range, nearer."""
+    """Codes of the borders, rounded outwards and at least a step apart, and of the range, rounded down."""
     last = len(BORDERS_RAD) - 1
     right = min(max(bisect_right(BORDERS_RAD, right_rad) - 1, 0), last - 1)
     left = max(min(bisect_left(BORDERS_RAD, left_rad), last), 1)
@@ -360,16 +360,16 @@ def _gap_codes(right_rad: float, left_rad: float, range_m: float) -> tuple[int, 
 
 
 def _joined(gaps: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
-    """At most four gaps, from right to left and apart, which are dark wherever the given ones are."""
+    """At most four separate gaps, from right to left, that cover the given ones."""
     kept = list(gaps)
     while len(kept) > 1:
         lights = [after[0] - before[1] for before, after in pairwise(kept)]
         least = min(lights)
         if least > 0 and len(kept) <= MAX_NUM_GAPS:
             break
-        place = lights.index(least)
-        before, after = kept[place], kept[place + 1]
+        index = lights.index(least)
+        before, after = kept[index], kept[index + 1]
         ranges = (before[2], after[2])
         nearer = UNKNOWN_RANGE_CODE if UNKNOWN_RANGE_CODE in ranges else min(ranges)
-        kept[place : place + 2] = [(before[0], max(before[1], after[1]), nearer)]
+        kept[index : index + 2] = [(before[0], max(before[1], after[1]), nearer)]
     return kept

@@ -1,4 +1,4 @@
-"""From tracks to LED levels: the paper's policy, ours, and the plain beams to compare with."""
+"""From tracks to LED levels: the paper's policy, our own, and plain low and high beam for comparison."""
 
 from __future__ import annotations
 
@@ -19,26 +19,27 @@ from foreglow.photometry import Headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
-"""From a lamp that is seen to the far side of its driver's eye, across the line of sight: a lorry is 2.5 m wide."""
+"""Distance across the line of sight from a visible lamp to beyond the driver's eyes: a lorry is 2.5 m wide."""
 
 BOX_SHARE = 0.15
-"""Standard deviation of where a lamp is in its box, as a share of the box's width."""
+"""Standard deviation of a lamp's position in its box, as a share of the box's width."""
 
 NEAREST_M = 20.0
-"""Nearer vehicles are beside the brightest part of the beam; a gap for one at 10 m would be as wide as all of it."""
+"""Smallest range for which a gap is made. Nearer vehicles are beside the brightest part of the beam, and a gap for one
+at 10 m would be as wide as the whole beam."""
 
 LOWEST_LAMP_RAD = math.radians(-5.0)
-"""No lamp is seen further down: at 10 m one of 0.5 m height is at this angle. What is, is light on the road."""
+"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road."""
 
 UNKNOWN_NEAR_M = 40.0
-"""What has no range may be as near as this, and at any distance beyond."""
+"""A light without a range may be at this distance or any greater one."""
 
 MIN_COMING_DIRECT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
-"""A lamp that comes into sight is taken for true before it is confirmed when it is so sure to be one, to be light at
-all, and so far away: nearer ones would have been seen before."""
+"""A lamp that comes into sight is believed before its track is confirmed if it is this likely to be a lamp, this likely
+to be light at all, and this far away: nearer lamps would have been seen earlier."""
 
 HIDDEN = -1
-"""Stands for the id of a hidden vehicle's gap, and smaller numbers for further ones."""
+"""Stands for the track id in a gap for a hidden vehicle; smaller numbers stand for further such gaps."""
 
 
 class BeamPolicy(Protocol):
@@ -84,7 +85,7 @@ class HighBeam:
 
 
 class GapWriter:
-    """Turns gaps into commands, frame after frame: dims the LEDs at once and lets them return slowly."""
+    """Turns gaps into commands, frame by frame: dims the LEDs at once and lets them return slowly."""
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
         self._dimmer = Dimmer(headlamps, config.led_limit_lx)
@@ -105,10 +106,10 @@ class GapWriter:
 
 
 class PaperPolicy:
-    """The paper's: the brightest plausible track is sent to the headlamps, with a margin, and nothing else is.
+    """The paper's policy: a gap with a margin for the brightest plausible track, and for nothing else.
 
-    In the paper's car it is mute while the production system sees a vehicle, which then has the beam to itself; who
-    has such a system passes on its gaps while it sees one.
+    In the paper's car, it is silent while the production system sees a vehicle, and the production system controls the
+    beam. To reproduce that, use the production system's gaps while it sees a vehicle.
 
     Source: Ewecker et al., arXiv 2107.11302, section on the use case.
     """
@@ -129,23 +130,23 @@ class PaperPolicy:
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
         """The gap for the brightest plausible track, if there is one."""
-        places = np.flatnonzero(tracks.is_plausible)
-        if frame.camera is None or not len(places):
+        plausible = np.flatnonzero(tracks.is_plausible)
+        if frame.camera is None or not len(plausible):
             return []
-        brightest = max(places.tolist(), key=lambda place: brightness(frame.image, tracks.boxes_xyxy_px[place]))
+        brightest = max(plausible.tolist(), key=lambda index: brightness(frame.image, tracks.boxes_xyxy_px[index]))
         bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]
         return [_around(bearing, bearing.half_width_rad + self._margin_rad)]
 
 
 class ForeglowPolicy:
-    """Ours: a gap for every lamp that is followed, and one where a vehicle is expected whose light is all that is seen.
+    """Our policy: a gap for every tracked lamp, and one where a vehicle is expected that shows only by its light.
 
-    * A lamp's gap leads it by the latency, and holds the whole vehicle.
-    * Light on other things is not what is to be protected. Its vehicle is further along the road: the gap covers most
-      of the probability of where it will appear (`occurrence`). Without a road the light itself is taken for the place.
-    * While a lamp is in sight, light on other things is taken for its own, and opens nothing.
-    * While a gap is open, lamps that are not confirmed yet are taken for true: a vehicle that comes into sight needs
-      a few frames until it is believed, and what is done for it is under way already.
+    * The gap of a lamp leads it by the latency, and covers the whole vehicle.
+    * Light on the road or the roadside needs no protection, but its vehicle does, which is further along the road: the
+      gap covers most of the probability of where it will appear (`occurrence`). Without a road, it is at the light.
+    * While a lamp is in sight, any other light is attributed to it, and gets no gap.
+    * While a gap is open, lamps are believed before their tracks are confirmed. A vehicle that comes into sight needs a
+      few frames to be confirmed, and its gap must not close in the meantime.
 
     Attributes:
         expected: Where and when a hidden vehicle was expected in the latest frame; None without one, or without a road.
@@ -171,35 +172,35 @@ class ForeglowPolicy:
         return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
-        """The gaps that the tracks ask for now, and those of tracks that asked for one a moment ago."""
+        """The gaps for the tracks of this frame, and those for tracks of a moment ago."""
         self.expected = None
         if frame.camera is None:
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
-        seen = {one: bearing for one, bearing in bearings.items() if not self._is_road(bearing)}
-        acted = {one: bearing for one, bearing in seen.items() if self._is_sure(bearing)}
+        seen = {track_id: bearing for track_id, bearing in bearings.items() if not self._is_road(bearing)}
+        acted = {track_id: bearing for track_id, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
-            acted |= {one: bearing for one, bearing in seen.items() if _is_coming(bearing)}
+            acted |= {track_id: bearing for track_id, bearing in seen.items() if _is_coming(bearing)}
         self._held = {
-            one: (now_ns, self._lamp_gap(bearing)) for one, bearing in acted.items() if self._is_lamp(bearing)
+            track_id: (now_ns, self._lamp_gap(bearing)) for track_id, bearing in acted.items() if self._is_lamp(bearing)
         }
         self._held |= {
-            HIDDEN - place: (now_ns, gap) for place, gap in enumerate(self._hidden_gaps(frame, acted.values()))
+            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, acted.values()))
         }
-        for one, (since_ns, gap) in held.items():
-            if one not in self._held and 0 <= now_ns - since_ns <= self._hold_ns:
-                self._held[one] = since_ns, gap
+        for track_id, (since_ns, gap) in held.items():
+            if track_id not in self._held and 0 <= now_ns - since_ns <= self._hold_ns:
+                self._held[track_id] = since_ns, gap
         return [gap for _, gap in self._held.values()]
 
     def _is_sure(self, bearing: Bearing) -> bool:
-        """Whether a track is acted on: light alone has to be surer than a lamp, which may be glared."""
+        """Whether a track is acted on; for light without a lamp this needs more confidence than for a lamp."""
         config = self._config
         wanted = config.min_confidence if self._is_lamp(bearing) else config.min_hidden_confidence
         return bearing.is_plausible and bearing.confidence >= wanted
 
     def _is_road(self, bearing: Bearing) -> bool:
-        """Whether a track that seems to be a lamp can be none."""
+        """Whether a track that looks like a lamp must be light on the road."""
         return self._is_lamp(bearing) and bearing.elevation_rad < LOWEST_LAMP_RAD
 
     def _is_lamp(self, bearing: Bearing) -> bool:
@@ -214,13 +215,15 @@ class ForeglowPolicy:
         return gap._replace(right_rad=gap.right_rad + min(lead_rad, 0.0), left_rad=gap.left_rad + max(lead_rad, 0.0))
 
     def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
-        """The gap for a hidden vehicle, if there is light and no lamp in sight."""
-        if any(one.direct > self._config.min_direct for one in acted):
+        """The gap for a hidden vehicle, if there is light but no lamp in sight."""
+        if any(bearing.direct > self._config.min_direct for bearing in acted):
             return []
         if not acted:
             return []
         if frame.road is not None:
-            farthest_m = max((one.range_m for one in acted if not math.isnan(one.range_m)), default=math.nan)
+            farthest_m = max(
+                (bearing.range_m for bearing in acted if not math.isnan(bearing.range_m)), default=math.nan
+            )
             expected = self.expected = occurrence(frame.road, farthest_m)
             if expected is not None:
                 rest = 0.5 * (1.0 - self._config.coverage)
@@ -228,7 +231,7 @@ class ForeglowPolicy:
                 near_m = expected.nearest_m(rest)
                 half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
                 return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
-        return [_around(one, one.half_width_rad + self._margin_rad) for one in acted]
+        return [_around(bearing, bearing.half_width_rad + self._margin_rad) for bearing in acted]
 
 
 def _is_coming(bearing: Bearing) -> bool:
@@ -241,7 +244,7 @@ def _around(bearing: Bearing, half_rad: float) -> Gap:
 
 
 def _bounds_m(bearing: Bearing) -> tuple[float, float]:
-    """Nearest and farthest range."""
+    """Nearest and farthest range of the light."""
     if math.isnan(bearing.range_m):
         return UNKNOWN_NEAR_M, math.inf
     range_m = max(bearing.range_m, NEAREST_M)
@@ -249,7 +252,7 @@ def _bounds_m(bearing: Bearing) -> tuple[float, float]:
 
 
 def brightness(image: Image, box_xyxy_px: Floats) -> float:
-    """The greatest grey level in a box, of its part in the image; 0 outside."""
+    """The greatest grey level in the part of a box that lies in the image; 0 if there is none."""
     x1, y1, x2, y2 = (max(int(edge), 0) for edge in np.ceil(box_xyxy_px))
     inside = image[y1:y2, x1:x2]
     return float(inside.max()) if inside.size else 0.0

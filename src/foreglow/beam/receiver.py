@@ -1,4 +1,4 @@
-"""The lamps' end of the bus, as a model: what they shine at any time, and low beam where the commands are not right."""
+"""A model of the lamps' end of the bus: what they shine at any time, and low beam when the commands are not right."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ class ReceiverConfig(FrozenModel):
     """Parameters of the lamps' end.
 
     Attributes:
-        deadline_s: So long after the latest valid and fresh command there is low beam.
-        max_age_s: A command whose image is older when it arrives is late; needs a clock that lamps and camera share.
-            None where they share none: then only order is seen. With the deadline it makes 0.5 s, in which an approving
-            text for adaptive beams wants them dimmed.
-        max_counter_step: So many commands on, at most, is the next one; a greater step is not taken at once.
-        num_good: Valid and fresh commands in a row that end a low beam, after one to compare with.
-        latency_s: From the arrival of a command to its light.
+        deadline_s: Time from the latest valid and fresh command until the lamps go to low beam.
+        max_age_s: A command whose image is older on arrival is late, by a clock that lamps and camera share. None
+            without such a clock: then only the order is checked. Together with the deadline it makes the 0.5 s within
+            which an approval text for adaptive beams wants them dimmed.
+        max_counter_step: Largest step of the counter from one command to the next; a command after a larger step is
+            not carried out, but the one after it may be.
+        num_good: Valid and fresh commands in a row that end low beam, after a first one to compare with.
+        latency_s: Time from the arrival of a command to its light.
         brightening_s: Time of an LED from dark to full, linear; 0 for at once. Dimming is at once.
     """
 
@@ -49,14 +50,14 @@ class ReceiverConfig(FrozenModel):
 
 
 class LampReceiver:
-    """Both lamps, fed with the bus's frames in order of their arrival. All times are of one clock, and never go back.
+    """Both lamps; takes the frames of the bus in the order of arrival. All times are of one clock and never go back.
 
     Attributes:
-        noticed: How often each fault was noticed so far.
+        noticed: Number of times that each fault has been noticed.
     """
 
     def __init__(self, config: ReceiverConfig | None = None) -> None:
-        """Begins with low beam."""
+        """Lamps at low beam."""
         self._config = config or ReceiverConfig()
         self._deadline_ns = round(self._config.deadline_s * 1e9)
         self._latency_ns = round(self._config.latency_s * 1e9)
@@ -73,11 +74,11 @@ class LampReceiver:
 
     @property
     def is_low(self) -> bool:
-        """Whether there is low beam because no valid and fresh commands come."""
+        """Whether the lamps are at low beam because no valid and fresh commands come."""
         return self._taken_ns is None
 
     def receive(self, arrival_ns: int, frame_id: int, data: bytes) -> None:
-        """Takes a frame; one that is not of levels is none of its business.
+        """Takes a frame; frames other than those with levels are ignored.
 
         Raises:
             ValueError: If the time goes back.
@@ -95,7 +96,7 @@ class LampReceiver:
             self._judge(message, arrival_ns)
 
     def shining(self, time_ns: int) -> tuple[Floats, tuple[LinkFault, ...]]:
-        """The LEDs' levels at a time, shape (2, 84), and the faults noticed since the command that they follow from.
+        """The LEDs' levels at a time, shape (2, 84), and the faults noticed since the command behind them.
 
         Raises:
             ValueError: If the time goes back.
@@ -104,7 +105,7 @@ class LampReceiver:
         return self._levels.copy(), tuple(self._faults)
 
     def _advance(self, time_ns: int) -> None:
-        """Goes to a time: low beam where a deadline passed until then, and the light that was under way."""
+        """Advances to a time: low beam if the deadline has passed by then, and changes of light that are due."""
         if self._now_ns is not None and time_ns < self._now_ns:
             raise ValueError(f"time_ns: expected {self._now_ns} or later, got {time_ns}")
         if self._taken_ns is not None and time_ns - self._taken_ns > self._deadline_ns:
@@ -118,7 +119,7 @@ class LampReceiver:
         self._brighten(time_ns)
 
     def _brighten(self, time_ns: int) -> None:
-        """Lets the LEDs come nearer to their target until a time."""
+        """Moves the LEDs towards their target until a time."""
         if not self._config.brightening_s:
             self._levels = self._target.copy()
         elif self._now_ns is not None:
@@ -127,23 +128,23 @@ class LampReceiver:
         self._now_ns = time_ns
 
     def _collected(self, part: LevelsPart) -> LevelsMessage | None:
-        """The whole command, with the part that completes it.
+        """The whole command if `part` completes it, else None.
 
         Raises:
-            MessageError: If the part belongs to no command that may be taken, or another command was left incomplete.
+            MessageError: If the part belongs to no acceptable command, or leaves another command incomplete.
         """
         if part.header == self._latest:
-            raise MessageError(LinkFault.REPEATED, f"part {part.place}: expected another command")
+            raise MessageError(LinkFault.REPEATED, f"part {part.index}: expected another command")
         known = next(iter(self._parts.values())).header if self._parts else part.header
         step = (part.header.counter - known.counter) % NUM_COUNTS
-        if step >= NUM_COUNTS // 2 and not self.is_low:  # in low beam, a sender may have begun anew
-            raise MessageError(LinkFault.DISORDER, f"part {part.place}: expected no older command")
+        if step >= NUM_COUNTS // 2 and not self.is_low:  # at low beam, the sender may have been restarted
+            raise MessageError(LinkFault.DISORDER, f"part {part.index}: expected no older command")
         if part.header != known:
-            self._parts = {part.place: part}
-            raise MessageError(LinkFault.TORN, f"part {part.place}: expected the rest of the command before")
-        if part.place in self._parts:
-            raise MessageError(LinkFault.REPEATED, f"part {part.place}: expected it once")
-        self._parts[part.place] = part
+            self._parts = {part.index: part}
+            raise MessageError(LinkFault.TORN, f"part {part.index}: expected the rest of the command before")
+        if part.index in self._parts:
+            raise MessageError(LinkFault.REPEATED, f"part {part.index}: expected it once")
+        self._parts[part.index] = part
         if len(self._parts) < len(LEVELS_IDS):
             return None
         message = join_levels(self._parts.values())
@@ -151,7 +152,7 @@ class LampReceiver:
         return message
 
     def _judge(self, message: LevelsMessage, arrival_ns: int) -> None:
-        """Takes a whole command, or notices what is wrong with it."""
+        """Accepts a whole command, or notices what is wrong with it."""
         header, fault = message.header, self._fault(message.header, arrival_ns)
         if self.is_low or self._latest is None:
             is_good = fault is None and self._latest is not None
@@ -159,7 +160,7 @@ class LampReceiver:
             self._latest = header
         elif fault is None or fault == LinkFault.LOST:
             self._latest = header
-        elif fault == LinkFault.STALE:  # what comes next has to be newer than the newest so far
+        elif fault == LinkFault.STALE:  # the next command has to be newer than the newest so far
             self._latest = header._replace(time_ms=self._latest.time_ms)
         if fault is not None:
             self._notice(fault)
@@ -169,7 +170,7 @@ class LampReceiver:
             self._faults = {LinkFault.SENDER: None} if header.has_faults else {}
 
     def _fault(self, header: Header, arrival_ns: int) -> LinkFault | None:
-        """What is wrong with a command by its counter and its time; None if it is the next one, and fresh."""
+        """What is wrong with a command's counter or time; None if it is the next command, and fresh."""
         age_ms = (time_ms(arrival_ns) - header.time_ms) % NUM_TIMES_MS
         if self._config.max_age_s is not None and age_ms > self._config.max_age_s * 1e3:
             return LinkFault.LATE
@@ -184,7 +185,7 @@ class LampReceiver:
             return LinkFault.STALE
         if step > self._config.max_counter_step:
             return LinkFault.LOST
-        if step > 1:  # borne, but counted
+        if step > 1:  # tolerated, but counted
             self.noticed[LinkFault.LOST] += 1
         return None
 

@@ -1,4 +1,4 @@
-"""In which directions a lamp sees what the camera sees in a box."""
+"""The directions from a lamp to whatever the camera sees in a box."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
 
 _CORNERS = ((0, 1), (2, 1), (0, 3), (2, 3))
-"""Places of x and y of each corner in a box x1, y1, x2, y2."""
+"""Indices of x and y of each corner in a box x1, y1, x2, y2."""
 
 
 class Sightlines:
-    """The directions, from two lamps, of whatever may be in boxes of a camera."""
+    """The directions from two lamps to whatever the camera sees in boxes."""
 
     def __init__(self, lamps_m: Floats, config: GuardConfig) -> None:
-        """Takes where the lamps are in the vehicle, shape (2, 3)."""
+        """Takes the lamps' positions in the vehicle's frame, shape (2, 3)."""
         self._caster = RayCaster()
         self._lamps_m = lamps_m
         self._config = config
@@ -24,17 +24,17 @@ class Sightlines:
     def spans_rad(
         self, camera: Camera, boxes_xyxy_px: Floats, ranges_m: Floats, sigmas_m: Floats
     ) -> tuple[Floats, Floats]:
-        """Where the lamps see what is in the boxes, and from how near.
+        """The spans of directions from the lamps to the contents of the boxes, and the nearest ranges.
 
         Args:
             camera: The camera.
-            boxes_xyxy_px: Shape (M, 4); what is outside the image is taken as at its border.
-            ranges_m: Shape (M,), from the camera; NaN where unknown: then it may be anywhere.
+            boxes_xyxy_px: Shape (M, 4); clipped to the image.
+            ranges_m: Shape (M,), from the camera; NaN where unknown: then any range is possible.
             sigmas_m: Shape (M,), standard deviations.
 
         Returns:
-            Shape (M, 2, 4), for the left and the right lamp: least and greatest azimuth, least and greatest elevation,
-            in the vehicle's frame, up to the driver's eyes. Shape (M,), the least range.
+            Spans, shape (M, 2, 4), for the left and the right lamp: least and greatest azimuth, least and greatest
+            elevation, in the vehicle's frame, up to the driver's eyes. And the nearest range, shape (M,).
 
         Raises:
             ValueError: If the camera's distortion cannot be undone.
@@ -49,7 +49,7 @@ class Sightlines:
         corners = boxes_xyxy_px[:, _CORNERS].reshape(-1, 2)
         inside = np.minimum(np.maximum(corners, 0.0), (camera.width_px, camera.height_px))
         rays = self._caster.cast(camera, inside)
-        # A point at range r lies in the direction ray + offset / r: shape (M, near or far, lamp, corner, 3).
+        # A point at range r lies in the direction ray + offset / r; shape (M, near or far, lamp, corner, 3).
         offsets_m = (rays.origin_m - self._lamps_m)[:, np.newaxis]
         seen = rays.directions.reshape(count, 1, 1, 4, 3) + nearness[..., np.newaxis] * offsets_m
         x, y, z = seen[..., 0], seen[..., 1], seen[..., 2]

@@ -1,4 +1,4 @@
-"""The fifth stage as a whole: a policy, and the guard after it."""
+"""The whole fifth stage: a policy, followed by the guard."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from foreglow.types import BeamCommand, Frame, Tracks
 
 
 class BeamStage:
-    """Makes a beam command of each frame's tracks: what the policy wants, as far as the guard lets it."""
+    """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it."""
 
     def __init__(self, config: BeamConfig, guard: GuardConfig) -> None:
         """Reads the lamps and makes the policy.
 
         Raises:
-            FileNotFoundError: If there is no such description of lamps.
+            FileNotFoundError: If the file that describes the lamps does not exist.
             ValueError: If it is broken, or there is no such policy; the message says what was expected.
         """
         headlamps = read_headlamps(config.headlamps)
@@ -31,7 +31,7 @@ class BeamStage:
     def command(
         self, frame: Frame, tracks: Tracks, *, time_ns: int | None = None, faults: Sequence[str] = ()
     ) -> BeamCommand:
-        """What the headlamps shall shine after `frame`; time and faults are the guard's, as in `Guard.check`."""
+        """The beam command after `frame`; `time_ns` and `faults` go to the guard, see `Guard.check`."""
         direct = tracks.direct_probabilities
         is_vehicle = np.isnan(direct) | (direct > self._min_direct)
         wanted = self._policy.command(frame, tracks)

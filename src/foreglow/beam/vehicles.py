@@ -1,4 +1,4 @@
-"""Which tracks are lamps of one vehicle: two at like height, as far apart as a vehicle's lamps are at their range."""
+"""Which tracks are lamps of the same vehicle: two at similar height, as far apart as headlamps are at their range."""
 
 from __future__ import annotations
 
@@ -9,50 +9,50 @@ from foreglow.geometry import Camera, Floats
 from foreglow.types import Tracks
 
 SPACING_M, SPACING_LOG_SIGMA = 1.35, 0.2
-"""Between the two lamps of a vehicle, 1.1 to 2 m; an oblique view makes it shorter."""
+"""Distance between a vehicle's lamps, 1.1 to 2 m, and its relative spread; an oblique view makes it shorter."""
 
 RISE_SIGMA_M, RISE_SIGMA_PX = 0.05, 4.0
-"""Of one lamp above the other: vehicles lean, and glare moves boxes."""
+"""Standard deviation of the height of one lamp above the other: vehicles lean, and glare moves boxes."""
 
 HEIGHT_LOG_SIGMA = 0.5
-"""Of the boxes' heights to each other, relative: lamps of a vehicle are alike."""
+"""Relative standard deviation of the boxes' heights to each other: lamps of a vehicle look alike."""
 
 MAX_DEVIATION = 3.0
-"""Combined standard deviations up to which two lamps are one vehicle's."""
+"""Combined standard deviations up to which two lamps count as the same vehicle's."""
 
 
 def group_vehicles(tracks: Tracks, camera: Camera) -> tuple[NDArray[np.int64], ...]:
-    """The vehicles whose lamps are among the plausible tracks, as places in `tracks`: one or two lamps each.
+    """The vehicles whose lamps are among the plausible tracks, as indices into `tracks`: one or two lamps each.
 
-    Tracks that are rather light on something belong to none; where nothing says so, a track counts as a lamp. Of
-    lamps that could be paired in several ways the likeliest pair comes first; a lamp without a range stays alone.
+    Tracks that are probably light on a surface belong to no vehicle; if that is unknown, a track counts as a lamp. When
+    lamps could be paired in several ways, the likeliest pair is taken first; a lamp without a range stays alone.
 
     Args:
-        tracks: Of one frame.
+        tracks: The tracks of one frame.
         camera: Calibration of the frame's image.
 
     Returns:
-        Each vehicle's places in ascending order; vehicles in the order of their first.
+        The indices of each vehicle's lamps, ascending; vehicles in the order of their first lamp.
     """
     lamps = np.flatnonzero(tracks.is_plausible & ~(tracks.direct_probabilities < 0.5))
     deviations = _deviations(tracks, camera, lamps)
     is_free = np.ones(len(lamps), np.bool_)
     vehicles = []
     for index in np.argsort(deviations, axis=None, kind="stable"):
-        one, other = divmod(int(index), len(lamps))
-        if not deviations[one, other] <= MAX_DEVIATION:
+        first, second = divmod(int(index), len(lamps))
+        if not deviations[first, second] <= MAX_DEVIATION:
             break
-        if is_free[one] and is_free[other]:
-            is_free[[one, other]] = False
-            vehicles.append(lamps[[one, other]])
-    vehicles += [lamps[[one]] for one in np.flatnonzero(is_free)]
-    return tuple(sorted(vehicles, key=lambda its: int(its[0])))
+        if is_free[first] and is_free[second]:
+            is_free[[first, second]] = False
+            vehicles.append(lamps[[first, second]])
+    vehicles += [lamps[[lamp]] for lamp in np.flatnonzero(is_free)]
+    return tuple(sorted(vehicles, key=lambda vehicle: int(vehicle[0])))
 
 
 def _deviations(tracks: Tracks, camera: Camera, lamps: NDArray[np.int64]) -> Floats:
-    """Shape (L, L): standard deviations by which two lamps miss being a vehicle's; infinite on and below the diagonal.
+    """How many standard deviations two lamps are from being a pair, shape (L, L); infinite on and below the diagonal.
 
-    They combine the spacing and rise at the common range, the boxes' likeness, and the difference of the ranges.
+    Combines spacing and rise at the common range, the similarity of the boxes, and the difference of the ranges.
     """
     boxes, ranges_m, sigmas_m = tracks.boxes_xyxy_px[lamps], tracks.ranges_m[lamps], tracks.sigmas_m[lamps]
     heights_px = boxes[:, 3] - boxes[:, 1]

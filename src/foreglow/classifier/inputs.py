@@ -1,8 +1,8 @@
-"""What a classifier reads: crops of the proposals and a few numbers beside them; the same in training and in the car.
+"""The inputs of a classifier: crops of the proposals and a few features, the same in training and in the car.
 
-A crop is stretched to its own minimum and maximum, so what it showed in absolute terms is handed over as features.
-Where the model asks for time, a second channel shows the same region of an earlier frame: what brightened, and what
-moved against the picture, is plain there, with no tracking.
+The contrast of a crop is stretched to its own minimum and maximum, so its absolute brightness goes into the features.
+If the model wants it, a second channel shows the same region of an earlier frame, in which everything that has
+brightened or moved stands out, without any tracking.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from foreglow import _native
 from foreglow.types import Frame, Image, Proposals
 
 FEATURES = ("darkest", "brightest", "width", "height", "frame_mean", "frame_brightest", "has_earlier")
-"""Names of the features, in their order: of the crop, of the box, of the frame; `_features` has the units."""
+"""Names of the features in order: of the crop, of the box, of the frame; `_features` has the units."""
 
 _LOGARITHM = 255.0
-"""Levels become log(1 + 255 level) / log 256: 0 to 1, with as much room for dark grey as for bright."""
+"""Levels become log(1 + 255 level) / log 256: from 0 to 1, with as much room for dark greys as for bright ones."""
 
 _SAMPLING_PX = 16
-"""The frame's own level is taken from every 16th pixel of every 16th row."""
+"""The brightness of the frame is taken from every 16th pixel of every 16th row."""
 
 _EARLIEST, _LATEST = 1.5, 0.6
-"""An earlier frame is used while its age is between these shares of the lag that the model asks for."""
+"""An earlier frame is used if its age is between these shares of the lag that the model wants."""
 
 _SPACING = 0.2
-"""Earlier frames are kept at least this share of the lag apart: copying each one would take longer than it is worth."""
+"""Earlier frames are kept at least this share of the lag apart; copying every frame would cost more than it gains."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputSpec:
-    """What a model reads.
+    """The inputs that a model wants.
 
     Attributes:
         size_px: Side of the square crops.
         support: A crop reaches this many widths and heights of its box to either side of its centre (paper: M = 2).
-        lag_s: Age of the frame that the second channel shows; None for one channel.
+        lag_s: Age of the frame in the second channel; None for one channel.
         num_features: Length of the feature vector: that of `FEATURES`, or 0 for none.
 
     Raises:
@@ -61,7 +61,7 @@ class InputSpec:
 
     @property
     def num_channels(self) -> int:
-        """1, or 2 with an earlier frame."""
+        """1, or 2 with a channel for an earlier frame."""
         return 1 if self.lag_s is None else 2
 
 
@@ -70,8 +70,8 @@ class ClassifierInputs:
     """The inputs of one frame's proposals.
 
     Attributes:
-        crops: Shape (N, C, S, S), float32 in [0, 1]; the second channel is stretched by the first one's range, cut at
-            0 and 1, and all 0 where there is no earlier frame.
+        crops: Shape (N, C, S, S), float32 in [0, 1]. The second channel is stretched by the range of the first, clipped
+            to [0, 1], and all 0 without an earlier frame.
         features: Shape (N, F), float32.
     """
 
@@ -80,7 +80,7 @@ class ClassifierInputs:
 
 
 class InputMaker:
-    """Makes a model's inputs, frame after frame; remembers earlier frames where the model asks for them."""
+    """Makes a model's inputs frame by frame; remembers earlier frames if the model wants them."""
 
     def __init__(self, spec: InputSpec) -> None:
         self.spec = spec
@@ -91,7 +91,7 @@ class InputMaker:
         self._earlier.clear()
 
     def make(self, frame: Frame, proposals: Proposals) -> ClassifierInputs:
-        """The inputs for `proposals`, boxes of `frame`; frames come in order of time, or history starts anew."""
+        """The inputs for `proposals`, boxes of `frame`; if time goes back, earlier frames are forgotten."""
         spec, image = self.spec, _with_adjacent_columns(frame.image)
         earlier = self._seen_before(frame)
         boxes = np.ascontiguousarray(proposals.boxes_xyxy_px)
@@ -109,17 +109,17 @@ class InputMaker:
         return ClassifierInputs(crops, features)
 
     def _seen_before(self, frame: Frame) -> Image | None:
-        """The kept image whose age is nearest to the lag; None without one."""
+        """The earlier image whose age is nearest to the lag; None without one."""
         if self.spec.lag_s is None:
             return None
         if self._earlier and (frame.timestamp_ns <= self._earlier[-1][0] or not _is_alike(frame, self._earlier[-1][1])):
             self._earlier.clear()
         lag_ns = self.spec.lag_s * 1e9
-        self._earlier = [one for one in self._earlier if frame.timestamp_ns - one[0] <= _EARLIEST * lag_ns]
-        usable = [one for one in self._earlier if frame.timestamp_ns - one[0] >= _LATEST * lag_ns]
+        self._earlier = [kept for kept in self._earlier if frame.timestamp_ns - kept[0] <= _EARLIEST * lag_ns]
+        usable = [kept for kept in self._earlier if frame.timestamp_ns - kept[0] >= _LATEST * lag_ns]
         if not usable:
             return None
-        return min(usable, key=lambda one: abs(frame.timestamp_ns - one[0] - lag_ns))[1]
+        return min(usable, key=lambda kept: abs(frame.timestamp_ns - kept[0] - lag_ns))[1]
 
     def _remember(self, frame: Frame) -> None:
         """Keeps a copy of the frame's image, since a camera may reuse its memory."""
@@ -143,7 +143,7 @@ def _is_alike(frame: Frame, image: Image) -> bool:
 def _features(
     image: Image, boxes_xyxy_px: NDArray[np.int32], levels: NDArray[np.float32], has_earlier: bool
 ) -> NDArray[np.float32]:
-    """Shape (N, 7), in the order of `FEATURES`: levels on a logarithm, sizes as logarithms of shares of the width."""
+    """Shape (N, 7), in the order of `FEATURES`: levels and sizes as logarithms, sizes relative to the frame's width."""
     full_scale, width_px = np.iinfo(image.dtype).max, image.shape[1]
     sample = image[::_SAMPLING_PX, ::_SAMPLING_PX]
     features = np.empty((len(boxes_xyxy_px), len(FEATURES)), np.float32)

@@ -28,8 +28,8 @@ class OnnxClassifier:
     """Scores the crops of proposals with ONNX Runtime on the CPU.
 
     The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, 7), as
-    `classifier.inputs` makes them. It writes logits of light, shape (N,) or (N, 1), or with those of a lamp itself
-    beside them, shape (N, 2). Its metadata may name a `support`, and must name the `lag_s` where C is 2.
+    `classifier.inputs` makes them. It writes logits of being light, shape (N,) or (N, 1), or these together with logits
+    of being a lamp itself, shape (N, 2). Its metadata may give a `support`, and must give the `lag_s` if C is 2.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -38,7 +38,7 @@ class OnnxClassifier:
         Raises:
             FileNotFoundError: If the model does not exist.
             ValueError: If no model is configured, the file is not an ONNX model, or its input or output is not as
-                above; the message names path, field and expectation.
+                described above; the message names path, field and expectation.
         """
         if config.model is None:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
@@ -57,11 +57,11 @@ class OnnxClassifier:
         """The proposals with their scores; without proposals the model is not run.
 
         Args:
-            frame: The frame; where the model looks back in time, frames come in order.
+            frame: The frame; if the model uses earlier frames, frames must come in order.
             proposals: Boxes in this frame.
 
         Raises:
-            ValueError: If the model writes something else than one or two finite logits a crop.
+            ValueError: If the model writes anything other than one or two finite logits per crop.
         """
         threshold = self.config.score_threshold
         inputs = self._maker.make(frame, proposals)
@@ -108,18 +108,18 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
     """A sequential session on the CPU that does not spin while it waits."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
-    # Newer versions would keep a device id in the home folder and report to their makers. Read when they are loaded.
+    # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort
     from onnxruntime.capi import onnxruntime_pybind11_state as errors
 
-    ort.disable_telemetry_events()  # where someone else loaded it before
+    ort.disable_telemetry_events()  # in case it was imported before
     options = ort.SessionOptions()
     options.intra_op_num_threads = num_threads
     options.inter_op_num_threads = 1
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 4  # errors are raised; nothing is to be printed as well
+    options.log_severity_level = 4  # errors are raised and need not be printed as well
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     unusable = (
@@ -140,7 +140,7 @@ def _open(path: Path, num_threads: int) -> InferenceSession:
 
 
 def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSession) -> tuple[list[str], InputSpec]:
-    """Names of the model's inputs, crops first, and what they are; a support that is wanted overrides the model's."""
+    """Names of the model's inputs, crops first, and their specification; `wanted_support` overrides the model's."""
     nodes = session.get_inputs()
     if len(nodes) not in (1, 2):
         raise ValueError(f"{path}: inputs: expected crops, or crops and features, got {len(nodes)}")
@@ -182,7 +182,7 @@ def _number(path: Path, metadata: dict[str, str], name: str, default: float | No
 
 
 def _checked_output(path: Path, session: InferenceSession) -> str:
-    """Name of the model's only output; what its shape leaves open is checked on every run."""
+    """Name of the model's only output; free dimensions of its shape are checked on every run."""
     nodes = session.get_outputs()
     if len(nodes) != 1:
         raise ValueError(f"{path}: outputs: expected one, got {len(nodes)}")

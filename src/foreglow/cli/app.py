@@ -216,7 +216,7 @@ def run_by_workers(
     from foreglow.runtime import OutputFolder, run_apart
 
     with contextlib.closing(PartsProgress(opening().num_frames)) as progress:
-        return run_apart(opening, configuration, OutputFolder(out), workers, told=progress, source_name=name)
+        return run_apart(opening, configuration, OutputFolder(out), workers, progress=progress, source_name=name)
 
 
 def run_frames(

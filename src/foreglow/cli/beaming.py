@@ -152,7 +152,8 @@ def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
 
 def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
     """The results of an earlier run, where its frames are, and how many it had."""
-    from foreglow.runs.tracks_file import read_results, source_of_run
+    from foreglow.runs.frames_file import read_results
+    from foreglow.runs.recorded_run import source_of_run
     from foreglow.runtime.replay import Replay
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)

@@ -105,7 +105,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     from foreglow.datasets import PVDN
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
-    from foreglow.runs.tracks_file import has_tracks, read_tracks
+    from foreglow.runs.frames_file import has_tracks, read_tracks
 
     dataset = PVDN(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset)

@@ -145,36 +145,26 @@ def _run(
     sinks: Sequence[LiveSink],
     limit: int | None,
 ) -> LiveSummary:
-    """Runs the loop, with the lamps at its end and the status on the screen."""
-    from foreglow.config import config_to_toml
+    """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen."""
     from foreglow.display.live_status import LiveStatus
     from foreglow.pipeline import Pipeline
-    from foreglow.runs.frame_records import FrameRecords, time_record
     from foreglow.runtime import OutputFolder
     from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
 
-    results = None if out is None else OutputFolder(out)
-    takers: list[LiveSink] = [LiveStatus(), *sinks]
-    if results is not None:
-        takers.append(ResultsOnly(FrameRecords(results.partial("frames.jsonl"))))
-        takers.append(ResultsOnly(FrameRecords(results.partial("times.jsonl"), time_record)))
+    all_sinks: list[LiveSink] = [LiveStatus(), *sinks]
     notifier = ServiceNotifier()
-    try:
+    with contextlib.nullcontext() if out is None else OutputFolder(out) as results:
+        if results is not None:
+            all_sinks += [ResultsOnly(sink) for sink in results.line_sinks()]
         loop = LiveLoop(
-            source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=takers, beat=notifier.beat
+            source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=all_sinks, beat=notifier.beat
         )
         summary = loop.run(limit)
         notifier.stop()
         if results is not None:
-            results.write_text("config.toml", config_to_toml(configuration))
-            results.write_text("summary.json", summary.to_json())
-            results.publish()
-    except BaseException:
-        if results is not None:
-            results.discard()
-        raise
+            results.publish(configuration, summary)
     return summary
 
 

@@ -153,7 +153,7 @@ def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> t
     from foreglow.lab.evaluation import read_predictions
     from foreglow.lab.studies.demo.moments import write_moments
     from foreglow.lab.studies.demo.story import best_story, has_labels, tell_stories
-    from foreglow.runs.tracks_file import read_tracks
+    from foreglow.runs.frames_file import read_tracks
 
     if not isinstance(frames, PVDN) or not has_labels(frames):
         return ()
@@ -184,7 +184,7 @@ def _tell_gap(frames: FrameSource, story: Story, out: Path) -> None:
     from foreglow.datasets import PVDN
     from foreglow.lab.studies.demo.gap_opening import gap_opened_s
     from foreglow.lab.studies.demo.narration import gap_line
-    from foreglow.runs.tracks_file import read_gaps
+    from foreglow.runs.frames_file import read_gaps
 
     if isinstance(frames, PVDN) and story.sight is not None:
         typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -24,7 +24,7 @@ def export_mot(
     from foreglow.datasets import PVDN
     from foreglow.lab.evaluation import read_predictions
     from foreglow.lab.evaluation.tracks import mot
-    from foreglow.runs.tracks_file import read_tracks
+    from foreglow.runs.frames_file import read_tracks
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written

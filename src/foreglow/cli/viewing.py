@@ -59,7 +59,7 @@ def viewer_sinks(
 def lux_as_driven(frames: FrameSource) -> LuxOf | None:
     """The light at other drivers' eyes as the simulated drive was recorded; None for other sources."""
     from foreglow.datasets import PVDN, Equipped
-    from foreglow.lab.simulation.writing.lux import RecordedLux
+    from foreglow.datasets.simulated.lux import RecordedLux
 
     if isinstance(frames, Equipped):
         frames = frames.source

@@ -1,17 +1,29 @@
-"""Where frames come from: images, videos, recordings, PVDN.
+"""Where frames come from: images, videos, recordings of ROS and our own, PVDN, and simulated drives.
 
-One Protocol, `FrameSource`, and `open_source` to choose by path.
+Every source is a `FrameSource`, and `open_source` chooses it by path (`formats`). `bags` reads recordings, ROS bags and
+MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and `simulated` read and write data sets with labels, which
+`foreglow.lab.simulation.writing` fills; `vehicle_logs` reads what a car knew beside its images.
 """
 
 from foreglow.datasets.bags import Recording
 from foreglow.datasets.cache import FrameCache
-from foreglow.datasets.download import download_pvdn
+from foreglow.datasets.formats import open_source
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.images import read_image, to_grey
-from foreglow.datasets.opening import open_source
 from foreglow.datasets.parts import part_names, part_of
-from foreglow.datasets.pvdn import PVDN, Selection
-from foreglow.datasets.pvdn_schema import (
+from foreglow.datasets.pvdn import (
+    PVDN,
+    SPLIT_NAMES,
+    LabelledImage,
+    PVDNWriter,
+    Selection,
+    SplitName,
+    download_pvdn,
+    split_folder,
+    split_in,
+    write_pvdn,
+)
+from foreglow.datasets.pvdn.schema import (
     BoxLabels,
     CategoryConfig,
     Cycle,
@@ -23,10 +35,8 @@ from foreglow.datasets.pvdn_schema import (
     Vehicle,
     Weather,
 )
-from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter, write_pvdn
 from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.splits import SPLIT_NAMES, SplitName, split_folder, split_in
 from foreglow.datasets.vehicle_data import Equipped, VehicleData
 from foreglow.datasets.video import Video
 

@@ -22,7 +22,7 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     >>> sorted(["f10.png", "f9.png", "a.png"], key=natural_key)
     ['a.png', 'f9.png', 'f10.png']
     """
-    # Digits at odd places: [0-9] alone, as other scripts' digits need not be numbers to int().
+    # Digits at odd indices: [0-9] alone, as other scripts' digits need not be numbers to int().
     parts = re.split(r"([0-9]+)", name)
     return [(1, int(part), part) if index % 2 else (0, 0, part) for index, part in enumerate(parts)]
 
@@ -30,13 +30,13 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 class ImageFolder:
     """One image, or the images directly inside a folder in natural order of their names.
 
-    Frames are numbered by their place in that order, a skipped one included. As image files carry no time, the
-    timestamp is that number divided by `rate_hz`.
+    Frames are numbered in that order; a skipped image keeps its number. As image files carry no time, the timestamp
+    is that number divided by `rate_hz`.
 
     Attributes:
         path: The folder or the file.
         rate_hz: Frames a second that timestamps are made with.
-        skipped: One line for each image that the latest iteration left out so far.
+        skipped: A line for each image that the latest iteration left out so far.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ImageFolder:
 
         Args:
             path: The folder, or one image file; in a folder, names that begin with a dot or do not end as an image
-                are left alone.
+                are ignored.
             rate_hz: Frames a second.
             on_error: What a bad image does.
             cache: Where decoded images are kept for the next pass; None decodes each time.
@@ -92,6 +92,11 @@ class ImageFolder:
     def _frame(self, index: int) -> Frame:
         path = self._files[index]
         return Frame(self._read(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+
+
+def is_images(path: Path) -> bool:
+    """Whether `path` is a folder, or a file that is an image by its ending."""
+    return path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES
 
 
 def _images_in(folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""One image from a file: grey, 8 or 16 bit, complete, or a clear error."""
+"""Images in files: read as grey with 8 or 16 bits, complete or with a clear error, and written as PNG."""
 
 from __future__ import annotations
 
@@ -73,6 +73,12 @@ def decode_image(data: bytes, origin: str) -> Image:
     image = to_grey(_decoded(data, origin), origin, order="bgr")
     check_size(image.shape[0], image.shape[1], origin)
     return image
+
+
+def png(image: Image) -> bytes:
+    """`image` as a PNG file, without loss."""
+    _, data = cv2.imencode(".png", image)
+    return bytes(data)
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:

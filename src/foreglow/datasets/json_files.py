@@ -2,70 +2,81 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic_core import CoreSchema, core_schema
 
 from foreglow.files import write_atomic
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model")
 
 
-_NAMES_ON_DISK: dict[str, str] = {
-    "directory": "dir",
-    "driver_id": "proband_id",
-    "driver_behaviour": "proband_behaviour",
-    "is_dome": "dome",
-    "position_px": "pos",
-    "is_direct": "direct",
-    "is_rear": "rear",
-    "boxes_xyxy_px": "bounding_boxes",
-    "start_time_ms": "start_time",
-    "end_time_ms": "end_time",
-    "height_px": "height",
-    "width_px": "width",
+_MESSAGES = {
+    "missing": "field is missing",
+    "extra_forbidden": "field is unknown",
+    "unexpected_keyword_argument": "field is unknown",
 }
+"""Messages by pydantic's type of an error, for models and dataclasses alike."""
 
 
 class Record(BaseModel):
-    """A frozen JSON object: types are strict, and keys that nobody knows are kept.
+    """A frozen JSON object: types are strict, and keys that nobody knows are kept."""
 
-    In Python a field may have a more telling name than on disk; `_NAMES_ON_DISK` maps them, and both are accepted.
+    model_config = ConfigDict(frozen=True, strict=True, extra="allow", allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class StoredAs:
+    """Says that a file stores a field as another type than Python has: `Annotated[Floats, StoredAs(...)]`.
+
+    Attributes:
+        stored: The type in the file; pydantic must know it.
+        read: Makes the value from what is stored.
+        write: Makes what is stored from the value.
     """
 
-    model_config = ConfigDict(
-        frozen=True,
-        strict=True,
-        extra="allow",
-        allow_inf_nan=False,
-        populate_by_name=True,
-        alias_generator=lambda name: _NAMES_ON_DISK.get(name, name),
-    )
+    stored: Any
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """How pydantic asks for it."""
+        stored = handler.generate_schema(self.stored)
+        writing = core_schema.plain_serializer_function_ser_schema(self.write, return_schema=stored)
+        return core_schema.no_info_after_validator_function(self.read, stored, serialization=writing)
 
 
 def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
-    """The `model` in the JSON text `data`.
+    """The `model`, a pydantic model or a dataclass, in the JSON text `data`.
 
     Raises:
         ValueError: If it is not JSON, or a field is missing, of the wrong type or out of range; the message names
             `origin`, the field, what was expected and what is there.
     """
     try:
-        return model.model_validate_json(data)
+        value: Model = adapter(model).validate_json(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
             raise ValueError(f"{origin}: expected JSON: {first['ctx']['error']}") from None
         field = ".".join(_printable(str(part)) for part in first["loc"]) or "document"
         got = "" if first["type"] == "missing" else f", got {_short(first['input'])}"
-        message = (
-            "field is missing"
-            if first["type"] == "missing"
-            else first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
-        )
+        plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
+        message = _MESSAGES.get(first["type"], plain)
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
+    return value
+
+
+@functools.cache
+def adapter(model: type) -> TypeAdapter[Any]:
+    """Reads and writes a pydantic model or a dataclass; made once."""
+    return TypeAdapter(model)
 
 
 def read_json(path: Path, model: type[Model]) -> Model:
@@ -84,7 +95,21 @@ def read_json(path: Path, model: type[Model]) -> Model:
     return parse_json(data, model, str(path))
 
 
-def write_json(path: Path, record: Record) -> None:
+def read_json_lines(path: Path, model: type[Model]) -> Iterator[tuple[str, Model]]:
+    """For each line of the file at `path`, where it is (for messages), and the `model` in it.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If a line is not JSON or does not fit the model; the message names path, line and field.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        origin = f"{path}: line {number}"
+        yield origin, parse_json(line, model, origin)
+
+
+def write_json(path: Path, record: BaseModel) -> None:
     """Writes `record` with its names on disk, without the fields that were never given; whole or not at all.
 
     Raises:

@@ -1,7 +1,7 @@
 """The third stage: how far away the light in each box is.
 
-All estimators work in the vehicle's frame (x forward, y left, z up, z = 0 the road under the car) and give the range
-from the camera along the viewing ray, to what shines or is lit.
+All estimators work in the vehicle's frame (x forward, y left, z up, z = 0 is the road under the car) and give the range
+from the camera along the viewing ray, to the lamp or to the surface that it lights.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ __all__ = [
 
 
 class RangeEstimator(Protocol):
-    """Gives every box of a frame a range and its standard deviation."""
+    """Estimates the range of every box of a frame, and its standard deviation."""
 
     def __init__(self, config: DistanceConfig) -> None: ...
 
     def estimate(self, frame: Frame, detections: Detections) -> Ranges:
-        """The ranges of `detections` in `frame`, whose `camera` must be there; NaN and infinity where unknown."""
+        """The ranges of `detections` in `frame`, which must have a camera; NaN and infinity where unknown."""
         ...
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""What the pixels of a box say about its light: where in the box it is, and how much it stands out."""
+"""Where in a box its light is, and how much it stands out, from the box's pixels."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ CONTRAST_FLOOR = 5.0
 def light_of_boxes(image: Image, boxes_xyxy_px: Boxes) -> tuple[Floats, Floats]:
     """Where the light of each box is, and how much it stands out.
 
-    A box is read on a grid of 9 x 9 places, which costs the same for boxes of any size. Its surroundings are read half
-    its width and height around it; since other lights may be beside the box, half of them count as dark.
+    A box is sampled on a grid of 9 x 9 points, which costs the same for boxes of any size. The surroundings are 16
+    points up to half its width and height beyond it; their median counts, since other lights may be among them.
 
     Args:
         image: The frame's pixels.
         boxes_xyxy_px: Shape (N, 4).
 
     Returns:
-        Pixels (x, y), shape (N, 2): the mean of the box weighted with the square of what each pixel has above the
-        surroundings; the centre of a box without light. And contrasts, shape (N,): the brightest pixel over the
-        surroundings in grey levels of 255, at least `CONTRAST_FLOOR`.
+        Pixels (x, y), shape (N, 2): the mean position in the box, weighted with the square of each pixel's excess over
+        the surroundings; the centre of a box without light. And contrasts, shape (N,): the brightest pixel over the
+        surroundings in grey levels of 255, plus `CONTRAST_FLOOR`.
     """
     adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
     pixels, peaks = _native.light_of_boxes(adjacent, boxes_xyxy_px)

@@ -1,4 +1,4 @@
-"""GP: the ray meets the plane that the car stands on.
+"""GP: where the viewing ray meets the plane under the car.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation, method GP.
 """
@@ -15,26 +15,27 @@ from foreglow.rays import Rays
 from foreglow.types import Frame
 
 ROAD_SIGMA_RAD = math.radians(0.8)
-"""How far the road under the light leaves the plane, as an angle from the camera; with `HEIGHT_SIGMA_M` chosen on the
-training drives, where 68 % of the lights are within one sigma, and 84 % within two: errors have heavy tails.
+"""How far the road under the light departs from the plane, as an angle from the camera. It was chosen together with
+`HEIGHT_SIGMA_M` on the training drives, where 68 % of the lights are within one sigma, and 84 % within two: the errors
+have heavy tails.
 """
 
 HEIGHT_SIGMA_M = 0.4
-"""How high above the road lights are."""
+"""Standard deviation of the lights' height above the road."""
 
 MIN_DESCENT = 1e-9
-"""A ray that falls by less than this for each metre is level: what it meets is nowhere."""
+"""A ray that falls by less than this for each metre counts as level, and never meets the plane."""
 
 
 class GroundPlane(PixelwiseEstimator):
     """Ranges to z = 0 of the vehicle's frame.
 
-    It is exact for light on a flat road. What shines above the plane is nearer than it says: a lamp at height l above
-    a plane that the camera is h above, by the share l / h. An error p of pitch changes a range r by r^2 p / h.
+    It is exact for light on a flat road. A lamp above the plane is nearer than estimated: by the share l / h for a lamp
+    at the height l and a camera at the height h. A pitch error p changes a range r by r^2 p / h.
     """
 
     def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:  # noqa: ARG002
-        """Where o + r d has z = 0; NaN at and above the horizon, and for a camera that is not above the plane."""
+        """The r at which o + r d has z = 0; NaN at and above the horizon, and for a camera below the plane."""
         height_m, descents = rays.origin_m[2], -rays.directions[:, 2]
         is_hit = (descents > MIN_DESCENT) & (height_m > 0)
         sines = np.where(is_hit, descents, 1.0)

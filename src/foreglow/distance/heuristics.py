@@ -1,11 +1,11 @@
-"""Which range stands for a box, of those of its pixels: the paper's heuristics.
+"""From the ranges of a box's pixels to the range of the box: the paper's heuristics.
 
-`maximum`, `minimum`, `mean` and `median` look at 3 x 3 places, evenly spread from the first pixel's centre to the
-last one's along either axis, instead of at every pixel. Ranges change smoothly over a box: GP has its extremes in
-these places, PSD may have one between them and be off by a few per cent in boxes of 20 pixels; mean and median weigh
-the rim a little more than all pixels would.
+`maximum`, `minimum`, `mean` and `median` use 3 x 3 sample points instead of every pixel, evenly spread from the centre
+of the first pixel to that of the last one along both axes. Ranges change smoothly over a box: the extremes of GP are at
+these points; an extreme of PSD may lie between them and be off by a few per cent in boxes of 20 pixels; mean and median
+weigh the rim a little more than all pixels would.
 
-Source: Ewecker et al., arXiv 2107.11302, distance estimation (the heuristics; places instead of pixels are ours).
+Source: Ewecker et al., arXiv 2107.11302, distance estimation (the heuristics; the sample points are ours).
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from foreglow.geometry import Floats
 from foreglow.types import Boxes
 
 Reduction: TypeAlias = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""From the ranges and sigmas of places, shape (N, K), to those of the boxes, shape (N,); NaN only where all are."""
+"""From ranges and sigmas at the sample points, shape (N, K), to those of the boxes, shape (N,); NaN where all are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heuristic:
-    """A rule that makes one range of a box.
+    """A rule that gives a box one range.
 
     Attributes:
-        shares: Shape (K, 2), the places that are looked at: 0, 0 is the centre of the upper left pixel, 1, 1 that of
-            the lower right one.
-        reduce: What is made of their ranges.
+        shares: Shape (K, 2), the sample points: (0, 0) is the centre of the upper left pixel, (1, 1) that of the lower
+            right one.
+        reduce: Makes one range out of theirs.
     """
 
     shares: Floats
     reduce: Reduction
 
     def pixels(self, boxes_xyxy_px: Boxes) -> Floats:
-        """The places of the boxes, shape (N, K, 2), columns x and y, full-frame pixels.
+        """The sample points of the boxes, shape (N, K, 2), columns x and y, full-frame pixels.
 
         >>> HEURISTICS["lowest"].pixels(np.array([[10, 20, 13, 24]], np.int32)).tolist()
         [[[11.5, 23.5]]]
@@ -48,31 +48,31 @@ class Heuristic:
 
 
 def only(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    """Those of the only place."""
+    """Range and sigma of the only sample point."""
     return ranges_m[:, 0], sigmas_m[:, 0]
 
 
 def at_maximum(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    """Those of the place that is farthest."""
+    """Range and sigma of the farthest sample point."""
     return _at(np.where(np.isnan(ranges_m), -np.inf, ranges_m).argmax(axis=1), ranges_m, sigmas_m)
 
 
 def at_minimum(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    """Those of the place that is nearest."""
+    """Range and sigma of the nearest sample point."""
     return _at(np.where(np.isnan(ranges_m), np.inf, ranges_m).argmin(axis=1), ranges_m, sigmas_m)
 
 
 def mean(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    """Means over the places with a range; errors of neighbours are the same, so that sigmas do not shrink."""
+    """Means over the sample points with a range; their errors are the same, so sigmas do not shrink."""
     is_known = ~np.isnan(ranges_m)
     num = is_known.sum(axis=1)
     sums = np.where(is_known, ranges_m, 0.0).sum(axis=1), np.where(is_known, sigmas_m, 0.0).sum(axis=1)
-    num_or_one = np.maximum(num, 1)
-    return np.where(num > 0, sums[0] / num_or_one, np.nan), np.where(num > 0, sums[1] / num_or_one, np.inf)
+    divisor = np.maximum(num, 1)
+    return np.where(num > 0, sums[0] / divisor, np.nan), np.where(num > 0, sums[1] / divisor, np.inf)
 
 
 def median(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    """That of the middle place, or the mean of the two middle ones."""
+    """Range and sigma of the middle sample point, or the means of the two middle ones."""
     order = ranges_m.argsort(axis=1)  # NaN comes last
     num = (~np.isnan(ranges_m)).sum(axis=1)
     rows = np.arange(len(order))
@@ -84,9 +84,9 @@ def median(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
     )
 
 
-def _at(places: np.ndarray, ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
-    rows = np.arange(len(places))
-    return ranges_m[rows, places], sigmas_m[rows, places]
+def _at(columns: np.ndarray, ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:
+    rows = np.arange(len(columns))
+    return ranges_m[rows, columns], sigmas_m[rows, columns]
 
 
 _STEPS = np.linspace(0.0, 1.0, 3)

@@ -1,11 +1,54 @@
-"""What may be lit in a box: kinds of light along the road, and how likely each of them is at each place.
+"""The road-surface model: which kind of light a box may show, where along the road, and how likely that is.
 
-A kind of light is a line along the road, at some offset and height: lamps over either lane, the road itself, rails,
-what stands beside it. A hypothesis is a kind at a place, thus with a range. For each, the direction in which its light
-should be seen is Gaussian about the line's, and so are the features of its box: together with how often each kind is
-seen at which range, Bayes' rule gives every hypothesis a weight.
+A kind of light k is a line along the road with an offset and a height: lamps over either lane, the road itself, a
+guard rail, whatever stands beside the road. A hypothesis is a kind k at one of the arc lengths s in `PLACES_M`, so it
+has a position, a direction and a range. Bayes' rule weighs all hypotheses of a frame against each box; the weights
+over the ranges are the distribution of the box's range. `docs/road_surface.md` explains the model and its fit.
 
-All functions work on NumPy arrays and, with `xp=torch`, on tensors: the model is fitted by what it is used with.
+Units and axes: metres and radians in the vehicle's frame, x forward, y left, z up; azimuths to the left, elevations
+upwards. `log` is the natural logarithm.
+
+Hidden state: (k, s). Observed for each box: the direction (a, e) of its light, the features f, and, where another box
+looks like the second headlamp of the same vehicle, the range p that their spacing implies.
+
+Position of hypothesis (k, s), for a centre line X, Y, Z with the heading psi, at the offset t and the height h; c is
+the height of the road's cross section above its centre line, and the vehicle stands on a road that is z0 high and
+leans by l:
+
+    x = X - t sin(psi),   y = Y + t cos(psi),   z = Z + c(t) + h - z0 - l y                                     (1)
+
+Direction and range from the camera, with (u, v, w) = (x, y, z) - camera and q^2 = u^2 + v^2:
+
+    azimuth = atan2(v, u),   elevation = atan2(w, q),   r^2 = q^2 + w^2                                         (2)
+
+A small displacement of the light turns its direction by
+
+    d azimuth = (u dy - v dx) / q^2,   d elevation = dz / q - w (u dx + v dy) / q^3                             (3)
+
+The covariance C of the direction adds up independent errors. Three displacements, turned into angles by (3):
+
+    along the road within the cell          sigma_cell (cos psi, sin psi, slope)                                (4)
+    the whole road, if we are further on    sigma_shift (T(s) - T(0) - kappa e_z x P)                           (5)
+    across the road, over which it rises    sigma_offset (-sin psi, cos psi, dc/dt)                             (6)
+
+with the tangent T, the position P = (x, y, 0) and the curvature kappa under the vehicle; and errors of a single angle:
+
+    azimuth      sigma_yaw^2 + (sigma_left u / q^2)^2 + sigma_pixel^2 + (share of the box's width)^2            (7)
+    elevation    ((sigma_pitch u)^2 + (sigma_roll v)^2 + sigma_height^2) / q^2
+                 + sigma_slope^2 + sigma_pixel^2 + (share of the box's height)^2                                (8)
+
+Log weight of a hypothesis for a box, up to a constant of the box:
+
+    log w = log share_k - ((log r - m_k) / tau)^2 / 2 + log(length of the cell / range)       how common        (9)
+          - d' C^-1 d / 2 - log|C| / 2,   d = (a - azimuth, e - elevation)                    direction        (10)
+          - sum over i of ((f_i - mu_ki - beta_ki (log r - 4)) / sigma_i)^2 / 2               features         (11)
+          + log P(pair | k, r)                                                                lamp pairs       (12)
+
+A box of kind k has a partner with the probability 1 / (1 + exp(-g_k)). For lamps, the partner is the other headlamp of
+the same vehicle with the probability rho, and then log p is Gaussian about log r; otherwise log p is Gaussian about a
+fixed mean, whatever r is.
+
+All functions work on NumPy arrays and, with `xp=torch`, on tensors, so the model is fitted with the code that uses it.
 """
 
 from __future__ import annotations
@@ -25,39 +68,39 @@ from foreglow.geometry import Floats
 SHIPPED = Path(__file__).with_name("road_surface.toml")
 
 FEATURES = ("size", "shape", "contrast")
-"""Of a box: log of its width in radians, log of height over width, log of its contrast in grey levels."""
+"""Features of a box: log of its width in radians, log of height over width, log of its contrast in grey levels."""
 
 FEATURE_MEANS = np.array([-3.3, -0.5, 4.7])
 FEATURE_SCALES = np.array([1.1, 0.8, 0.4])
-"""Features are taken relative to these, so that the model's numbers are of the order of 1."""
+"""Features are shifted and scaled by these, so that the model's numbers are of the order of 1."""
 
 REFERENCE_LOG_RANGE = 4.0
-"""Features of a kind are given at this log of metres, 55 m."""
+"""Features of a kind are given at this log range: 55 m."""
 
 ANYWHERE_SIGMA_RAD = 0.35
-"""Kinds that are tied to no line may be seen in any direction of the view."""
+"""Standard deviation of the azimuth of kinds that are tied to no line: anywhere in the field of view."""
 
 PLANE_SIGMA_RAD = 0.01
-"""Slope of the ground against the plane that we stand on, for those kinds."""
+"""Slope of the ground against the plane under the vehicle, for those kinds."""
 
 ROLL_SIGMA_RAD = float(np.radians(0.13))
-"""Of a body on its springs."""
+"""Standard deviation of the roll of a body on its springs."""
 
 PAIR_SHARE = 0.8
-"""Of the lamps with a partner, those whose partner is the same vehicle's other lamp."""
+"""rho: share of the lamps with a partner whose partner is the other lamp of the same vehicle."""
 
 PAIR_LOG_SIGMA = 0.9
 PAIR_LOG_MEAN = 4.5
-"""Of the range that a pair seems to have where it is none."""
+"""Spread and mean of the log range that two unrelated lights imply when they are taken for a pair."""
 
 IMPOSSIBLE = -1e6
-"""Log weight of a place that the map does not reach; finite, so that gradients are."""
+"""Log weight of a position beyond the map's end; finite, so that gradients stay finite."""
 
 CELL_SIGMAS_M = CELLS_M / math.sqrt(12.0)
-"""Of a place within its cell."""
+"""Standard deviation of a position that is equally likely anywhere in its cell."""
 
 LOG_CELLS = np.log(CELLS_M / (PLACES_M - 2.0))
-"""Log of how much of the log range each place stands for."""
+"""Log of the cell's length over its range: how much of the log range each position stands for."""
 
 _PLACES, _CELL_SIGMAS, _LOG_CELLS = PLACES_M[:, None], CELL_SIGMAS_M[:, None], LOG_CELLS[:, None]
 
@@ -66,22 +109,22 @@ _Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
 
 
 class Kind(FrozenModel):
-    """One kind of light.
+    """One kind of light, k in the equations.
 
     Attributes:
         name: Unique.
-        side: Where its line runs: 1 the left edge of the carriageway, -1 the right one, 0 the centre line.
-        offset_m: And further to the left of that.
-        height_m: Above the carriageway.
+        side: Where its line runs: 1 along the left edge of the carriageway, -1 the right edge, 0 the centre line.
+        offset_m: Distance of the line to the left of that edge or centre line.
+        height_m: Height of the line above the carriageway.
         offset_sigma_m: Standard deviation of the offset (fitted).
-        height_sigma_m: Of the height (fitted).
-        is_lamp: Whether it may be one of a pair.
-        is_anywhere: Whether it is tied to no line: at its height above the plane that we stand on.
-        log_share: Log of how often it is seen, to a constant (fitted).
-        log_range: Mean log of its range in metres (fitted).
-        features: Of its boxes at 55 m, relative (fitted).
-        size_slope: Of the size over the log of the range (fitted).
-        pair_logit: Log odds of having a partner (fitted).
+        height_sigma_m: Standard deviation of the height (fitted).
+        is_lamp: Whether it may be one of a pair of headlamps.
+        is_anywhere: Whether it is tied to no line, but to its height above the plane under the vehicle.
+        log_share: Log of how often it is seen, up to a constant (fitted).
+        log_range: Mean log of its range in metres, m in (9) (fitted).
+        features: Mean features of its boxes at 55 m, scaled, mu in (11) (fitted).
+        size_slope: Slope of the feature `size` over the log range, beta in (11) (fitted).
+        pair_logit: Log odds of having a partner, g in (12) (fitted).
     """
 
     name: str
@@ -100,18 +143,18 @@ class Kind(FrozenModel):
 
 
 class Hypotheses(FrozenModel):
-    """All kinds of light, and what they share.
+    """The whole model: all kinds of light, and the parameters that they share.
 
     Attributes:
-        origin: What it was fitted on.
-        kinds: Lamps first.
-        range_log_sigma: Spread of the log of each kind's range (fitted).
-        feature_slopes: Of shape and contrast over the log of the range (fitted).
-        feature_sigmas: Of the features about their means (fitted).
-        pixel_sigma_rad: Of the direction of a small box's light (fitted).
-        slope_sigma: Of the map's slopes, and what else errs upwards beside the pitch (fitted).
-        box_shares: Of the direction, in widths and heights of the box (fitted).
-        sigma_scale: Of the stated standard deviations (chosen on other drives).
+        origin: What the model was fitted on.
+        kinds: The kinds, lamps first.
+        range_log_sigma: Spread of the log range of each kind, tau in (9) (fitted).
+        feature_slopes: Slopes of shape and contrast over the log range, beta in (11) (fitted).
+        feature_sigmas: Standard deviations of the features about their means, sigma in (11) (fitted).
+        pixel_sigma_rad: Standard deviation of the direction of a small box's light (fitted).
+        slope_sigma: Error of the map's slopes, and of everything else upwards but the pitch (fitted).
+        box_shares: Standard deviation of the direction, as a share of the box's width and height (fitted).
+        sigma_scale: Factor on the standard deviations that are reported (chosen on other drives).
     """
 
     origin: str = ""
@@ -126,7 +169,7 @@ class Hypotheses(FrozenModel):
 
 
 def read_hypotheses(path: Path | None = None) -> Hypotheses:
-    """The model in the TOML file `path`; the one that ships without.
+    """The model in the TOML file `path`; without a path, the model that ships.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -175,16 +218,16 @@ def parameters_of(model: Hypotheses) -> Parameters:
 
 
 class Cells(NamedTuple):
-    """All hypotheses of a frame: what is expected of each; shape (C,), C = places times kinds, kinds fastest.
+    """What each hypothesis of a frame predicts; shape (C,), C = arc lengths times kinds, kinds varying fastest.
 
     Attributes:
         azimuths_rad: Direction of its light, to the left.
-        elevations_rad: Upwards.
-        variances_across: Of the azimuth.
-        covariances: Of both.
-        variances_up: Of the elevation.
-        log_ranges: Of the distance from the camera, metres.
-        log_priors: How likely it is before its box is looked at.
+        elevations_rad: The same, upwards.
+        variances_across: Variance of the azimuth, without the box's own share.
+        covariances: Covariance of azimuth and elevation.
+        variances_up: Variance of the elevation, without the box's own share.
+        log_ranges: Log of the distance from the camera in metres.
+        log_priors: Log of how common it is, (9).
     """
 
     azimuths_rad: Array
@@ -197,7 +240,7 @@ class Cells(NamedTuple):
 
 
 class _Lines(NamedTuple):
-    """The kinds' lines seen from the camera, and how their directions err; shape (S, K), or what broadcasts to it."""
+    """The kinds' lines as the camera sees them, and the errors of their directions; arrays that broadcast to (S, K)."""
 
     forward_m: Array
     left_m: Array
@@ -209,13 +252,14 @@ class _Lines(NamedTuple):
 
 
 class BoxEvidence(NamedTuple):
-    """What is seen of each box, N of them.
+    """What is observed of each of N boxes.
 
     Attributes:
-        directions_rad: Shape (N, 2), azimuth to the left and elevation of its light.
+        directions_rad: Shape (N, 2), azimuth and elevation of the light.
         sizes_rad: Shape (N, 2), width and height.
-        features: Shape (N, F), relative, as `FEATURES`.
-        pair_log_ranges: Shape (N,), log of the range at which a partner would be the other headlamp; NaN without one.
+        features: Shape (N, F), the `FEATURES`, scaled.
+        pair_log_ranges: Shape (N,), log of the range p at which the partner would be the other headlamp of the same
+            vehicle; NaN without a partner.
     """
 
     directions_rad: Array
@@ -227,50 +271,50 @@ class BoxEvidence(NamedTuple):
 def cells_along(
     parameters: Parameters, road: Ribbon | None, camera_m: Floats, pitch_sigma_rad: float, xp: Any = np
 ) -> Cells:
-    """The hypotheses along `road`; without one, no kind is tied to a line.
+    """The hypotheses along `road`; without a road, no kind is tied to a line.
 
     Args:
-        parameters: Of the model.
-        road: As it lies before us.
-        camera_m: Shape (3,), where the camera is.
+        parameters: The model's.
+        road: The road in the vehicle's frame.
+        camera_m: Shape (3,), position of the camera.
         pitch_sigma_rad: Standard deviation of the camera's pitch against the road.
-        xp: Of the parameters' arrays, NumPy or PyTorch.
+        xp: The module of the parameters' arrays, NumPy or PyTorch.
     """
-    x_m, y_m, z_m = (float(one) for one in camera_m)
+    x_m, y_m, z_m = (float(coordinate) for coordinate in camera_m)
     lines = _on_plane(parameters, x_m, z_m, xp)
     if road is not None:
         pairs = zip(lines, _on_road(parameters, road, (x_m, y_m, z_m), xp), strict=True)
-        lines = _Lines(*(xp.where(parameters.is_anywhere, one, other) for one, other in pairs))
+        lines = _Lines(*(xp.where(parameters.is_anywhere, on_plane, on_road) for on_plane, on_road in pairs))
     forward, left, up = lines[:3]
-    level = xp.sqrt(forward * forward + left * left)
-    log_ranges = 0.5 * xp.log(level * level + up * up)
-    pixel, height = parameters.pixel_sigma_rad**2, (parameters.height_sigma_m / level) ** 2
-    tilt = ((pitch_sigma_rad * forward) ** 2 + (ROLL_SIGMA_RAD * left) ** 2) / (level * level)
-    offs = (log_ranges - parameters.log_range) / parameters.range_log_sigma
-    log_priors = parameters.log_share - 0.5 * offs * offs + xp.where(lines.is_known, xp.asarray(_LOG_CELLS), IMPOSSIBLE)
+    horizontal = xp.sqrt(forward * forward + left * left)  # q
+    log_ranges = 0.5 * xp.log(horizontal * horizontal + up * up)  # (2)
+    pixel, height = parameters.pixel_sigma_rad**2, (parameters.height_sigma_m / horizontal) ** 2
+    tilt = ((pitch_sigma_rad * forward) ** 2 + (ROLL_SIGMA_RAD * left) ** 2) / (horizontal * horizontal)
+    deviations = (log_ranges - parameters.log_range) / parameters.range_log_sigma
+    log_cells = xp.where(lines.is_known, xp.asarray(_LOG_CELLS), IMPOSSIBLE)
     cells = (
-        xp.arctan2(left, forward),
-        xp.arctan2(up, level),
-        lines.variances_across + pixel,
+        xp.arctan2(left, forward),  # (2)
+        xp.arctan2(up, horizontal),
+        lines.variances_across + pixel,  # (7)
         lines.covariances,
-        lines.variances_up + pixel + height + tilt + parameters.slope_sigma**2,
+        lines.variances_up + pixel + height + tilt + parameters.slope_sigma**2,  # (8)
         log_ranges,
-        log_priors,
+        parameters.log_share - 0.5 * deviations * deviations + log_cells,  # (9)
     )
-    return Cells(*(one.reshape(-1) for one in cells))
+    return Cells(*(column.reshape(-1) for column in cells))
 
 
 def log_weights(parameters: Parameters, cells: Cells, boxes: BoxEvidence, xp: Any = np) -> Array:
-    """Log weight of every hypothesis for every box, to a constant for each box; shape (N, C)."""
+    """Log weight of every hypothesis for every box, up to a constant for each box; shape (N, C)."""
     shares = (boxes.sizes_rad * parameters.box_shares) ** 2
-    across = cells.variances_across + shares[:, :1]
-    up = cells.variances_up + shares[:, 1:]
-    right = boxes.directions_rad[:, :1] - cells.azimuths_rad
+    across = cells.variances_across + shares[:, :1]  # (7), the box's own share
+    up = cells.variances_up + shares[:, 1:]  # (8)
+    to_left = boxes.directions_rad[:, :1] - cells.azimuths_rad
     above = boxes.directions_rad[:, 1:] - cells.elevations_rad
     determinants = across * up - cells.covariances**2
-    squares = up * right * right - 2.0 * cells.covariances * right * above + across * above * above
-    weights = cells.log_priors - 0.5 * (squares / determinants + xp.log(determinants))
-    # Gaussian features with the same variance for all kinds: what is left is linear in them.
+    squares = up * to_left * to_left - 2.0 * cells.covariances * to_left * above + across * above * above
+    weights = cells.log_priors - 0.5 * (squares / determinants + xp.log(determinants))  # (10)
+    # (11), expanded: the squares of the features are the same for all hypotheses of a box and fall away.
     num_kinds = len(parameters.log_share)
     log_ranges = cells.log_ranges.reshape(-1, num_kinds, 1) - REFERENCE_LOG_RANGE
     means = (parameters.features + parameters.feature_slopes * log_ranges) / parameters.feature_sigmas
@@ -280,9 +324,12 @@ def log_weights(parameters: Parameters, cells: Cells, boxes: BoxEvidence, xp: An
 
 
 def _pair_terms(parameters: Parameters, cells: Cells, boxes: BoxEvidence, xp: Any) -> Array:
-    """Log likelihood of having a partner at the seen distance, or none, to a constant for each box; shape (N, C)."""
+    """Equation (12) for every hypothesis and box, up to a constant for each box; shape (N, C).
+
+    The density of log p is given relative to that of unrelated lights, so that lights other than lamps have 1.
+    """
     num_places, num_kinds = len(PLACES_M), len(parameters.log_share)
-    # log(1 + exp(x)) for having one, with the sign turned for having none.
+    # log P(no partner) = -log(1 + exp(g)), and log P(partner) is that plus g.
     no_partner = -xp.log1p(xp.exp(parameters.pair_logit))
     has_partner = ~xp.isnan(boxes.pair_log_ranges)
     alone = xp.broadcast_to(no_partner, (num_places, num_kinds)).reshape(-1)
@@ -290,17 +337,17 @@ def _pair_terms(parameters: Parameters, cells: Cells, boxes: BoxEvidence, xp: An
         return alone
     seen = xp.where(has_partner, boxes.pair_log_ranges, PAIR_LOG_MEAN)[:, None]
     is_lamp = xp.broadcast_to(parameters.is_lamp, (num_places, num_kinds)).reshape(-1)
-    of_one = ((seen - cells.log_ranges) / SPACING_LOG_SIGMA) ** 2
-    of_two = ((seen - PAIR_LOG_MEAN) / PAIR_LOG_SIGMA) ** 2
-    ratio = xp.exp(0.5 * (of_two - of_one)) * (PAIR_LOG_SIGMA / SPACING_LOG_SIGMA * PAIR_SHARE) + (1.0 - PAIR_SHARE)
-    paired = xp.where(is_lamp, xp.log(ratio), 0.0) + xp.broadcast_to(
+    same_vehicle = ((seen - cells.log_ranges) / SPACING_LOG_SIGMA) ** 2
+    unrelated = ((seen - PAIR_LOG_MEAN) / PAIR_LOG_SIGMA) ** 2
+    density = xp.exp(0.5 * (unrelated - same_vehicle)) * (PAIR_LOG_SIGMA / SPACING_LOG_SIGMA * PAIR_SHARE)
+    paired = xp.where(is_lamp, xp.log(density + (1.0 - PAIR_SHARE)), 0.0) + xp.broadcast_to(
         parameters.pair_logit, (num_places, num_kinds)
     ).reshape(-1)
     return alone + xp.where(has_partner[:, None], paired, 0.0)
 
 
 def _on_plane(parameters: Parameters, camera_x_m: float, camera_z_m: float, xp: Any) -> _Lines:
-    """Lines that may be seen in any direction, at their height above the plane that we stand on."""
+    """Lines that may be seen in any direction, at their height above the plane under the vehicle."""
     zeros = xp.zeros_like(xp.asarray(_PLACES) + parameters.height_m)
     return _Lines(
         forward_m=zeros + xp.asarray(_PLACES - camera_x_m),
@@ -314,41 +361,37 @@ def _on_plane(parameters: Parameters, camera_x_m: float, camera_z_m: float, xp: 
 
 
 def _on_road(parameters: Parameters, road: Ribbon, camera_m: tuple[float, float, float], xp: Any) -> _Lines:
-    """The kinds' lines along the road, with the errors of the map, of our place on it, and of the lines themselves."""
+    """The kinds' lines along the road, with the errors of the map, of our position on it, and of the lines."""
     offset = parameters.side * road.half_width_m + parameters.offset_m
     inside = xp.clip(offset, -road.half_width_m, road.half_width_m)
-    x, y = road.x_m - road.sin * offset, road.y_m + road.cos * offset
+    x, y = road.x_m - road.sin * offset, road.y_m + road.cos * offset  # (1)
     across = -road.banking * inside - road.crown * abs(inside)
     up = road.z_m + across - road.rise_m - road.lean * y + parameters.height_m - camera_m[2]
     forward, left = x - camera_m[0], y - camera_m[1]
     squared = forward * forward + left * left
-    level = xp.sqrt(squared)
-    # Displacements become angles: across by the perpendicular over the distance, ...
+    horizontal = xp.sqrt(squared)
     to_cos, to_sin, fall = forward / squared, left / squared, up / squared
 
-    def angles(x_m: Array, y_m: Array, z_m: Array) -> tuple[Array, Array]:
-        return to_cos * y_m - to_sin * x_m, z_m / level - fall * (to_cos * x_m + to_sin * y_m) * level
+    def angles(x_m: Array, y_m: Array, z_m: Array) -> tuple[Array, Array]:  # (3)
+        return to_cos * y_m - to_sin * x_m, z_m / horizontal - fall * (to_cos * x_m + to_sin * y_m) * horizontal
 
-    # ... of the place within its cell, along the road; ...
     cells_m = xp.asarray(_CELL_SIGMAS)
-    cell = angles(cells_m * road.cos, cells_m * road.sin, cells_m * road.slope)
-    # ... of the whole road, when we are further along it than we believe: P' = T(s) - T(0) - kappa z x P; ...
+    cell = angles(cells_m * road.cos, cells_m * road.sin, cells_m * road.slope)  # (4)
     shift_m, turn = road.shift_sigma_m, road.curvature_per_m
-    shift = angles(
+    shift = angles(  # (5)
         shift_m * (road.cos - road.start_cos + turn * y),
         shift_m * (road.sin - road.start_sin - turn * x),
         shift_m * (road.slope - road.start_slope),
     )
-    # ... and of the line across the road, over which it also rises.
     sigma = parameters.offset_sigma_m
     steep = xp.where(abs(offset) <= road.half_width_m, -road.banking - road.crown * xp.sign(offset), 0.0)
-    line = angles(-road.sin * sigma, road.cos * sigma, steep * sigma)
-    stand = road.yaw_sigma_rad**2 + (road.left_sigma_m * to_cos) ** 2
+    line = angles(-road.sin * sigma, road.cos * sigma, steep * sigma)  # (6)
+    pose = road.yaw_sigma_rad**2 + (road.left_sigma_m * to_cos) ** 2  # (7)
     return _Lines(
         forward_m=forward,
         left_m=left,
         up_m=up,
-        variances_across=cell[0] ** 2 + shift[0] ** 2 + line[0] ** 2 + stand,
+        variances_across=cell[0] ** 2 + shift[0] ** 2 + line[0] ** 2 + pose,
         covariances=cell[0] * cell[1] + shift[0] * shift[1] + line[0] * line[1],
         variances_up=cell[1] ** 2 + shift[1] ** 2 + line[1] ** 2,
         is_known=road.is_known,

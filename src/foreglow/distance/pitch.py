@@ -9,24 +9,24 @@ from foreglow.distance.markings import MarkingFinder
 from foreglow.types import Frame
 
 REST_SIGMA_RAD = math.radians(0.12)
-"""Of a body on its springs on an ordinary road, when nobody measures it: what the simulator's drives have."""
+"""Standard deviation of a body's pitch on an ordinary road when it is not measured; from the simulator's drives."""
 
 SENSOR_SIGMA_RAD = math.radians(0.05)
-"""Assumed of a pitch sensor; none was at hand."""
+"""Assumed standard deviation of a pitch sensor; none was at hand."""
 
 
 class Pitch(NamedTuple):
-    """Nose up against the road, and its standard deviation; both rad."""
+    """Pitch of the body against the road, nose up, and its standard deviation; both rad."""
 
     rad: float
     sigma_rad: float
 
 
 class PitchSource(Protocol):
-    """Says how the body is pitched in each frame."""
+    """Gives the pitch of the body in each frame."""
 
     def pitch(self, frame: Frame) -> Pitch:
-        """The pitch in `frame`, beyond that of the calibration."""
+        """The pitch in `frame`, on top of the calibration's."""
         ...
 
     def reset(self) -> None:
@@ -35,10 +35,10 @@ class PitchSource(Protocol):
 
 
 class FixedPitch:
-    """That of the calibration: the body at rest."""
+    """The calibration's pitch: the body at rest."""
 
     def pitch(self, frame: Frame) -> Pitch:  # noqa: ARG002
-        """No more than the calibration has."""
+        """Zero, on top of the calibration's."""
         return Pitch(0.0, REST_SIGMA_RAD)
 
     def reset(self) -> None:
@@ -46,7 +46,7 @@ class FixedPitch:
 
 
 class MotionPitch:
-    """What `Frame.motion` tells; at rest where it tells nothing."""
+    """The pitch in `Frame.motion`; at rest where it has none."""
 
     def pitch(self, frame: Frame) -> Pitch:
         """The measured pitch."""
@@ -59,9 +59,9 @@ class MotionPitch:
 
 
 class MarkingsPitch:
-    """What the lane markings tell, weighted with the body at rest; at rest where they tell nothing.
+    """The pitch that the lane markings show, weighted with the body at rest; at rest where no markings are seen.
 
-    Every frame stands for itself: a body sways once a second, too fast to be followed at a few frames a second.
+    Each frame is measured by itself: a body sways about once a second, too fast to be tracked at a few frames a second.
     """
 
     def __init__(self) -> None:

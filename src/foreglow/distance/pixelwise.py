@@ -1,4 +1,4 @@
-"""What the paper's estimators share: rays through a box's pixels, a range for each, and one range for the box."""
+"""Base of the paper's estimators: rays through a box's pixels, a range for each ray, and one range for the box."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from foreglow.types import Detections, Frame, Ranges
 
 
 class PixelwiseEstimator(ABC):
-    """An estimator that gives every pixel a range; a heuristic chooses among those of a box."""
+    """An estimator that gives each sampled pixel a range; a heuristic makes them the range of the box."""
 
     def __init__(self, config: DistanceConfig) -> None:
         """Raises ValueError if there is no source of the pitch that `config` asks for."""
@@ -47,5 +47,5 @@ class PixelwiseEstimator(ABC):
 
 
 def no_ranges(num: int) -> tuple[Floats, Floats]:
-    """`num` times nothing known."""
+    """`num` unknown ranges and their sigmas."""
     return np.full(num, np.nan), np.full(num, np.inf)

@@ -1,4 +1,4 @@
-"""PSD-2D: the road seen from above, without its heights.
+"""PSD-2D: where the viewing ray crosses the road, seen from above, without heights.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation, method PSD-2D.
 """
@@ -16,22 +16,22 @@ from foreglow.rays import Rays
 from foreglow.types import Frame
 
 YAW_SIGMA_RAD = math.radians(1.0)
-"""How the car heads on the road, and how well the map knows its curves."""
+"""Standard deviation of the car's heading on the road together with the error of the map's curves."""
 
 LATERAL_SIGMA_M = 4.0
-"""How far lights are from the centre line, seen from above. Chosen on the training drives, where 71 % of the lights are
-within one sigma, and 88 % within two.
+"""Standard deviation of the lights' distance from the centre line, seen from above. Chosen on the training drives,
+where 71 % of the lights are within one sigma, and 88 % within two.
 """
 
 MIN_LEVEL = 1e-6
-"""A ray whose level part is shorter has no azimuth."""
+"""A ray whose horizontal part is shorter has no azimuth."""
 
 
 class PSD2D(PixelwiseEstimator):
     """Ranges to where the ray's azimuth line first crosses the road's centre line, or else comes closest to it.
 
-    Pitch and heights play no part, which helps on hills and fails on straight roads, where the azimuth line runs
-    alongside the road. No range where it only leaves the road, or comes closest to the map's end.
+    Pitch and heights play no part. That helps on hills and fails on straight roads, where the azimuth line runs along
+    the road. There is no range where the line only departs from the road, or is closest to the map's end.
     """
 
     def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:
@@ -45,7 +45,7 @@ class PSD2D(PixelwiseEstimator):
         offsets_m = dense(frame.road.points_m[:, :2]) - rays.origin_m[:2]
         along_m = azimuths @ offsets_m.T
         nearest = nearest_points(along_m, offsets_m)
-        # Where the line crosses the road the distance is 0, several times on winding roads: the first one counts.
+        # The distance is 0 wherever the line crosses the road, on winding roads several times: the first one counts.
         is_left = azimuths @ (offsets_m[:, ::-1] * [-1.0, 1.0]).T > 0.0
         crosses = (is_left[:, 1:] ^ is_left[:, :-1]) & (along_m[:, 1:] > 0.0)
         first = crosses.argmax(axis=1)

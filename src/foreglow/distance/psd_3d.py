@@ -1,4 +1,4 @@
-"""PSD-3D: the road point that is nearest to the ray.
+"""PSD-3D: where the viewing ray comes closest to the road's centre line in space.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation, method PSD-3D.
 """
@@ -16,19 +16,21 @@ from foreglow.rays import Rays
 from foreglow.types import Frame
 
 MAP_SIGMA_RAD = math.radians(0.2)
-"""Of the map's slopes, which come in steps of 0.5 %, as an angle from the camera."""
+"""Standard deviation of the map's slopes, which come in steps of 0.5 %, as an angle from the camera."""
 
 OFFSET_SIGMA_M = 4.0
-"""How far lights are from the centre line: in a lane, above it, on a rail or in the trees, where the map is off by what
-its position is. Chosen on the training drives, where 72 % of the lights are within one sigma, and 89 % within two.
+"""Standard deviation of the lights' distance from the mapped centre line: they are in a lane, above it, on a guard rail
+or in the trees, and the map has an error of its own. Chosen on the training drives, where 72 % of the lights are within
+one sigma, and 89 % within two.
 """
 
 
 class PSD3D(PixelwiseEstimator):
     """Ranges to where the ray comes closest to the road's centre line.
 
-    The range is that of the point on the ray, not of the road point: along the ray, as all ranges are. No range where
-    there is no road, where the ray only leaves it, as above the horizon, or where the closest place is the map's end.
+    The range is that of the point on the ray, not of the road point: like all ranges, it is measured along the ray.
+    There is none without a road, where the ray only departs from the road, as above the horizon, or where the closest
+    point is the map's end.
     """
 
     def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:
@@ -44,6 +46,6 @@ class PSD3D(PixelwiseEstimator):
         return ranges_m, np.where(np.isnan(ranges_m), np.inf, sigmas_m)
 
     def _road_points(self, frame: Frame) -> Floats:
-        """The centre line as the map has it, shape (N, 3), in the vehicle's frame; there must be one."""
+        """The mapped centre line, shape (N, 3), in the vehicle's frame; the frame must have a road."""
         assert frame.road is not None
         return frame.road.points_m

@@ -1,4 +1,4 @@
-"""PSD-3D+: PSD-3D with the road turned and shifted to where the car really stands on it.
+"""PSD-3D+: PSD-3D after the road has been turned and shifted to the car's real pose on it.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation, method PSD-3D+.
 """
@@ -15,24 +15,24 @@ from foreglow.types import Frame
 
 
 class YawAndOffset(Protocol):
-    """How we stand on the road, against what the map believes: along it, in the middle of the lane."""
+    """The car's pose on the road, relative to what the map assumes: in the middle of the lane, heading along it."""
 
     @property
     def yaw_rad(self) -> float:
-        """How far we head to the left of the road's direction."""
+        """Heading to the left of the road's direction."""
         ...
 
     @property
     def left_m(self) -> float:
-        """How far we stand to the left of the believed place."""
+        """Offset to the left of the assumed position."""
         ...
 
 
 class Aligner(Protocol):
-    """Says, from lane markings or the vehicle's orientation, how we stand on the road."""
+    """Estimates the car's pose on the road, from lane markings or the vehicle's orientation."""
 
     def align(self, frame: Frame) -> YawAndOffset:
-        """How we stand in `frame`."""
+        """The pose in `frame`."""
         ...
 
     def reset(self) -> None:
@@ -44,7 +44,7 @@ class PSD3DPlus(PSD3D):
     """PSD-3D on the corrected road."""
 
     def __init__(self, config: DistanceConfig, aligner: Aligner | None = None) -> None:
-        """As PSD-3D; by default the lane markings in the image tell how we stand."""
+        """As PSD-3D; by default the pose is taken from the lane markings in the image."""
         super().__init__(config)
         self._aligner = aligner or RoadAligner()
 
@@ -56,5 +56,5 @@ class PSD3DPlus(PSD3D):
     def _road_points(self, frame: Frame) -> Floats:
         points_m = super()._road_points(frame)
         standing = self._aligner.align(frame)
-        # From the place that the map believes in to ours: shifted to the right, then turned to the right.
+        # From the assumed pose to the real one: the road is shifted to the right, then turned to the right.
         return (points_m - [0.0, standing.left_m, 0.0]) @ rotation(yaw_rad=standing.yaw_rad)

@@ -1,4 +1,32 @@
-"""The road ahead as a ribbon: places along it, with what a point on it, beside it or above it needs to be found."""
+"""The road ahead as a ribbon: its centre line and cross section at fixed arc lengths, in the vehicle's frame.
+
+Units: metres, radians, curvature 1/m positive to the left, slopes as rise per metre. The vehicle's frame is x forward,
+y left, z up. The map gives the centre line P(s) = (X, Y, Z) with the heading psi(s) over the arc length s, in the frame
+of a vehicle that stands where the map believes it to be. The alignment says that the vehicle really stands `shift`
+further along the road, `left` to the left of the believed lane position, and is turned by `yaw` to the left.
+
+The piece of road that begins `shift` further on takes the believed position and heading, and is then seen by a vehicle
+that is moved to the left and turned, with the plane rotation R(angle) to the left:
+
+    P'(s) = R(-yaw) (R(psi(0) - psi(shift)) (P(shift + s) - P(shift)) + P(0) - (0, left))                       (1)
+
+Its heights are tilted so that the slope under the vehicle is the believed one, over the distance x ahead:
+
+    Z'(s) = Z(shift + s) - Z(shift) + Z(0) - (Z_s(shift) - Z_s(0)) x                                            (2)
+
+Curvature, from the headings a = 5 m before and after:
+
+    kappa(s) = sin(psi(s + a) - psi(s - a)) / (2 a)                                                             (3)
+
+Cross section: the road falls by `banking` for each metre to the left and by `crown` for each metre away from the
+centre line. Without measured cross slopes, they are those of usual rural roads:
+
+    banking = clip(4 m kappa, -6 %, 6 %),   crown = max(2 % - |banking|, 0)                                     (4)
+
+The vehicle stands at the offset o from the centre line, on a road that leans and is higher than the centre line by
+
+    lean = -banking - sign(o) crown,   rise = -banking o - crown |o|                                            (5)
+"""
 
 from __future__ import annotations
 
@@ -12,43 +40,43 @@ from foreglow.geometry import Floats
 from foreglow.types import RoadAhead
 
 Array: TypeAlias = Any
-"""A NumPy array, or a tensor of PyTorch while the model is fitted."""
+"""A NumPy array, or a PyTorch tensor while the model is fitted."""
 
 PLACES_M = 2.0 + np.geomspace(2.5, 420.0, 44)
-"""Arc lengths from our rear axle at which the road is looked at; a camera sits about 2 m ahead of that."""
+"""Arc lengths from the rear axle at which the road is sampled; the camera is about 2 m ahead of the axle."""
 
 CELLS_M = np.gradient(PLACES_M)
-"""How much of the road each place stands for."""
+"""Length of road that each sample stands for."""
 
 CURVATURE_REACH_M = 5.0
-"""A curvature is taken over so much road to either side."""
+"""a in (3): how far before and after a position the headings are taken for its curvature."""
 
-_LOOKS_M = np.concatenate(
+_SAMPLED_M = np.concatenate(
     [PLACES_M, [0.0], PLACES_M - CURVATURE_REACH_M, [0.0], PLACES_M + CURVATURE_REACH_M, [2 * CURVATURE_REACH_M]]
 )
-"""Where the line is looked at for a ribbon: at all places and under us, then a little before these, and after."""
+"""All arc lengths that a ribbon needs: its samples and the vehicle's own position, then a before them, then a after."""
 
 CROWN = 0.02
 BANKING_M = 4.0
 MAX_BANKING = 0.06
-"""Where the map has no cross slopes: a rural road falls by 2 % to either side, and leans into a bend of radius r by
-4 m / r, at most by 6 %; the crown gives way to the banking as that becomes as steep. 2 to 2.5 % and 6 to 8 % are usual
-in guidelines for the design of roads; the banking between them differs much from road to road."""
+"""Constants of (4). Design guidelines usually ask for a crown of 2 to 2.5 % and a banking of at most 6 to 8 %; how the
+banking grows between them differs much from road to road."""
 
 BEHIND_M = 150.0
-"""The line goes on straight for so long behind its first point, for a place that is less far than the map believes."""
+"""The centre line is continued straight this far behind its first point, for a vehicle that stands further back than
+the map believes."""
 
 
 class Alignment(NamedTuple):
-    """How we stand on the road, against what the map believes: in the middle of the lane, along it, at its beginning.
+    """The vehicle's pose on the road, relative to the map's: at s = 0, in the middle of the lane, heading along it.
 
     Attributes:
-        yaw_rad: How far we head to the left of the road's direction.
-        left_m: How far we stand to the left of the believed place.
-        shift_m: How far we are along the road beyond the believed place.
+        yaw_rad: Heading to the left of the road's direction.
+        left_m: Offset to the left of the lane's middle.
+        shift_m: How far the vehicle is along the road beyond the map's position.
         yaw_sigma_rad: Standard deviation of the yaw.
-        left_sigma_m: Of the offset.
-        shift_sigma_m: Of the shift; infinite where nothing is known of it.
+        left_sigma_m: Standard deviation of the offset.
+        shift_sigma_m: Standard deviation of the shift; infinite where nothing is known of it.
     """
 
     yaw_rad: float
@@ -61,28 +89,28 @@ class Alignment(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ribbon:
-    """The road in our frame at `PLACES_M`; all arrays have shape (S, 1), so that kinds of light go beside.
+    """The road in the vehicle's frame at `PLACES_M`; arrays have shape (S, 1), to be broadcast over kinds of light.
 
     Attributes:
-        x_m: Of the centre line, forward.
-        y_m: To the left.
-        z_m: Up, before the cross slopes.
-        cos: Of the line's direction, 0 along x.
-        sin: Of the same.
-        slope: Rise for each metre along.
+        x_m: Centre line, forward.
+        y_m: Centre line, to the left.
+        z_m: Height of the centre line.
+        cos: Cosine of the line's heading, 1 along x.
+        sin: Sine of the line's heading.
+        slope: Rise for each metre along the road.
         banking: Fall for each metre to the left, from one edge to the other.
         crown: Fall for each metre away from the centre line.
         is_known: Whether the map reaches so far.
         half_width_m: From the centre line to either edge.
-        lean: Rise of the road under us for each metre to our left: our own lean.
-        rise_m: Height of the road under us against its centre line.
-        curvature_per_m: Under us, to the left.
-        start_cos: Of the line's direction beside us.
-        start_sin: Of the same.
-        start_slope: Rise for each metre along, under us.
-        shift_sigma_m: How far we may be from the place that we take for ours, along the road.
-        yaw_sigma_rad: Of our heading against the road's.
-        left_sigma_m: Of our place across the road.
+        lean: Rise of the road under the vehicle for each metre to its left, which is how the vehicle leans.
+        rise_m: Height of the road under the vehicle above the centre line.
+        curvature_per_m: Curvature beside the vehicle.
+        start_cos: Cosine of the line's heading beside the vehicle.
+        start_sin: Sine of the line's heading beside the vehicle.
+        start_slope: Rise for each metre along the road, under the vehicle.
+        shift_sigma_m: Standard deviation of the vehicle's position along the road.
+        yaw_sigma_rad: Standard deviation of its heading against the road's.
+        left_sigma_m: Standard deviation of its position across the road.
     """
 
     x_m: Array
@@ -107,22 +135,22 @@ class Ribbon:
 
 
 def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
-    """The ribbon of `road` in our frame, when we stand on it as `alignment` says."""
+    """The ribbon of `road` in the frame of a vehicle that stands on it as `alignment` says."""
     line, shift_m = _Line(road), alignment.shift_m
-    at = line.at(np.append(_LOOKS_M + shift_m, 0.0))
+    samples = line.at(np.append(_SAMPLED_M + shift_m, 0.0))
     num = len(PLACES_M) + 1
-    curvatures = _curvatures(at[num : 2 * num], at[2 * num : 3 * num])
-    bankings, crowns = _cross_slopes(curvatures, at[:num, 6], line.has_cross_slopes)
+    curvatures = _curvatures(samples[num : 2 * num], samples[2 * num : 3 * num])
+    bankings, crowns = _cross_slopes(curvatures, samples[:num, 6], line.has_cross_slopes)
     curvature, under_banking, under_crown = float(curvatures[-1]), float(bankings[-1]), float(crowns[-1])
-    here, start, believed = at[: num - 1], at[num - 1].tolist(), at[-1].tolist()
-    # The line as it lies before us: turned and moved so that its place under us takes that of the believed one, ...
+    ahead, start, believed = samples[: num - 1], samples[num - 1].tolist(), samples[-1].tolist()
+    # R(psi(0) - psi(shift)) of (1)
     turn_cos = start[3] * believed[3] + start[4] * believed[4]
     turn_sin = start[3] * believed[4] - start[4] * believed[3]
-    ahead_x, ahead_y = here[:, 0] - start[0], here[:, 1] - start[1]
-    x = turn_cos * ahead_x - turn_sin * ahead_y + believed[0]
-    y = turn_sin * ahead_x + turn_cos * ahead_y + (believed[1] - alignment.left_m)
-    z = here[:, 2] + (believed[2] - start[2]) - (start[5] - believed[5]) * x
-    # ... and turned against our yaw.
+    from_start_x, from_start_y = ahead[:, 0] - start[0], ahead[:, 1] - start[1]
+    x = turn_cos * from_start_x - turn_sin * from_start_y + believed[0]
+    y = turn_sin * from_start_x + turn_cos * from_start_y + (believed[1] - alignment.left_m)
+    z = ahead[:, 2] + (believed[2] - start[2]) - (start[5] - believed[5]) * x  # (2)
+    # R(-yaw) of (1)
     cos, sin = math.cos(alignment.yaw_rad), math.sin(alignment.yaw_rad)
     x, y = cos * x + sin * y, cos * y - sin * x
     turn_cos, turn_sin = turn_cos * cos + turn_sin * sin, turn_sin * cos - turn_cos * sin
@@ -131,14 +159,14 @@ def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
         x_m=x[:, None],
         y_m=y[:, None],
         z_m=z[:, None],
-        cos=(turn_cos * here[:, 3] - turn_sin * here[:, 4])[:, None],
-        sin=(turn_sin * here[:, 3] + turn_cos * here[:, 4])[:, None],
-        slope=(here[:, 5] - start[5] + believed[5])[:, None],
+        cos=(turn_cos * ahead[:, 3] - turn_sin * ahead[:, 4])[:, None],
+        sin=(turn_sin * ahead[:, 3] + turn_cos * ahead[:, 4])[:, None],
+        slope=(ahead[:, 5] - start[5] + believed[5])[:, None],
         banking=bankings[:-1, None],
         crown=crowns[:-1, None],
         is_known=(PLACES_M + shift_m <= line.length_m)[:, None],
         half_width_m=road.half_width_m,
-        lean=-under_banking - float(np.sign(offset_m)) * under_crown,
+        lean=-under_banking - float(np.sign(offset_m)) * under_crown,  # (5)
         rise_m=-under_banking * offset_m - under_crown * abs(offset_m),
         curvature_per_m=curvature,
         start_cos=turn_cos * start[3] - turn_sin * start[4],
@@ -150,17 +178,17 @@ def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
     )
 
 
-def mapped_curvatures(road: RoadAhead, places_m: Floats) -> Floats:
+def mapped_curvatures(road: RoadAhead, arc_lengths_m: Floats) -> Floats:
     """Curvatures of the centre line at arc lengths from its beginning, shape (M,), to the left, 1/m."""
-    line, middles_m = _Line(road), np.maximum(places_m, CURVATURE_REACH_M)
+    line, middles_m = _Line(road), np.maximum(arc_lengths_m, CURVATURE_REACH_M)
     return _curvatures(line.at(middles_m - CURVATURE_REACH_M), line.at(middles_m + CURVATURE_REACH_M))
 
 
-def mapped_course(road: RoadAhead, places_m: Floats) -> tuple[Floats, Floats]:
-    """How far the centre line has turned away to the left, and how high it is, at arc lengths from its beginning."""
-    at = _Line(road).at(np.concatenate([[0.0], places_m]))
-    away = at[1:, :2] - at[0, :2]
-    return at[0, 3] * away[:, 1] - at[0, 4] * away[:, 0], at[1:, 2]
+def mapped_course(road: RoadAhead, arc_lengths_m: Floats) -> tuple[Floats, Floats]:
+    """How far the centre line has left its first tangent to the left, and its height, at the given arc lengths."""
+    samples = _Line(road).at(np.concatenate([[0.0], arc_lengths_m]))
+    from_start = samples[1:, :2] - samples[0, :2]
+    return samples[0, 3] * from_start[:, 1] - samples[0, 4] * from_start[:, 0], samples[1:, 2]
 
 
 class _Line:
@@ -172,40 +200,41 @@ class _Line:
         lengths_m = np.sqrt(np.einsum("ij,ij->i", steps_m, steps_m))
         directions = np.empty((len(points_m), 3))
         directions[1:-1] = points_m[2:] - points_m[:-2]
-        # At the ends, of the parabola through the last three points.
+        # At the ends, the direction of the parabola through the last three points.
         directions[0], directions[-1] = steps_m[0], steps_m[-1]
         if len(points_m) > 2:
             directions[0] += 0.5 * (steps_m[0] - steps_m[1] * (lengths_m[0] / lengths_m[1]))
             directions[-1] += 0.5 * (steps_m[-1] - steps_m[-2] * (lengths_m[-1] / lengths_m[-2]))
         directions /= np.maximum(np.sqrt(directions[:, 0] ** 2 + directions[:, 1] ** 2), 1e-9)[:, None]
-        self._places_m = np.empty(len(points_m) + 1)
-        self._places_m[:2] = -BEHIND_M, 0.0
-        lengths_m.cumsum(out=self._places_m[2:])
+        self._arc_lengths_m = np.empty(len(points_m) + 1)
+        self._arc_lengths_m[:2] = -BEHIND_M, 0.0
+        lengths_m.cumsum(out=self._arc_lengths_m[2:])
         self._columns = np.empty((len(points_m) + 1, 7))
         self._columns[1:, :3], self._columns[1:, 3:6] = points_m, directions
         self._columns[1:, 6] = road.cross_slopes
         self._columns[0] = self._columns[1]
         self._columns[0, :3] -= BEHIND_M * directions[0]
-        self.length_m = float(self._places_m[-1])
+        self.length_m = float(self._arc_lengths_m[-1])
         self.has_cross_slopes = bool(road.cross_slopes.any())
 
-    def at(self, places_m: Floats) -> Floats:
-        """Shape (M, 7): x, y, z, cosine and sine of the direction, slope and cross slope."""
-        after = np.minimum(np.maximum(self._places_m.searchsorted(places_m), 1), len(self._places_m) - 1)
-        begin, end = self._places_m[after - 1], self._places_m[after]
-        share = np.minimum(np.maximum((places_m - begin) / (end - begin), 0.0), 1.0)[:, None]
+    def at(self, arc_lengths_m: Floats) -> Floats:
+        """Shape (M, 7): x, y, z, cosine and sine of the heading, slope and cross slope; linear between points."""
+        known_m = self._arc_lengths_m
+        after = np.minimum(np.maximum(known_m.searchsorted(arc_lengths_m), 1), len(known_m) - 1)
+        begin, end = known_m[after - 1], known_m[after]
+        share = np.minimum(np.maximum((arc_lengths_m - begin) / (end - begin), 0.0), 1.0)[:, None]
         low, high = self._columns.take(after - 1, axis=0), self._columns.take(after, axis=0)
         return np.asarray(low + (high - low) * share)
 
 
 def _curvatures(before: Floats, after: Floats) -> Floats:
-    """From directions that are twice `CURVATURE_REACH_M` apart, to the left, 1/m."""
-    return np.asarray((before[:, 3] * after[:, 4] - before[:, 4] * after[:, 3]) / (2 * CURVATURE_REACH_M))
+    """Curvatures to the left, 1/m, from samples that are twice `CURVATURE_REACH_M` apart."""
+    return np.asarray((before[:, 3] * after[:, 4] - before[:, 4] * after[:, 3]) / (2 * CURVATURE_REACH_M))  # (3)
 
 
 def _cross_slopes(curvatures: Floats, cross_slopes: Floats, has_slopes: bool) -> tuple[Floats, Floats]:
-    """Banking and crown: as the map has them, or as roads usually are."""
+    """Banking and crown: the map's where it has cross slopes, otherwise those of usual roads."""
     if has_slopes:
         return -cross_slopes, np.zeros_like(cross_slopes)
-    banking = np.minimum(np.maximum(BANKING_M * curvatures, -MAX_BANKING), MAX_BANKING)
+    banking = np.minimum(np.maximum(BANKING_M * curvatures, -MAX_BANKING), MAX_BANKING)  # (4)
     return banking, np.maximum(CROWN - np.abs(banking), 0.0)

@@ -1,4 +1,4 @@
-"""Where a ray comes closest to a line of road points; in the plane or in space."""
+"""The point at which a ray comes closest to a line of road points, in the plane or in space."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from numpy.typing import NDArray
 from foreglow.geometry import Floats
 
 MAX_SPACING_M = 2.0
-"""A coarser line gets points each metre: only then are the neighbours of the nearest point those to look between."""
+"""A coarser line gets a point each metre: the closest point is only searched for beside the nearest point of the line,
+and in a coarse line it may lie elsewhere."""
 
 MIN_SQUARED_SINE = 1e-12
-"""A ray at less than a millionth of a radian to the road runs along it: no place on it is the nearest."""
+"""A ray at less than a millionth of a radian to the road runs along it: no point of it is the closest."""
 
 _BESIDE = np.array([-1, 0])
-"""The pieces that end and begin at a point, against its index."""
+"""The pieces that end and begin at a point, relative to its index."""
 
 
 def dense(points_m: Floats) -> Floats:
-    """The line through `points_m`, shape (N, D), with further points each metre where it is coarse."""
+    """The line through `points_m`, shape (N, D), with a further point each metre if it is coarse."""
     steps_m = points_m[1:] - points_m[:-1]
     squared = np.einsum("ij,ij->i", steps_m, steps_m)
     if squared.max() <= MAX_SPACING_M**2:
         return points_m
-    places_m = np.concatenate([[0.0], np.cumsum(np.sqrt(squared))])
-    wanted_m = np.union1d(places_m, np.arange(0.0, places_m[-1]))
-    return np.stack([np.interp(wanted_m, places_m, column) for column in points_m.T], -1)
+    arc_lengths_m = np.concatenate([[0.0], np.cumsum(np.sqrt(squared))])
+    wanted_m = np.union1d(arc_lengths_m, np.arange(0.0, arc_lengths_m[-1]))
+    return np.stack([np.interp(wanted_m, arc_lengths_m, column) for column in points_m.T], -1)
 
 
 def nearest_points(along_m: Floats, offsets_m: Floats) -> NDArray[np.intp]:
@@ -45,24 +46,24 @@ def nearest_points(along_m: Floats, offsets_m: Floats) -> NDArray[np.intp]:
 
 
 def closest_approach(directions: Floats, offsets_m: Floats, nearest: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """How far along each ray it is closest to the line beside point `nearest`, and the sine of their angle there.
+    """Distance along each ray at which it is closest to the line near point `nearest`, and the sine of their angle.
 
-    The line is taken as straight between its points, so that the result does not depend on where they lie.
+    The line is straight between its points, so that the result does not depend on where they lie.
 
     Args:
         directions: Shape (M, D), unit vectors d.
-        offsets_m: Shape (N, D), the line's points seen from the rays' origin.
-        nearest: Shape (M,), index of the point whose two neighbouring pieces are looked at.
+        offsets_m: Shape (N, D), the line's points relative to the rays' origin.
+        nearest: Shape (M,), index of the point whose two adjoining pieces are searched.
 
     Returns:
-        Distances t, shape (M,), metres, and sines, shape (M,). NaN where the closest place is the ray's or the line's
-        beginning or the line's end (the line says nothing of what lies beyond), and where both run alongside.
+        Distances t, shape (M,), metres, and sines, shape (M,). NaN where the closest point is the ray's origin or an
+        end of the line (the line may go on beyond it), and where ray and line are parallel.
     """
     last = len(offsets_m) - 2
     pieces = np.minimum(np.maximum(nearest[:, None] + _BESIDE, 0), last)  # (M, 2)
     starts = offsets_m[pieces]
     spans = offsets_m[pieces + 1] - starts
-    # |start + s span - t d|^2 is least where both derivatives are 0; s is then cut to the piece.
+    # |start + s span - t d|^2 is least where both derivatives are 0; s is then clipped to the piece.
     along_starts = np.einsum("ij,ikj->ik", directions, starts)
     along_spans = np.einsum("ij,ikj->ik", directions, spans)
     lengths_squared = np.einsum("ikj,ikj->ik", spans, spans)

@@ -1,6 +1,6 @@
-"""Ranges from the road's surface: what may be lit where along the road ahead, and what the box speaks for.
+"""Ranges by the road-surface model: which kinds of light may be where along the road, and which of them a box shows.
 
-`docs/road_surface.md` has the equations, what is assumed and how the model was fitted.
+`hypotheses` has the equations; `docs/road_surface.md` has the assumptions and how the model was fitted.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foreglow.config import DistanceConfig
-from foreglow.distance.alignment import RoadAligner, believed
+from foreglow.distance.alignment import RoadAligner, map_alignment
 from foreglow.distance.box_light import light_of_boxes
 from foreglow.distance.hypotheses import (
     FEATURE_MEANS,
@@ -29,13 +29,13 @@ from foreglow.types import Detections, Frame, Ranges
 
 
 class View(NamedTuple):
-    """What a frame offers to the model.
+    """What the model needs of a frame.
 
     Attributes:
-        road: As it lies before us; None where there is none, or where our place on it is not known.
-        camera_m: Shape (3,), where the camera is.
+        road: The road in the vehicle's frame; None without a road, or where the position on it is unknown.
+        camera_m: Shape (3,), position of the camera.
         pitch_sigma_rad: Standard deviation of its pitch.
-        boxes: What is seen of the boxes.
+        boxes: What is observed of the boxes.
     """
 
     road: Ribbon | None
@@ -45,10 +45,10 @@ class View(NamedTuple):
 
 
 class RoadSurface:
-    """For each box, the hypotheses of all kinds of light along the road; their weighted median is its range.
+    """Weighs the hypotheses of all kinds of light along the road for each box; their weighted median is its range.
 
-    Without a road, beyond the map's end and where light is seen that the map has no place for, those kinds count that
-    are tied to no line: at their height above the plane that we stand on.
+    Without a road, beyond the map's end, and for light that no line of the map explains, the kinds that are tied to no
+    line remain: those at a height above the plane under the vehicle.
     """
 
     def __init__(self, config: DistanceConfig) -> None:
@@ -68,7 +68,7 @@ class RoadSurface:
     def estimate(self, frame: Frame, detections: Detections) -> Ranges:
         """The ranges of `detections` in `frame`: one for every box, with a finite sigma.
 
-        Frames come in the order of time; those without boxes count, too, for what is learnt of our place.
+        Frames come in the order of time; those without boxes matter too, since they improve the vehicle's position.
 
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
@@ -81,13 +81,13 @@ class RoadSurface:
         return Ranges(detections, ranges_m, (far_m - near_m) * (0.5 * self.model.sigma_scale))
 
     def view(self, frame: Frame, detections: Detections) -> View:
-        """What `frame` offers to the model; the state goes on as in `estimate`.
+        """What the model needs of `frame`; the state is updated as in `estimate`.
 
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
         camera = calibrated(frame)
-        alignment = believed(frame) if self._aligner is None else self._aligner.align(frame)
+        alignment = map_alignment(frame) if self._aligner is None else self._aligner.align(frame)
         pitch = self._pitch.pitch(frame)
         is_placed = frame.road is not None and np.isfinite(alignment.shift_sigma_m)
         road = ribbon(frame.road, alignment) if frame.road is not None and is_placed else None

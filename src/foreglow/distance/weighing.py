@@ -1,4 +1,18 @@
-"""The hypotheses of a frame and their weights for each box: the quantiles of its range, as specified, and in C++."""
+"""From the weights of a box's hypotheses to its range: weighted quantiles, in NumPy as specified and in C++.
+
+The posterior of a box is a discrete distribution: hypothesis c has the log range v_c and the weight w_c
+(`hypotheses`), with the weights of a box summing to 1. In the order of their ranges, each hypothesis stands for the
+middle of its weight on the cumulative distribution,
+
+    M_c = w_1 + ... + w_(c-1) + w_c / 2                                                                         (1)
+
+and the quantile for the share p is linear between neighbours:
+
+    q(p) = v_c + (v_(c+1) - v_c) (p - M_c) / (M_(c+1) - M_c)   where M_c <= p <= M_(c+1)                        (2)
+
+It is the first value below M_1 and the last one above the greatest M. The range of a box is exp(q(0.5)) metres; its
+standard deviation is half the distance between exp(q(0.159)) and exp(q(0.841)).
+"""
 
 from __future__ import annotations
 
@@ -15,16 +29,16 @@ from foreglow.distance.ribbon import PLACES_M, Ribbon
 from foreglow.geometry import Floats
 
 BELOW_ONE_SIGMA = 0.1587
-"""Share of a Gaussian."""
+"""Share of a Gaussian that lies below its mean minus one standard deviation."""
 
 SHARES = (BELOW_ONE_SIGMA, 0.5, 1.0 - BELOW_ONE_SIGMA)
-"""Of the weight that lies nearer than what `weighed_ranges` gives."""
+"""The quantiles that `weighed_ranges` gives: near end, median and far end."""
 
 
 class Weigher:
-    """`hypotheses.cells_along` and `weighed_ranges` in C++, for inference; the same to rounding.
+    """`hypotheses.cells_along` and `weighed_ranges` in C++, for inference: the same results up to rounding.
 
-    Scratch memory is kept between frames, so use one object a thread.
+    Scratch memory is kept between frames, so use one object per thread.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -48,29 +62,27 @@ class Weigher:
         self._weigher = _native.HypothesisWeigher(numbers | shared)
 
     def cells_along(self, road: Ribbon | None, camera_m: Floats, pitch_sigma_rad: float) -> Cells:
-        """The hypotheses along `road`, or without one."""
+        """The hypotheses along `road`; without a road, no kind is tied to a line."""
         return Cells(*self._weigher.cells_along(road, camera_m.tolist(), pitch_sigma_rad))
 
     def ranges(self, cells: Cells, boxes: BoxEvidence) -> Floats:
-        """Near end, median and far end of each box's range in metres, shape (3, N)."""
+        """Near end, median and far end of each box's range in metres, shape (3, N); the ends are one sigma away."""
         return np.exp(self._weigher.quantiles(cells, boxes, SHARES))
 
 
 def weighed_ranges(parameters: Parameters, cells: Cells, boxes: BoxEvidence) -> Floats:
-    """Near end, median and far end of each box's range in metres, shape (3, N): one sigma to either side."""
+    """Near end, median and far end of each box's range in metres, shape (3, N); the ends are one sigma away."""
     weights = log_weights(parameters, cells, boxes)
     return np.asarray(np.exp(weighted_quantiles(cells.log_ranges, weights, SHARES)))
 
 
 def weighted_quantiles(values: Floats, log_weights: NDArray[np.floating], shares: Sequence[float]) -> Floats:
-    """For each share, the value that so much of the weight lies below, shape (len(shares), N).
-
-    Every value stands for the middle of its weight; between two of them it is linear. Equal values keep their order.
+    """Weighted quantiles by (1) and (2), one row for each share; shape (len(shares), N). Equal values keep their order.
 
     Args:
-        values: Shape (C,).
-        log_weights: Shape (N, C), to a constant in each row.
-        shares: Between 0 and 1.
+        values: Shape (C,), the same for all rows.
+        log_weights: Shape (N, C), up to a constant in each row.
+        shares: The quantiles that are wanted, between 0 and 1.
 
     >>> weighted_quantiles(np.array([3.0, 1.0, 2.0]), np.zeros((1, 3)), [0.5, 1 / 3]).round(6).tolist()
     [[2.0], [1.5]]
@@ -79,13 +91,14 @@ def weighted_quantiles(values: Floats, log_weights: NDArray[np.floating], shares
     values = values[order]
     weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))[:, order]
     weights /= weights.sum(axis=1, keepdims=True)
-    # One after another the rows make one rising line, on which all is looked up at once: row i goes from i to i + 1.
+    # Laid end to end, the rows make one cumulative distribution in which row i runs from i to i + 1, so that a single
+    # search finds the quantiles of all rows.
     ends = weights.ravel().cumsum(dtype=np.float64)
-    middles = ends - 0.5 * weights.ravel()
+    middles = ends - 0.5 * weights.ravel()  # (1)
     wanted = np.arange(len(weights)) + np.asarray(shares)[:, None]
     firsts = np.arange(len(weights)) * len(values)
     after = np.minimum(np.maximum(middles.searchsorted(wanted), firsts + 1), firsts + len(values) - 1)
     low, high = middles[after - 1], middles[after]
     between = np.minimum(np.maximum((wanted - low) / np.maximum(high - low, 1e-30), 0.0), 1.0)
     after -= firsts
-    return np.asarray(values[after - 1] + between * (values[after] - values[after - 1]))
+    return np.asarray(values[after - 1] + between * (values[after] - values[after - 1]))  # (2)

@@ -1,4 +1,4 @@
-"""Lamps as lighting engineers describe them: intensity tables, the illuminance that follows, and tables that ship."""
+"""Lamps as lighting engineers describe them: tables of intensity, the illuminance that follows, and built-in lamps."""
 
 from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps
 from foreglow.photometry.ies import read_ies

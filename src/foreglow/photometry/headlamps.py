@@ -1,4 +1,4 @@
-"""A car's headlamps: where they are, where they aim, and what each LED shines; read from a TOML file."""
+"""A car's headlamps, read from a TOML file: their positions, their aim, and the light of each LED."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHIPPED = Path(__file__).with_name("headlamps.toml")
 """The headlamps of the simulated car."""
 
 FileName: TypeAlias = Annotated[Path, Field(strict=False)]
-"""Of an IES or EULUMDAT file, relative to the TOML file's folder."""
+"""Name of an IES or EULUMDAT file, relative to the TOML file's folder."""
 
 Metres: TypeAlias = Annotated[float, Field(strict=True, ge=-20, le=20)]
 
@@ -35,8 +35,8 @@ class Headlamp:
     """One headlamp.
 
     Attributes:
-        vehicle_from_lamp: Where it is mounted and where its axis points.
-        matrix: What it shines, in its own frame.
+        vehicle_from_lamp: Its position and the direction of its axis.
+        matrix: Its light, in its own frame.
     """
 
     vehicle_from_lamp: Pose
@@ -48,9 +48,9 @@ class Headlamps:
     """A pair of matrix headlamps with the same number L of LEDs.
 
     Attributes:
-        name: What they are, in words.
-        left: The left one.
-        right: The right one.
+        name: A description.
+        left: The left lamp.
+        right: The right lamp.
 
     Raises:
         ValueError: If the lamps have different numbers of LEDs or of columns.
@@ -88,12 +88,12 @@ class Headlamps:
         """Luminous intensities towards far points.
 
         Args:
-            directions: Shape (P, 3), finite, of any length but 0, in the vehicle's frame; the lamps' places do not
+            directions: Shape (P, 3), finite, of any length but 0, in the vehicle's frame; the lamps' positions do not
                 matter.
 
         Returns:
-            Of the low beams, shape (P, 2), left and right, cd; and of the LEDs at level 1, shape (P, 2, L), cd. The
-            whole light is base + levels * LEDs, summed over L.
+            Intensities of the low beams, shape (P, 2), left and right, cd; and of the LEDs at level 1, shape
+            (P, 2, L), cd. The total is low beam + levels * LEDs, summed over L.
         """
         return self._lookup.towards(self._along_lamps(directions))
 
@@ -104,8 +104,8 @@ class Headlamps:
             points_vehicle: Shape (P, 3), metres, finite and away from the lamps, in the vehicle's frame.
 
         Returns:
-            By both low beams together, shape (P,), lx; and by each LED at level 1, shape (P, 2, L), lx. The whole
-            illuminance is base + levels * LEDs, summed over lamps and L.
+            Illuminance by both low beams together, shape (P,), lx; and by each LED at level 1, shape (P, 2, L), lx. The
+            total is low beams + levels * LEDs, summed over lamps and L.
         """
         offsets = self._along_lamps(points_vehicle) - self._positions_lamp_m
         base_cd, leds_cd = self._lookup.towards(offsets)
@@ -114,7 +114,7 @@ class Headlamps:
         return np.asarray((base_cd * per_square_m).sum(-1)), leds_cd
 
     def _along_lamps(self, vectors: ArrayLike) -> Floats:
-        """Vectors of the vehicle, shape (P, 3), along the axes of both lamps, shape (P, 2, 3)."""
+        """Vectors of the vehicle's frame, shape (P, 3), in the frames of both lamps, shape (P, 2, 3)."""
         return (np.asarray(vectors, np.float64) @ self._turned).reshape(-1, 2, 3)
 
 
@@ -122,13 +122,13 @@ class LampDescription(FrozenModel):
     """One lamp in the TOML file.
 
     Attributes:
-        position_m: Its place in the vehicle: forward of the rear axle, left of the middle, above the road.
+        position_m: Its position in the vehicle: forward of the rear axle, left of the middle, above the road.
         yaw_deg: Aim to the left.
-        pitch_deg: Aim upwards; with aim by the book 0, since the low beam's cut-off lies below the axis in its table.
-        base: The low beam's file; left out: the one that ships.
-        led_files: Files of the LEDs, a list for each row, the lowest first, each from right to left; instead of the
-            grid.
-        turn_deg: How far the grid's columns are turned to the left of the lamp's axis.
+        pitch_deg: Aim upwards; 0 for a lamp aimed by the book, since the cut-off lies below the axis in its table.
+        base: File of the low beam; by default the built-in one.
+        led_files: Files of the LEDs instead of the grid: a list for each row, the lowest first, each from right to
+            left.
+        turn_deg: Angle by which the grid's columns are turned to the left of the lamp's axis.
     """
 
     position_m: Annotated[tuple[Metres, Metres, Metres], Field(strict=False)]
@@ -154,10 +154,10 @@ class HeadlampsDescription(FrozenModel):
     """The TOML file of `read_headlamps`.
 
     Attributes:
-        name: What the headlamps are, in words.
+        name: A description of the headlamps.
         left: The left lamp.
-        right: The right one.
-        grid: LEDs of both lamps, where they are generated.
+        right: The right lamp.
+        grid: The LEDs of both lamps, if they are generated.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
@@ -167,10 +167,10 @@ class HeadlampsDescription(FrozenModel):
 
 
 def read_headlamps(path: Path | None = None) -> Headlamps:
-    """The headlamps in the TOML file `path`; None for those that ship, which are the simulated car's.
+    """The headlamps in the TOML file `path`; without a path the built-in ones, which are the simulated car's.
 
     Raises:
-        FileNotFoundError: If there is no such file, or one that it names is not there.
+        FileNotFoundError: If the file, or a file that it names, does not exist.
         ValueError: If it is not TOML, a field is unknown, missing or out of range, the lamps do not match, or a file
             that it names is broken; the message names path, field and what was expected.
     """
@@ -178,7 +178,7 @@ def read_headlamps(path: Path | None = None) -> Headlamps:
 
 
 def matrix_beam(side: Side) -> MatrixLamp:
-    """What the left or right lamp that ships shines: 3 rows of 28 LEDs, 34 degrees wide, above the low beam."""
+    """The light of the built-in left or right lamp: 3 rows of 28 LEDs, 34 degrees wide, above the low beam."""
     return _shipped().left.matrix if side == "left" else _shipped().right.matrix
 
 

@@ -1,4 +1,4 @@
-"""Lamps as lighting engineers describe them: intensity tables, and the illuminance that follows."""
+"""Tables of luminous intensity over directions, and the illuminance that follows."""
 
 from __future__ import annotations
 

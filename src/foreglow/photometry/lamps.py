@@ -1,8 +1,8 @@
-"""Intensity tables that ship: smooth functions of the angles, shaped by the regulations' test points.
+"""Built-in intensity tables: smooth functions of the angles, shaped to meet the regulations' test points.
 
-They are nobody's measured lamp. The headlamps follow the forms that UN R112/R149 leave free: a flat hot spot below the
-cut-off, a wide carpet of light, and the lens's stray light in all directions, by which a lamp is still seen from the
-side. Test points are those transcribed in public notes of the regulations; the tests hold the tables to them.
+They are not those of any real lamp. The headlamps have what UN R112/R149 allow: a flat hot spot below the cut-off, a
+wide carpet of light, and stray light from the lens in all directions, which makes a lamp visible from the side. The
+test points come from public notes of the regulations; the tests check the tables against them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CUT_OFF_SLOPE = np.tan(np.radians(15.0))
 """The right arm of the cut-off rises by 15 degrees (UN R112)."""
 
 CUT_OFF_ARM_DEG = 3.8
-"""Where the right arm becomes level again, so that signs and trees on the right are not dazzlingly bright."""
+"""Angle to the right at which the rising arm becomes level again, so that signs and trees there are not too bright."""
 
 CUT_OFF_WIDTH_DEG = 0.12
 """Softness of the cut-off: the intensity falls by a factor e over this angle, as in measured lamps (0.1 to 0.2)."""
@@ -78,7 +78,7 @@ def rear_lamp() -> IntensityTable:
 
 @cache
 def street_lamp() -> IntensityTable:
-    """A luminaire whose axis x points down, in candela for 1 cd straight down: scale it by the lamp's.
+    """A luminaire whose axis x points down, in candela for 1 cd straight down: scale it by the lamp's intensity.
 
     It throws 1.6 times as much 55 degrees aside, and a twentieth just above its rim, as older luminaires do.
     """
@@ -91,19 +91,19 @@ def street_lamp() -> IntensityTable:
 
 @cache
 def window() -> IntensityTable:
-    """A lit pane that looks along x, in candela for 1 cd ahead: scale it by luminance times area (Lambert's law)."""
+    """A lit window that faces along x, in candela for 1 cd ahead: scale it by luminance times area (Lambert's law)."""
     azimuths, elevations = np.radians(np.meshgrid(HEMISPHERE_DEG, HEMISPHERE_DEG))
     cosines = np.clip(np.cos(azimuths) * np.cos(elevations), 0.0, None).astype(np.float32)
     return IntensityTable(HEMISPHERE_DEG, HEMISPHERE_DEG, cosines)
 
 
 def _stray_light(azimuths_deg: Floats, elevations_deg: Floats) -> Floats:
-    """What lens and housing scatter, cd: a lamp above whose cut-off we are still shines like a position lamp."""
+    """Light scattered by lens and housing, cd: above its cut-off, a lamp still shines like a position lamp."""
     return 240.0 / (1.0 + (azimuths_deg / 20.0) ** 2) * np.exp(-np.abs(elevations_deg) / 7.0)
 
 
 def _headlamp(intensities_cd: Floats) -> IntensityTable:
-    """A table on the headlamps' grid that fades to 0 at its borders: a hard one would be an edge on trees."""
+    """A table on the headlamps' grid that fades to 0 at its borders: a hard border would show as an edge on trees."""
     sides = _fade(90.0 - np.abs(HEADLAMP_AZIMUTHS_DEG), 15.0)
     heights = _fade(30.0 - np.abs(HEADLAMP_ELEVATIONS_DEG), 8.0)
     faded = (intensities_cd * sides * heights[:, np.newaxis]).astype(np.float32)
@@ -111,7 +111,7 @@ def _headlamp(intensities_cd: Floats) -> IntensityTable:
 
 
 def _signal(axial_cd: float) -> IntensityTable:
-    """A signal lamp: wide to the sides, narrower in height, as the regulation's grid of test points asks."""
+    """A signal lamp: wide to the sides, narrower in height, as the regulation's test points require."""
     azimuths, elevations = np.meshgrid(SIGNAL_AZIMUTHS_DEG, SIGNAL_ELEVATIONS_DEG)
     core = np.exp(-0.5 * (azimuths / 18.0) ** 2 - 0.5 * (elevations / 9.0) ** 2)
     wide = 0.05 * np.exp(-np.abs(elevations) / 25.0) * np.clip(np.cos(np.radians(azimuths)), 0.0, None) ** 0.5

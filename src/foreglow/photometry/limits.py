@@ -1,7 +1,7 @@
-"""What regulations allow a headlamp to shine at other drivers, as data to compare and to plot with.
+"""Limits on a headlamp's light towards other drivers by regulations, as data for comparisons and plots.
 
 Everything here was transcribed from public third-party notes of the regulations, not from the official texts, and the
-regulations' test procedures are not followed: that a beam stays below these numbers says nothing of compliance.
+regulations' test procedures are not followed: staying below these numbers does not prove compliance.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ Towards: TypeAlias = Literal["oncoming", "preceding"]
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceLimits:
-    """Largest illuminance at another driver, by how far away that is.
+    """Largest illuminance at another driver, by the range of that driver.
 
     Attributes:
-        towards: Whose eyes: of an oncoming driver, or of a preceding one by the mirrors.
-        edges_m: Growing: where the bins of range begin, and where the last one ends. A bin holds its beginning; the
-            last one its end, too.
+        towards: Whose eyes: an oncoming driver's, or a preceding driver's in the mirrors.
+        edges_m: Edges of the range bins, growing. A bin includes its beginning; the last bin includes its end as well.
         limits_lx: One limit for each bin.
-        source: Where the numbers are from.
-        doubt: What speaks against them.
+        source: Origin of the numbers.
+        doubt: Reservations about them.
     """
 
     towards: Towards
@@ -40,7 +39,7 @@ class IlluminanceLimits:
 
     @property
     def bin_names(self) -> tuple[str, ...]:
-        """Such as `15-30 m`, one for each bin."""
+        """Name of each bin, such as `15-30 m`."""
         return tuple(f"{a:g}-{b:g} m" for a, b in zip(self.edges_m[:-1], self.edges_m[1:], strict=True))
 
     def bins(self, range_m: ArrayLike) -> NDArray[np.int64]:
@@ -51,8 +50,8 @@ class IlluminanceLimits:
         """
         edges = np.array(self.edges_m)
         edges[-1] = np.nextafter(edges[-1], np.inf)
-        places = np.searchsorted(edges, np.asarray(range_m, np.float64), side="right") - 1
-        return np.where(places < len(self.limits_lx), places, -1)
+        bins = np.searchsorted(edges, np.asarray(range_m, np.float64), side="right") - 1
+        return np.where(bins < len(self.limits_lx), bins, -1)
 
     def at(self, range_m: ArrayLike) -> Floats:
         """The limit at each range, any shape, lx; infinity outside of all bins, and for NaN."""
@@ -65,12 +64,12 @@ class IntensityLimit:
 
     Attributes:
         towards: Whose eyes.
-        distance_m: How far away the driver is that the zone stands for.
+        distance_m: Distance of the driver that the zone stands for.
         limit_cd: Candela of one lamp.
-        zone_deg: First and last azimuth to the left, and the elevation above the horizon; None where the notes that
-            this was transcribed from do not say.
-        source: Where the numbers are from.
-        doubt: What speaks against them.
+        zone_deg: First and last azimuth to the left, and the elevation above the horizon; None where the notes leave
+            them out.
+        source: Origin of the numbers.
+        doubt: Reservations about them.
     """
 
     towards: Towards
@@ -92,11 +91,11 @@ class IntensityLimit:
 _FMVSS = "49 CFR 571.108 (FMVSS 108), track test of adaptive driving beams"
 
 FMVSS_ONCOMING = IlluminanceLimits("oncoming", (15.0, 30.0, 60.0, 120.0, 220.0), (3.1, 1.8, 0.6, 0.3), _FMVSS)
-"""At an oncoming driver. The test scores a bin's largest value rounded to 0.1 lx, and leaves out 1 degree of
-transition zone at the edges of the dark gap."""
+"""Limits at an oncoming driver. The test scores the largest value of each bin rounded to 0.1 lx, and leaves out a
+transition zone of 1 degree at the edges of the dark gap."""
 
 FMVSS_PRECEDING = IlluminanceLimits("preceding", (15.0, 60.0, 100.0), (18.9, 4.0), _FMVSS)
-"""At the mirrors of a vehicle in the same direction."""
+"""Limits at the mirrors of a vehicle that drives in the same direction."""
 
 _R123 = "UN R123, table 7: adaptation of the driving beam, traffic on the right"
 
@@ -110,8 +109,8 @@ UN_R123 = (
     IntensityLimit("preceding", 100.0, 7_000.0, None, _R123),
     IntensityLimit("preceding", 200.0, 16_000.0, None, _R123),
 )
-"""For one lamp. Towards preceding vehicles there are two limits at 50 and at 100 m, each for a part of the zone, which
-the notes leave out."""
+"""Limits for one lamp. Towards preceding vehicles there are two limits at 50 m and at 100 m, each for a part of the
+zone; the notes do not say which."""
 
 
 def oncoming_limit_lx(range_m: ArrayLike) -> Floats:

@@ -1,4 +1,4 @@
-"""What two headlamps and each of their LEDs shine towards a few directions, fast: a beam is decided in every frame."""
+"""Fast lookup of the light of two headlamps and all their LEDs in a few directions, as every frame's beam needs it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from foreglow.geometry import Floats
 from foreglow.photometry.matrix import MatrixLamp
 
 MARGIN = 2
-"""Dark cells around the LEDs' tables: whatever lies outside is looked up there."""
+"""Width of the border of dark cells around the LEDs' tables; directions outside are looked up in it."""
 
 
 class PairLookup:
@@ -42,9 +42,9 @@ class PairLookup:
         angles = np.empty((*x.shape, 2))
         np.arctan2(y, x, out=angles[..., 0])
         np.arctan2(z, np.sqrt(x * x + y * y), out=angles[..., 1])
-        places = angles * self._cells_per_rad - self._firsts
-        cells = np.minimum(np.maximum(np.floor(places), 0), self._last_cells).astype(np.intp)
-        shares = places - cells
+        coordinates = angles * self._cells_per_rad - self._firsts
+        cells = np.minimum(np.maximum(np.floor(coordinates), 0), self._last_cells).astype(np.intp)
+        shares = coordinates - cells
         is_inside = ((shares >= 0) & (shares <= 1)).all(-1)
         weights = np.empty((*x.shape, 4))
         right, above = shares[..., 0], shares[..., 1] * is_inside
@@ -58,7 +58,7 @@ class PairLookup:
 
 
 class _Flat:
-    """Two tables, each of shape (rows, columns, L), as one array of cells."""
+    """Two tables of shape (rows, columns, L) as one array of cells."""
 
     def __init__(self, tables: Sequence[NDArray[np.float32]]) -> None:
         rows, columns, num_leds = np.transpose([table.shape for table in tables])
@@ -68,11 +68,11 @@ class _Flat:
         self._corners = np.stack([np.zeros_like(columns), np.ones_like(columns), columns, columns + 1], axis=-1)
 
     def weighed(self, cells: NDArray[np.intp], weights: Floats) -> Floats:
-        """Sums over a cell's four corners, shape (P, 2, L).
+        """Weighted sums over the four corners of cells, shape (P, 2, L).
 
         Args:
-            cells: Shape (P, 2, 2), column and row of the lower right corner in each of the two tables.
-            weights: Shape (P, 2, 4), of the corners, upper ones last, and left ones after right ones.
+            cells: Shape (P, 2, 2), column and row of each cell's lower right corner in each of the two tables.
+            weights: Shape (P, 2, 4), of the corners: lower right, lower left, upper right, upper left.
         """
         firsts = cells[..., 1] * self._num_columns + cells[..., 0] + self._first_cells
         corners = self._values[firsts[..., np.newaxis] + self._corners]

@@ -16,13 +16,13 @@ from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.resampling import bilinear
 
 NUM_LEDS = 84
-"""LEDs of one of the lamps that ship: 3 rows of 28."""
+"""LEDs of a built-in lamp: 3 rows of 28."""
 
 STEPS_ACROSS = 3.0
-"""A table has at least so many steps over half the width or height of a generated LED's light."""
+"""Least number of table steps over half the width or height of a generated LED's light."""
 
 FINEST_STEP_DEG = 0.05
-"""Finer structure of LEDs from files is lost."""
+"""Smallest table step; finer structure of LEDs from files is lost."""
 
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
@@ -36,9 +36,9 @@ class MatrixLamp:
     LED `row * num_columns + column`: row 0 is the lowest, column 0 the one furthest to the right.
 
     Attributes:
-        base: What shines at any level: the low beam.
-        columns: Which columns of the base's table the LEDs reach.
-        rows: Which rows of the base's table they reach.
+        base: The low beam, which shines whatever the levels are.
+        columns: The columns of the low beam's table that the LEDs reach.
+        rows: The rows of that table that they reach.
         leds_cd: Shape (L, E, A), float32, candela at level 1, on those rows and columns; 0 outside them.
         azimuths_deg: Shape (L,), middle of each LED's light, positive to the left.
         elevations_deg: Shape (L,), middle of each LED's light, positive upwards.
@@ -59,7 +59,7 @@ class MatrixLamp:
         return len(self.leds_cd)
 
     def table(self, levels: ArrayLike) -> IntensityTable:
-        """The lamp's intensity with the LEDs at `levels`, shape (L,), each 0..1; linear in them.
+        """The lamp's intensity with the LEDs at `levels`, shape (L,), each 0..1.
 
         Raises:
             ValueError: If there are not L levels, or one is outside 0..1.
@@ -75,20 +75,20 @@ class MatrixLamp:
 class LedGrid(FrozenModel):
     """LEDs in rows and columns whose light is a smooth function of the angles.
 
-    Each is a super-Gaussian, exp(-|angle / half width| ^ edge_exponent), across as well as up: flat in the middle and
-    steep at the edges.
+    Each LED is a super-Gaussian, exp(-|angle / half width| ^ edge_exponent), in azimuth and in elevation: flat in the
+    middle and steep at the edges.
 
     Attributes:
         num_columns: LEDs in a row.
-        pitch_deg: Between the columns.
+        pitch_deg: Distance between columns.
         row_elevations_deg: Middle of each row, the lowest first.
-        row_peaks_cd: Of each row's light on the axis; to the side it falls off as a Gaussian.
+        row_peaks_cd: Peak intensity of each row on the axis; to the sides it falls off as a Gaussian.
         side_sigma_deg: Standard deviation of that Gaussian.
-        everywhere_cd: What every LED has on top of that.
-        half_width_deg: From the middle of a column to where its light has fallen to 1 / e.
+        everywhere_cd: Constant that is added to the peak of every LED.
+        half_width_deg: Angle from the middle of a column at which its light has fallen to 1 / e.
         half_height_deg: The same for a row.
-        edge_exponent: How steep the edges are; 2 is a Gaussian.
-        reach_width_deg: From the middle of a column to where its light is cut off.
+        edge_exponent: Steepness of the edges; 2 is a Gaussian.
+        reach_width_deg: Angle from the middle of a column at which its light is cut off.
         reach_height_deg: The same for a row.
     """
 
@@ -124,9 +124,9 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
     """A lamp with generated LEDs.
 
     Args:
-        base: What shines beneath them; a table that is too coarse or too small for the LEDs is resampled.
+        base: The low beam; its table is resampled if it is too coarse or too small for the LEDs.
         grid: The LEDs.
-        turn_deg: How far all columns are turned to the left of the lamp's axis.
+        turn_deg: Angle by which all columns are turned to the left of the lamp's axis.
     """
     row_elevations = np.array(grid.row_elevations_deg, np.float64)
     column_azimuths = (
@@ -153,8 +153,8 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
     """A lamp with LEDs from tables, such as measured ones.
 
     Args:
-        base: What shines beneath them; a table that is too coarse or too small for the LEDs is resampled.
-        leds: One table an LED at level 1, row after row, the lowest first; within a row from right to left.
+        base: The low beam; its table is resampled if it is too coarse or too small for the LEDs.
+        leds: One table for each LED at level 1, row by row from the lowest, within a row from right to left.
         num_columns: LEDs in a row.
 
     Raises:
@@ -199,7 +199,7 @@ def _fine_enough(
     elevation_span_deg: tuple[float, float],
     steps_deg: tuple[float, float],
 ) -> IntensityTable:
-    """`table` itself where it holds both spans in such steps; else resampled so that it does."""
+    """`table`, resampled unless it covers both spans in steps that are small enough."""
     azimuths = _finer(table.azimuths_deg, azimuth_span_deg, steps_deg[0])
     elevations = _finer(table.elevations_deg, elevation_span_deg, steps_deg[1])
     if azimuths is table.azimuths_deg and elevations is table.elevations_deg:
@@ -208,14 +208,14 @@ def _fine_enough(
 
 
 def _finer(grid_deg: Floats, span_deg: tuple[float, float], step_deg: float) -> Floats:
-    """`grid_deg` itself where it holds the span in such steps; else one that does, with the old angles among the new.
+    """`grid_deg` if it covers the span in such steps; else a finer or longer grid that contains its angles.
 
-    The old step is divided by a whole number, and the grid goes on beyond its ends.
+    The old step is divided by a whole number, and the grid is continued beyond its ends.
     """
-    has_step, (first, last) = _step(grid_deg), span_deg
-    if has_step <= step_deg * (1.0 + 1e-6) and grid_deg[0] <= first and last <= grid_deg[-1]:
+    old_step, (first, last) = _step(grid_deg), span_deg
+    if old_step <= step_deg * (1.0 + 1e-6) and grid_deg[0] <= first and last <= grid_deg[-1]:
         return grid_deg
-    step = has_step / max(1, np.ceil(has_step / step_deg - 1e-6))
+    step = old_step / max(1, np.ceil(old_step / step_deg - 1e-6))
     num_before, num_after = (max(0, np.ceil(gap / step)) for gap in (grid_deg[0] - first, last - grid_deg[-1]))
     first, last = grid_deg[0] - num_before * step, grid_deg[-1] + num_after * step
     return np.linspace(first, last, round((last - first) / step) + 1)
@@ -234,12 +234,12 @@ def _sampled(table: IntensityTable, azimuths_deg: Floats, elevations_deg: Floats
 
 
 def _lit_span(grid_deg: Floats, candela: NDArray[np.float32]) -> tuple[float, float]:
-    """From one step before the first lit angle to one after the last one, inside the grid."""
+    """From one step before the first lit angle to one step after the last, within the grid."""
     lit = np.flatnonzero(candela)
     return float(grid_deg[max(lit[0] - 1, 0)]), float(grid_deg[min(lit[-1] + 1, len(grid_deg) - 1)])
 
 
 def _reached(grid_deg: Floats, angles_deg: Floats, reach_deg: float) -> slice:
-    """The part of a growing grid within `reach_deg` of the angles, and one step more at its end."""
+    """The part of a growing grid within `reach_deg` of the angles, plus one step at its end."""
     first, last = np.min(angles_deg) - reach_deg, np.max(angles_deg) + reach_deg
     return slice(int(np.searchsorted(grid_deg, first)), min(int(np.searchsorted(grid_deg, last)) + 1, len(grid_deg)))

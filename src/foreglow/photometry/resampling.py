@@ -1,4 +1,4 @@
-"""Photometric files' intensities, over whatever angles they were measured, as tables over azimuth and elevation."""
+"""Resampling of photometric files, whatever angles they use, to tables over azimuth and elevation."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ Type: TypeAlias = Literal["A", "B", "C"]
 
 FINEST_STEP_DEG: dict[Type, float] = {"A": 0.05, "B": 0.25, "C": 0.25}
 COARSEST_STEP_DEG = 1.0
-"""The table's steps are the file's finest, within these: finer structure is lost."""
+"""A table has the file's smallest step, limited to this interval; finer structure is lost."""
 
 
 def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Floats) -> IntensityTable:
     """A file's intensities over azimuth and elevation in equal steps, in the lamp's frame; 0 outside the file's angles.
 
-    `read_ies` says how the angles of each type lie in the lamp's frame.
+    `read_ies` explains the angles of each type.
 
     Args:
         kind: The photometric type.
-        verticals: Shape (V,), growing, degrees; type C: from the axis, gamma.
-        horizontals: Shape (H,), growing, degrees; types A and B from 0 on: mirrored to the left. Type C: angles of the
-            half-planes, over 0 alone, 0 to 90, 0 to 180, 90 to 270 or 0 to 360 degrees; symmetry gives the others.
+        verticals: Shape (V,), growing, degrees; type C: gamma, from the axis.
+        horizontals: Shape (H,), growing, degrees. Types A and B: if they begin at 0, they are mirrored to the left.
+            Type C: angles of the half-planes, 0 alone, 0 to 90, 0 to 180, 90 to 270 or 0 to 360 degrees; symmetry gives
+            the others.
         candela: Shape (V, H), at least 0.
     """
     steps = np.concatenate([np.diff(verticals), np.diff(horizontals)])
@@ -63,7 +64,7 @@ def _direction(azimuth_deg: Floats, elevation_deg: Floats) -> tuple[Floats, Floa
 
 
 def _folded(around_deg: Floats, first_deg: float, last_deg: float) -> Floats:
-    """C angles 0..360 led back by symmetry to those in the file."""
+    """C angles 0..360 mapped by symmetry to those in the file."""
     if first_deg == 90.0:  # the plane through C 90 and C 270 is one of symmetry
         return np.where(np.abs(around_deg - 180.0) <= 90.0, around_deg, (540.0 - around_deg) % 360.0)
     half = around_deg if last_deg == 360.0 else np.minimum(around_deg, 360.0 - around_deg)
@@ -74,13 +75,13 @@ def _folded(around_deg: Floats, first_deg: float, last_deg: float) -> Floats:
 def bilinear(
     candela: Floats, verticals: Floats, horizontals: Floats, vertical: Floats, horizontal: Floats
 ) -> NDArray[np.float32]:
-    """Intensities at angles between those of a table; 0 outside, rounding forgiven.
+    """Intensities at angles between those of a table, up to rounding; 0 outside.
 
     Args:
         candela: Shape (V, H).
         verticals: Shape (V,), growing, degrees.
         horizontals: Shape (H,), growing, degrees.
-        vertical: Any shape, degrees: where to look.
+        vertical: Angles that are wanted, any shape, degrees.
         horizontal: The same shape, degrees.
     """
     rows = np.interp(vertical, verticals, np.arange(len(verticals)))

@@ -1,4 +1,4 @@
-"""The proposal stage on the C++ core: checks the array, calls, wraps."""
+"""The proposal stage on the C++ core."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from foreglow.types import Image, Proposals
 class NativeProposer:
     """The proposal stage in C++; returns exactly the boxes of `ReferenceProposer`.
 
-    Scratch memory is kept between frames, so use one object a thread; the GIL is released while it computes.
+    Scratch memory is kept between frames, so use one object per thread; the GIL is released during the computation.
     """
 
     def __init__(self, config: ProposalConfig) -> None:
@@ -25,7 +25,7 @@ class NativeProposer:
 
     @property
     def num_doubtful(self) -> int:
-        """Pixels of the last frame that lay too close to the threshold for single precision."""
+        """Number of pixels of the last frame that were too close to the threshold for single precision."""
         return self._generator.num_doubtful
 
     def propose(self, image: Image) -> Proposals:

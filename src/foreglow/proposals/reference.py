@@ -1,4 +1,4 @@
-"""The proposal stage in NumPy and SciPy: the readable specification that every other back end must equal.
+"""The proposal stage in NumPy and SciPy: the readable specification that every other back end must match.
 
 The paper gives the threshold, the window, the gap and the deviation filter. The published code adds steps that the
 paper does not mention; each is a named parameter of `ProposalConfig` whose default reproduces that code box for box.
@@ -18,19 +18,20 @@ from foreglow.proposals.splitting import SplitRule, light_levels, split_blob
 from foreglow.types import Image, Proposals
 
 ROUNDING = 1e-10
-"""What counts as equal, in units of the dynamic range: where a flat patch ties with its own mean, sums in double
-precision differ by up to 1e-11, while one grey level of 16 bits is 1e-5. Ties are not above the threshold."""
+"""Difference that counts as equal, in units of the dynamic range. Where a flat patch equals its own mean, sums in
+double precision differ by up to 1e-11, while one grey level of 16 bits is 1e-5. Equal values are not above the
+threshold."""
 
 MAX_REDUCTION = 64
-"""Frame pixels for each working pixel, along each axis: keeps the sums of a block within 32 bits in every back end."""
+"""Largest number of frame pixels per working pixel, along each axis: keeps the sums of a block within 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkingSizes:
-    """The sizes of a `ProposalConfig` in working pixels of one actual frame width.
+    """The sizes of a `ProposalConfig` in working pixels, for the width of the actual frames.
 
     Attributes:
-        reduction: Frame pixels for each working pixel, along each axis.
+        reduction: Frame pixels per working pixel, along each axis.
         half_window_px: Half the side of the local mean's window (h).
         gap_px: Largest L-infinity distance that still joins two pixels (d).
         min_area_px, max_area_px, min_width_px: Limits of a box, inclusive.
@@ -79,8 +80,8 @@ class Stages(NamedTuple):
         blurred: The blurred working image I, float64 in [0, 1].
         mean: The local mean mu, float64.
         binary: I > T, bool.
-        labels: Blob number of each pixel that is set, int32; 0 elsewhere.
-        levels: Whole levels of light in which blobs are split, int64, 0..1023; all 0 where nothing is to be split.
+        labels: Number of the blob of each pixel that is set, int32; 0 elsewhere.
+        levels: Light as whole numbers, int64, 0..1023, by which blobs are split; all 0 if splitting is off.
     """
 
     blurred: NDArray[np.float64]
@@ -91,7 +92,7 @@ class Stages(NamedTuple):
 
 
 class ReferenceProposer:
-    """The proposal stage as the equations read; some hundred times slower than the native back end."""
+    """The proposal stage written as its equations; about a hundred times slower than the native back end."""
 
     def __init__(self, config: ProposalConfig) -> None:
         self.config = config
@@ -130,7 +131,7 @@ class ReferenceProposer:
         return Proposals(boxes_xyxy_px + np.array([x_offset_px, y_offset_px] * 2, np.int32))
 
     def stages(self, image: Image) -> Stages | None:
-        """The intermediate images of `image`, or None where less than one working pixel is left of it."""
+        """The intermediate images of `image`, or None if it is smaller than one working pixel."""
         config = self.config
         sizes = working_sizes(config, image.shape[1])
         _, _, region = cut_region(image, config)
@@ -152,7 +153,7 @@ def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:
     """Left and top of the considered region in pixels, and the view of `image` inside it.
 
     Raises:
-        ValueError: If the region lies outside the image: looking at nothing, frame after frame, cannot be meant.
+        ValueError: If the region lies outside the image; an empty region must be a mistake.
     """
     height_px, width_px = image.shape
     x1, y1, x2, y2 = config.region_xyxy_px or (0, 0, width_px, height_px)
@@ -226,7 +227,7 @@ def local_mean(image: NDArray[np.float64], half_window_px: int, window: str) -> 
     top, bottom = (bound[:, None] for bound in bounds(image.shape[0]))
     left, right = (bound[None, :] for bound in bounds(image.shape[1]))
     total = integral[bottom, right] - integral[bottom, left] - integral[top, right] + integral[top, left]
-    # Cancellation must not leave a negative mean in black areas.
+    # Cancellation in black areas must not give a negative mean.
     return np.asarray(np.maximum(total, 0.0) / np.maximum((bottom - top) * (right - left), 1))
 
 
@@ -243,14 +244,14 @@ def exceeds_threshold(
 
 
 def label_blobs(binary: NDArray[np.bool_], gap_px: int) -> NDArray[np.int32]:
-    """Numbers the blobs of `binary`: pixels at most `gap_px` apart in L-infinity are one blob, and so on.
+    """Numbers of the blobs of `binary`: pixels at most `gap_px` apart in L-infinity belong to the same blob.
 
-    Widening every pixel by a `gap_px` square makes exactly those pixels touch; `gap_px` 1 is plain 8-connectivity.
+    Widening every pixel to a `gap_px` square makes exactly those pixels touch; `gap_px` 1 is plain 8-connectivity.
 
     >>> label_blobs(np.array([[True, False, True, False, False, True]]), 2)
     array([[1, 0, 1, 0, 0, 2]], dtype=int32)
     """
-    # The border is widened too, so that a square of even side is cut nowhere.
+    # The image is padded, so that no square of even side is cut off at the border.
     wide = np.pad(binary, gap_px)
     if gap_px > 1:
         wide = ndimage.binary_dilation(wide, np.ones((gap_px, gap_px), bool))

@@ -1,10 +1,9 @@
-"""Splitting a blob whose light has several peaks, such as a lamp and its reflection on the road: the specification.
+"""Splitting blobs with several peaks of light, such as a lamp and its reflection on the road: the specification.
 
-With a wide window and without a limit on the area, what is large and bright is found, but so is a near lamp together
-with all the light around it, in one box. Here the pixels of a blob are flooded from the brightest down, as in a
-watershed. Where the waters of two peaks meet at a saddle that lies deep below the lower peak, they stay apart, and
-their boxes end there: the glow further down belongs to no lamp in particular. Levels are whole numbers, so that every
-back end decides alike.
+With a wide window and no limit on the area, large bright objects are found, but a near lamp and all the light around it
+end up in one box. Here the pixels of a blob are flooded from the brightest down, as in a watershed. Where the floods
+from two peaks meet at a saddle far below the lower peak, the parts stay separate and their boxes stop growing: the glow
+further down belongs to neither lamp in particular. Levels are whole numbers, so that every back end decides alike.
 
 Source: topographic persistence, as in Edelsbrunner, Letscher and Zomorodian, Discrete & Computational Geometry 28
 (2002).
@@ -30,9 +29,9 @@ class SplitRule:
     """When a blob is split.
 
     Attributes:
-        saddle: The largest share of the lower peak that a saddle may have and still divide.
-        min_area_px: A peak with fewer pixels, or a smaller box, is no part of its own.
-        min_width_px: Nor is one with a narrower box.
+        saddle: The highest saddle that still separates two peaks, as a share of the lower peak.
+        min_area_px: A part needs at least this many pixels, and a box of at least this area.
+        min_width_px: The box of a part is at least this wide.
     """
 
     saddle: float
@@ -58,17 +57,17 @@ class _Part:
 
 
 def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.int64]:
-    """Light in whole levels, 0 at `black` to 1023 at `white`, smoothed by (1 2 1) / 4 along both axes.
+    """Light as whole numbers, from 0 at `black` to 1023 at `white`, smoothed by (1 2 1) / 4 along both axes.
 
     Args:
         sums: Shape (height, width), sums over blocks of the frame; borders are mirrored about the border pixel.
-        black: The sum that counts as no light.
-        white: The sum that counts as full light.
+        black: The sum of a block without light.
+        white: The sum of a block with full light.
 
     >>> light_levels(np.array([[0, 0, 0, 0], [0, 0, 16, 0], [0, 0, 0, 0]]), 0, 16).tolist()
     [[0, 127, 255, 255], [0, 127, 255, 255], [0, 127, 255, 255]]
     """
-    taps = np.array([1, 2, 1])  # whole numbers below 2^53 pass through double precision as they are
+    taps = np.array([1, 2, 1])  # whole numbers below 2^53 are exact in double precision
     smoothed = ndimage.correlate1d(ndimage.correlate1d(sums, taps, axis=1, mode="mirror"), taps, axis=0, mode="mirror")
     return np.asarray((smoothed - 16 * black) * TOP_LEVEL // (16 * (white - black)))
 
@@ -76,18 +75,18 @@ def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.
 def split_blob(
     blob: Extent, binary: NDArray[np.bool_], levels: NDArray[np.int64], rule: SplitRule
 ) -> tuple[Extent, ...]:
-    """The parts of `blob`, or `blob` alone where it is left whole.
+    """The parts of `blob`, or `blob` alone if it is not split.
 
-    All set pixels in the blob's box take part, from the highest level down, row by row where levels are equal. A pixel
-    joins the highest peak among its eight neighbours (the first one of equals), or is a peak itself. Every other
-    peak that it touches joins the highest as well, unless that peak has `min_area_px` pixels by then, and the pixel's
-    level is at most `saddle` times that peak's: the boxes of both are closed then, and what joins them later no longer
-    widens them. With a closed box no such peak is joined at any level, since the box could not show it. The blob is
-    split where at least two parts are large enough.
+    All set pixels in the blob's box are visited from the highest level down, row by row where levels are equal. A pixel
+    joins the part with the highest peak among its eight neighbours (the first of equals), or starts a new part. Every
+    other part that it touches is merged into that one, unless it has `min_area_px` pixels already and the pixel's level
+    is at most `saddle` times its peak: then the boxes of both are closed, and pixels that join later no longer enlarge
+    them. Once the part with the highest peak is closed, parts of that size are never merged into it, since its box
+    could not show them. The blob is split if at least two parts are large enough.
 
     Args:
         blob: Box of the blob.
-        binary: Shape (height, width): which pixels stand out.
+        binary: Shape (height, width): which pixels are above the threshold.
         levels: Shape (height, width), from `light_levels`.
         rule: When to split.
 
@@ -102,10 +101,10 @@ def split_blob(
     heights = levels[y1:y2, x1:x2][rows, columns]
     part_of: dict[tuple[int, int], _Part] = {}
     parts: list[_Part] = []  # in the order of their peaks
-    for place in np.argsort(-heights, kind="stable"):
-        y, x, level = int(rows[place]), int(columns[place]), int(heights[place])
+    for index in np.argsort(-heights, kind="stable"):
+        y, x, level = int(rows[index]), int(columns[index]), int(heights[index])
         around = [part_of.get((y + dy, x + dx)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-        met = [part for part in parts if any(part is one for one in around)]
+        met = [part for part in parts if any(part is neighbour for neighbour in around)]
         if not met:
             met = [_Part(level, (y, x, y + 1, x + 1))]
             parts.append(met[0])

@@ -1,13 +1,23 @@
-"""The folder that a run writes into: its results appear together at the end, or not at all."""
+"""The folder that a run writes to: its results appear together at the end, or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import shutil
 import uuid
+from collections.abc import Sequence
 from pathlib import Path
+from types import TracebackType
 
-from foreglow.files import naming
+from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.files import json_text, naming
+from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.json_lines import LineSink
+from foreglow.runs.summary import LiveSummary, RunSummary
+from foreglow.runs.times_file import frame_to_times
+
+LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
+"""The files that get a line for every frame, and what makes it."""
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -23,27 +33,27 @@ RESULT_NAMES = (
     "config.toml",
     "summary.json",
 )
-"""Every name that a run may write; `summary.json` is published last, so where it exists the set is whole. Only what is
-made of the results themselves, `moments.png` by `foreglow demo`, comes after it."""
+"""Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
+`moments.png`, which `foreglow demo` makes from the results, comes after it."""
 
 PARTS = "parts-*.partial"
 """Pattern of the folders that hold pieces of results while a run is under way."""
 
 
 class OutputFolder:
-    """Makes the folder and checks it before any work is done, then hands out temporary names.
+    """The results of a run while they are written, under temporary names.
 
-    `partial` gives the path to write a result to; `publish` renames all that were written to their final names and
-    removes results of earlier runs that this one did not write again; `discard` removes what was written and
-    leaves earlier results as they were.
+    `partial` is the path to write a result to. `publish` gives all that were written their final names and removes the
+    results of earlier runs that were not written again. `discard` removes what was written and leaves earlier results
+    as they were; it is called when a `with` block of the folder ends with an error.
     """
 
     def __init__(self, path: Path) -> None:
-        """Makes the folder `path`, with its parents.
+        """Makes the folder `path` with its parents, and checks that it can be written to.
 
         Raises:
             OSError: If it cannot be made or written to; the message names the path.
-            ValueError: If it holds a folder where a result's file has to go.
+            ValueError: If it holds a folder with the name of a result.
         """
         self.path = path
         self._partials: dict[str, Path] = {}
@@ -61,8 +71,17 @@ class OutputFolder:
             self.discard()
             raise
 
+    def __enter__(self) -> OutputFolder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self.discard()
+
     def partial(self, name: str) -> Path:
-        """Where to write the result called `name` until it is published."""
+        """Path of the result called `name` until it is published."""
         if name not in RESULT_NAMES:
             raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
         return self._partials.setdefault(name, _partial(self.path, name))
@@ -76,16 +95,43 @@ class OutputFolder:
         with naming(self.path / name):
             self.partial(name).write_text(text, encoding="utf-8")
 
-    def parts(self) -> Path:
-        """A new folder in it for pieces of results; it goes with `publish` and `discard`."""
+    def line_sinks(self) -> list[LineSink]:
+        """New sinks for the results that get a line for every frame.
+
+        Raises:
+            OSError: If one cannot be written; the message names the path.
+        """
+        return [LineSink(self.partial(name), to_line) for name, to_line in LINES.items()]
+
+    def make_parts(self) -> Path:
+        """A new folder for the `part_sinks` of sequences that are run apart; `publish` and `discard` remove it."""
         self._parts = self.path / PARTS.replace("*", uuid.uuid4().hex)
         with naming(self._parts):
             self._parts.mkdir()
         return self._parts
 
-    def publish(self) -> None:
-        """Gives all results their final names, `summary.json` last; a name never written to is skipped."""
-        for parts in self.path.glob(PARTS):  # this run's, and those of runs that were killed
+    def join_parts(self, parts: Path, names: Sequence[str]) -> None:
+        """Writes the lines of the parts with these names, one part after another, as the results of `line_sinks`.
+
+        Raises:
+            OSError: If that fails; the message names the path.
+        """
+        for result in LINES:
+            path = self.partial(result)
+            with naming(path), path.open("wb") as whole:
+                for name in names:
+                    with (parts / f"{name}.{result}").open("rb") as file:
+                        shutil.copyfileobj(file, whole)
+
+    def publish(self, config: PipelineConfig, summary: RunSummary | LiveSummary) -> None:
+        """Writes configuration and summary, and gives all results their final names, `summary.json` last.
+
+        Raises:
+            OSError: If that fails; the message names the path.
+        """
+        self.write_text("config.toml", config_to_toml(config))
+        self.write_text("summary.json", json_text(summary, indent=2))
+        for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed
             shutil.rmtree(parts, ignore_errors=True)
         (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)
         for name in RESULT_NAMES:
@@ -98,7 +144,7 @@ class OutputFolder:
         self._partials.clear()
 
     def discard(self) -> None:
-        """Removes what was written, and the folders that were made for it if nothing else is in them."""
+        """Removes what was written, and the folders made for it if nothing else is in them."""
         for partial in self._partials.values():
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
@@ -110,6 +156,10 @@ class OutputFolder:
                 folder.rmdir()
 
 
+def part_sinks(parts: Path, name: str) -> list[LineSink]:
+    """As `OutputFolder.line_sinks`, but for the part of a run called `name`, into the folder for parts."""
+    return [LineSink(parts / f"{name}.{result}", to_line) for result, to_line in LINES.items()]
+
+
 def _partial(folder: Path, name: str) -> Path:
-    """Where the result called `name` is written until it is published."""
     return folder / f"{name}.partial"

@@ -1,22 +1,22 @@
-"""Predicted boxes from a file: the program's own `frames.jsonl`, or the published code's JSON."""
+"""Predicted boxes from a file: a `frames.jsonl`, or the JSON of the published code, which is also written here."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, RootModel
+from pydantic import ConfigDict, RootModel
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from foreglow.datasets.json_files import Record, parse_json
+from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
-
-Number: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
-_Box: TypeAlias = tuple[Number, Number, Number, Number]
+from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
+from foreglow.runs.json_lines import checked, read_lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,9 +26,9 @@ class Predictions:
     Attributes:
         boxes_xyxy_px: By image id, shape (N, 4), float64, columns x1, y1, x2, y2, full-frame pixels.
         scores: By image id, shape (N,), float64; 1 where nothing was scored.
-        is_scored: False if the boxes came without scores: then every one counts, whatever the threshold.
-        direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown; no
-            images where nothing says so.
+        is_scored: False if the boxes came without scores: then all of them count, whatever the threshold.
+        direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown;
+            images for which nothing is known are left out.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
@@ -51,33 +51,26 @@ class Predictions:
                 )
 
 
-class FrameLine(Record):
-    """A line of `frames.jsonl`; those who read it add the fields that matter to them."""
+@checked
+class ScoredBoxes(TypedDict):
+    """The boxes of one image in the published form."""
 
-    frame: int
-
-
-class _FrameLine(FrameLine):
-    proposals_xyxy_px: tuple[_Box, ...]
-    scores: tuple[Number, ...] | None = None
-    direct: tuple[Number | None, ...] | None = None
+    boxes: list[Box]
+    scores: list[float]
 
 
-class _ScoredBoxes(Record):
-    boxes: tuple[_Box, ...]
-    scores: tuple[Number, ...]
+class _ScoredFile(RootModel[dict[str, ScoredBoxes]]):
+    """The published form: boxes with scores, by image id."""
+
+
+class _PlainFile(RootModel[dict[str, list[Box]]]):
+    """The published form of boxes without scores, by image id."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 class _PublishedFile(RootModel[dict[str, Any]]):
-    """By image id: either boxes with scores, or plain boxes."""
-
-
-class _ScoredFile(RootModel[dict[str, _ScoredBoxes]]):
-    model_config = ConfigDict(strict=True)
-
-
-class _PlainFile(RootModel[dict[str, tuple[_Box, ...]]]):
-    model_config = ConfigDict(strict=True)
+    """Either of the two."""
 
 
 def read_predictions(path: Path | str) -> Predictions:
@@ -95,86 +88,68 @@ def read_predictions(path: Path | str) -> Predictions:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected predictions")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return _from_lines(data, path) if path.suffix.lower() == ".jsonl" else _from_object(data, path)
+    return _from_lines(path) if path.suffix.lower() == ".jsonl" else _from_published(path)
 
 
-Line = TypeVar("Line", bound=FrameLine)
-
-
-def frame_lines(data: bytes, model: type[Line], path: Path) -> Iterator[tuple[str, Line]]:
-    """The lines of a `frames.jsonl` with where each is, for messages; empty ones are passed over.
-
-    Raises:
-        ValueError: If a line is not of that form, or a frame is there twice.
-    """
-    seen: set[int] = set()
-    for number, line in enumerate(data.splitlines(), start=1):
-        if not line.strip():
-            continue
-        origin = f"{path}: line {number}"
-        parsed = parse_json(line, model, origin)
-        if parsed.frame in seen:
-            raise ValueError(f"{origin}: frame: expected each frame once, {parsed.frame} is there twice")
-        seen.add(parsed.frame)
-        yield origin, parsed
-
-
-def _from_lines(data: bytes, path: Path) -> Predictions:
-    boxes: dict[int, NDArray[np.float64]] = {}
-    scores: dict[int, NDArray[np.float64]] = {}
-    direct: dict[int, NDArray[np.float64]] = {}
+def _from_lines(path: Path) -> Predictions:
     is_scored: bool | None = None
-    for origin, parsed in frame_lines(data, _FrameLine, path):
+
+    def convert(line: FrameLine) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+        nonlocal is_scored
+        scores, direct, num_boxes = line.get("scores"), line.get("direct"), len(line["proposals_xyxy_px"])
         if is_scored is None:
-            is_scored = parsed.scores is not None
-        elif is_scored != (parsed.scores is not None):
-            raise ValueError(f"{origin}: scores: expected in every line or in none, differs from the lines before")
-        boxes[parsed.frame] = _as_boxes(parsed.proposals_xyxy_px)
-        scores[parsed.frame] = _as_scores(parsed.scores, len(parsed.proposals_xyxy_px), origin)
-        if parsed.direct is not None:
-            direct[parsed.frame] = _as_scores(parsed.direct, len(parsed.proposals_xyxy_px), origin, "direct")
-    return Predictions(boxes, scores, is_scored is not False, direct)
+            is_scored = scores is not None
+        elif is_scored != (scores is not None):
+            raise ValueError("scores: expected in every line or in none, differs from the lines before")
+        return (
+            _as_boxes(line["proposals_xyxy_px"]),
+            _as_scores(scores, num_boxes),
+            None if direct is None else _as_scores(direct, num_boxes, "direct"),
+        )
+
+    lines = read_lines(path, FrameLineModel, convert)
+    return Predictions(
+        {image_id: boxes for image_id, (boxes, _, _) in lines.items()},
+        {image_id: scores for image_id, (_, scores, _) in lines.items()},
+        is_scored is not False,
+        {image_id: direct for image_id, (_, _, direct) in lines.items() if direct is not None},
+    )
 
 
-def _from_object(data: bytes, path: Path) -> Predictions:
-    entries = parse_json(data, _PublishedFile, str(path)).root
+def _from_published(path: Path) -> Predictions:
+    entries = read_json(path, _PublishedFile).root
     is_scored = not entries or any(isinstance(entry, dict) for entry in entries.values())
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
-    pairs: list[tuple[str, tuple[_Box, ...], tuple[float, ...] | None]]
+    pairs: dict[str, tuple[list[Box], list[float] | None]]
     if is_scored:
-        scored = parse_json(data, _ScoredFile, str(path)).root
-        pairs = [(key, entry.boxes, entry.scores) for key, entry in scored.items()]
+        scored = read_json(path, _ScoredFile).root
+        pairs = {key: (entry["boxes"], entry["scores"]) for key, entry in scored.items()}
     else:
-        plain = parse_json(data, _PlainFile, str(path)).root
-        pairs = [(key, entry, None) for key, entry in plain.items()]
-    for key, its_boxes, its_scores in pairs:
+        pairs = {key: (entry, None) for key, entry in read_json(path, _PlainFile).root.items()}
+    for key, (its_boxes, its_scores) in pairs.items():
         if not (key.isascii() and key.isdigit() and len(key) < 20):
             raise ValueError(f"{path}: {key!r}: expected an image id")
         if int(key) in boxes:
             raise ValueError(f"{path}: {key}: expected each image id once, {int(key)} is there twice")
-        boxes[int(key)] = _as_boxes(its_boxes)
-        scores[int(key)] = _as_scores(its_scores, len(its_boxes), f"{path}: {key}")
+        try:
+            boxes[int(key)], scores[int(key)] = _as_boxes(its_boxes), _as_scores(its_scores, len(its_boxes))
+        except ValueError as error:
+            raise ValueError(f"{path}: {key}: {error}") from error
     return Predictions(boxes, scores, is_scored)
 
 
-def _as_boxes(boxes: tuple[_Box, ...]) -> NDArray[np.float64]:
+def _as_boxes(boxes: list[Box]) -> NDArray[np.float64]:
     return np.array(boxes, np.float64).reshape(-1, 4)
 
 
-def _as_scores(
-    scores: tuple[float | None, ...] | None, num_boxes: int, origin: str, name: str = "scores"
-) -> NDArray[np.float64]:
-    """Shape (N,), NaN for a box without; all 1 where there are none at all."""
-    if scores is None:
+def _as_scores(values: Sequence[float | None] | None, num_boxes: int, name: str = "scores") -> NDArray[np.float64]:
+    """Shape (N,), with NaN instead of None; all 1 if there are no values at all."""
+    if values is None:
         return np.ones(num_boxes)
-    if len(scores) != num_boxes:
-        raise ValueError(f"{origin}: {name}: expected {num_boxes}, one a box, got {len(scores)}")
-    return np.array(scores, np.float64)
+    if len(values) != num_boxes:
+        raise ValueError(f"{name}: expected {num_boxes}, one a box, got {len(values)}")
+    return np.array(values, np.float64)
 
 
 def write_predictions(path: Path, predictions: Predictions) -> None:
@@ -184,7 +159,7 @@ def write_predictions(path: Path, predictions: Predictions) -> None:
         ValueError: If a number is not finite.
         OSError: If the file cannot be written.
     """
-    entries: dict[str, Any] = {}
+    entries: dict[str, ScoredBoxes | list[Box]] = {}
     for image_id, boxes in predictions.boxes_xyxy_px.items():
         its_boxes, its_scores = boxes.tolist(), predictions.scores[image_id].tolist()
         entries[str(image_id)] = {"boxes": its_boxes, "scores": its_scores} if predictions.is_scored else its_boxes

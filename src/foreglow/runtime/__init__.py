@@ -1,4 +1,4 @@
-"""Driving the pipeline: off-line over a source for now; the live loop comes later."""
+"""Driving the pipeline: `run` and `run_apart` off line over a source, `live` in the car, `ros2` as nodes of ROS 2."""
 
 from foreglow.runs.folder import RESULT_NAMES, OutputFolder
 from foreglow.runs.summary import RunSummary

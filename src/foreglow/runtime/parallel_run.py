@@ -1,9 +1,8 @@
-"""An off-line run whose sequences are run apart, by processes or machines; the results are those of `run`."""
+"""An off-line run of the sequences apart, in several processes or on several machines, with the results of `run`."""
 
 from __future__ import annotations
 
 import functools
-import shutil
 import time
 import uuid
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -12,60 +11,59 @@ from pathlib import Path
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, part_names, part_of
-from foreglow.files import naming
 from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
-from foreglow.runs.folder import OutputFolder
-from foreglow.runs.frame_records import FrameRecords, time_record
-from foreglow.runs.summary import RunSummary, Tally
-from foreglow.runtime.run import InterruptFlag, check_readable, publish, step_through
+from foreglow.runs.folder import OutputFolder, part_sinks
+from foreglow.runs.summary import RunSummary
+from foreglow.runs.tally import Tally
+from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
 from foreglow.types import Frame, FrameResult
 
-TELL_S = 0.1
-"""How often a part tells how far it is."""
+REPORT_S = 0.1
+"""Time between two reports of a part's progress, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """How a source is opened, anywhere.
+    """How to open a source, in any process or on any machine.
 
     Attributes:
         function: A function or class of a module, which returns the source.
-        arguments: Of it.
+        arguments: Its arguments.
     """
 
     function: Callable[..., FrameSource]
     arguments: tuple[Hashable, ...]
 
     def __call__(self) -> FrameSource:
-        """The source, opened."""
+        """Opens the source."""
         return self.function(*self.arguments)
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Those among the arguments."""
+        """The existing files and folders among the arguments."""
         return tuple(_paths_in(self.arguments))
 
 
 def _paths_in(arguments: tuple[Hashable, ...]) -> Iterator[Path]:
-    for one in arguments:
-        if isinstance(one, tuple):
-            yield from _paths_in(one)
-        elif isinstance(one, Path) and one.exists():
-            yield one
+    for argument in arguments:
+        if isinstance(argument, tuple):
+            yield from _paths_in(argument)
+        elif isinstance(argument, Path) and argument.exists():
+            yield argument
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What came of one sequence.
+    """The run of one sequence.
 
     Attributes:
-        name: What its files are called.
-        tally: Of its frames.
+        name: Name of its files.
+        tally: Counts and run-times of its frames.
         skipped: As `FrameSource.skipped`.
-        dispatch: Of the pipeline that ran.
-        processor: That it ran on.
+        dispatch: As `Pipeline.dispatch`.
+        processor: Name of the processor that it ran on.
     """
 
     name: str
@@ -81,22 +79,22 @@ def run_apart(
     folder: OutputFolder,
     workers: Workers,
     *,
-    told: Callable[[str, int], None] = lambda *_: None,
+    progress: Callable[[str, int], None] = lambda *_: None,
     source_name: str = "",
 ) -> RunSummary:
     """Runs a pipeline over each sequence of a source; `folder` then holds what `run` writes, in the same order.
 
     `frames.jsonl` and `config.toml` are the same, byte for byte; so is the summary but for run-times and processor.
-    After a first Ctrl-C what is done of every sequence is published; after any error, and after a second Ctrl-C,
+    After a first Ctrl-C the results so far of every sequence are published; after any error, and after a second Ctrl-C,
     nothing of this run remains.
 
     Args:
-        opening: How each worker opens the source; one that is all of a piece is run by one worker.
-        config: Of the pipeline.
+        opening: How each worker opens the source; a source without sequences is run by a single worker.
+        config: Configuration of the pipeline.
         folder: Where the results go; every worker writes into it.
-        workers: Who runs.
-        told: Called with a sequence's name and how many of its frames are done.
-        source_name: What the summary calls the source; empty takes its own name.
+        workers: They run the sequences.
+        progress: Called with the name of a sequence and the number of its frames that are done.
+        source_name: Name of the source in the summary; empty takes its own name.
 
     Raises:
         ChildProcessError: If a sequence cost several processes; the message names it.
@@ -105,100 +103,77 @@ def run_apart(
             be read.
         OSError: If a result cannot be written; the message names the path.
     """
-    try:
+    with folder:
         source = opening()
-        name, parts = source_name or source.name, folder.parts()
-        items = {one or source.name: one for one in part_names(source)}
+        name, parts = source_name or source.name, folder.make_parts()
+        sequences = {sequence or source.name: sequence for sequence in part_names(source)}
         work = functools.partial(_run_part, opening, config, parts)
         paths = (parts, *opening.paths)
         with InterruptFlag() as interrupt:
-            done = dict(workers.each(work, items, told, is_stopped=lambda: interrupt.is_set, paths=paths))
-            found = [done[one] for one in items if one in done]
-            tally, skipped = Tally(), [line for part in found for line in part.skipped]
-            for part in found:
+            done = dict(workers.each(work, sequences, progress, is_stopped=lambda: interrupt.is_set, paths=paths))
+            runs = [done[sequence] for sequence in sequences if sequence in done]
+            tally, skipped = Tally(), [line for part in runs for line in part.skipped]
+            for part in runs:
                 tally.extend(part.tally)
             check_readable(name, tally, skipped)
-            for result in ("frames.jsonl", "times.jsonl"):
-                _join([parts / f"{part.name}.{result}" for part in found], folder.partial(result))
+            folder.join_parts(parts, [part.name for part in runs])
         summary = tally.summary(
             name,
             skipped,
-            _Ran(config, _each_once([part.dispatch for part in found])),
+            config,
             is_complete=not interrupt.is_set,
-            processor=_each_once([part.processor for part in found]),
+            dispatch=_each_once([part.dispatch for part in runs]),
+            processor=_each_once([part.processor for part in runs]),
         )
-        publish(folder, config, summary)
-    except BaseException:
-        folder.discard()
-        raise
+        folder.publish(config, summary)
     return summary
-
-
-@dataclass(slots=True)
-class _Ran:
-    """What the pipelines were."""
-
-    config: PipelineConfig
-    dispatch: str | None
 
 
 def _each_once(names: Sequence[str | None]) -> str | None:
     return ", ".join(dict.fromkeys(name for name in names if name is not None)) or None
 
 
-def _join(pieces: Sequence[Path], path: Path) -> None:
-    """Writes the pieces to `path`, one after another."""
-    with naming(path), path.open("wb") as whole:
-        for piece in pieces:
-            with piece.open("rb") as file:
-                shutil.copyfileobj(file, whole)
-
-
-def _run_part(opening: Opening, config: PipelineConfig, folder: Path, sequence: str, parent: Parent) -> Part:
-    """Runs one sequence; its files have a name of their own in `folder`, whatever an earlier attempt left there."""
-    frames = part_of(_source(opening, folder), sequence)
-    pipeline, tally, name = _pipeline(config, folder), Tally(), uuid.uuid4().hex
-    takers = (
-        FrameRecords(folder / f"{name}.frames.jsonl"),
-        FrameRecords(folder / f"{name}.times.jsonl", time_record),
-        _Teller(parent, sequence),
-    )
-    step_through(frames, pipeline, takers, tally, lambda: parent.is_stopped)
-    for taker in takers:
-        taker.close()
+def _run_part(opening: Opening, config: PipelineConfig, parts: Path, sequence: str, parent: Parent) -> Part:
+    """Runs one sequence; its files in `parts` have a new name, so that those of an earlier attempt do no harm."""
+    frames = part_of(_source(opening, parts), sequence)
+    pipeline, tally, name = _pipeline(config, parts), Tally(), uuid.uuid4().hex
+    sinks: list[ResultSink] = [*part_sinks(parts, name), _ProgressSink(parent, sequence)]
+    step_through(frames, pipeline, sinks, tally, lambda: parent.is_stopped)
+    for sink in sinks:
+        sink.close()
     return Part(name, tally, tuple(frames.skipped), pipeline.dispatch, processor_name())
 
 
 @functools.lru_cache(maxsize=1)
-def _source(opening: Opening, run: Path) -> FrameSource:  # noqa: ARG001
-    """The source, opened once a run and process: a later run may find other files."""
+def _source(opening: Opening, parts: Path) -> FrameSource:  # noqa: ARG001
+    """The source, opened once in each run and process: a later run may find other files."""
     return opening()
 
 
 @functools.lru_cache(maxsize=1)
-def _pipeline(config: PipelineConfig, run: Path) -> Pipeline:  # noqa: ARG001
-    """Made once a run and process, as a model's file may change; every sequence resets it."""
+def _pipeline(config: PipelineConfig, parts: Path) -> Pipeline:  # noqa: ARG001
+    """The pipeline, made once in each run and process, as the file of a model may change; every sequence resets it."""
     return Pipeline(config)
 
 
-class _Teller:
-    """A result sink that tells how many frames of a sequence are done."""
+class _ProgressSink:
+    """A result sink that reports how many frames of a sequence are done."""
 
     def __init__(self, parent: Parent, sequence: str) -> None:
         self._parent, self._sequence = parent, sequence
         self._num_done = 0
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
 
     def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
         """Counts one frame."""
         self._num_done += 1
-        if time.monotonic() - self._told_s > TELL_S:
+        if time.monotonic() - self._reported_s > REPORT_S:
             self.close()
 
     def close(self) -> None:
-        """Tells what is done."""
+        """Reports the number of frames."""
         self._parent.tell(self._sequence, self._num_done)
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
 
     def discard(self) -> None:
-        """Tells nothing."""
+        """Reports nothing."""

@@ -1,4 +1,4 @@
-"""A run once more, from its tracks on: only the beam is worked out anew."""
+"""A run repeated from its tracks on: only the beam is computed again."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from foreglow.types import Frame, FrameResult
 
 
 class Replay:
-    """Stands in for a pipeline: gives the results of an earlier run, each with the beam command that follows.
+    """Takes the place of a pipeline: it returns the results of an earlier run, each with a new beam command.
 
     Attributes:
-        config: That of the earlier run, with the beam that is wanted now.
+        config: Configuration of the earlier run, but for the beam.
     """
 
     dispatch = None
-    """No native core is used."""
+    """The native core is not used."""
 
     def __init__(self, config: PipelineConfig, results: Mapping[int, FrameResult], origin: str) -> None:
         """Makes the beam stage.
 
         Args:
             config: With a beam policy.
-            results: By frame, what the earlier run made of it, with tracks.
-            origin: What messages call that run.
+            results: By frame, the results of the earlier run, with tracks.
+            origin: Name of that run in messages.
 
         Raises:
-            FileNotFoundError: If there is no such description of lamps.
+            FileNotFoundError: If the file that describes the headlamps is missing.
             ValueError: If it is broken.
         """
         self.config = config
@@ -39,7 +39,7 @@ class Replay:
         self._origin = origin
 
     def step(self, frame: Frame) -> FrameResult:
-        """The earlier result of `frame` with its beam command; `stage_ms` has the time of that alone.
+        """The earlier result of `frame` with a new beam command; `stage_ms` has the run-time of the beam alone.
 
         Raises:
             ValueError: If the earlier run did not have this frame.

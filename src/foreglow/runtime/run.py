@@ -1,47 +1,47 @@
-"""An off-line run: every frame of a source through the pipeline, and its results into a folder."""
+"""An off-line run: each frame of a source goes through the pipeline, and the results are written to a folder."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import signal
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
 from typing import Protocol
 
-from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import FrameSource
 from foreglow.runs.folder import OutputFolder
-from foreglow.runs.frame_records import FrameRecords, time_record
-from foreglow.runs.summary import RunSummary, Tally
+from foreglow.runs.summary import RunSummary
+from foreglow.runs.tally import Tally
 from foreglow.runtime.stepper import Stepper
 from foreglow.types import Frame, FrameResult
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
-"""Ctrl-C, and what `kill` and job schedulers send."""
+"""Ctrl-C, and the signal that `kill` and job schedulers send."""
 
 
 class ResultSink(Protocol):
-    """Takes the result of every frame, in order: a file, a video, a progress bar."""
+    """Gets the result of every frame, in order: a file, a video, a progress bar."""
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Takes one frame's result."""
+        """Takes the result of one frame."""
         ...
 
     def close(self) -> None:
-        """Completes what was written; called once, after the last frame, also where the run was interrupted."""
+        """Completes the file; called once after the last frame, also when the run was interrupted."""
         ...
 
     def discard(self) -> None:
-        """Lets go of everything without completing it; called where the run failed, perhaps after `close`."""
+        """Releases everything without completing it; called when the run failed, perhaps after `close`."""
         ...
 
 
 class InterruptFlag:
-    """While entered, the first Ctrl-C only sets a flag, so that the frame at hand is finished; a second one raises.
+    """In its `with` block a first Ctrl-C only sets a flag, so that the current frame is finished; a second one raises.
 
-    A plain `kill` (SIGTERM), as job schedulers send it, counts as Ctrl-C. Does nothing outside the main thread, where
-    Python delivers no signals.
+    A plain `kill` (SIGTERM), which job schedulers send, counts as Ctrl-C. Outside the main thread, where Python
+    delivers no signals, it does nothing.
     """
 
     is_set = False
@@ -72,7 +72,7 @@ def run(
     limit: int | None = None,
     source_name: str = "",
 ) -> RunSummary:
-    """Runs `pipeline` over `source`; writes results, their times, configuration and summary into `folder`, if any.
+    """Runs `pipeline` over `source`; writes results, run-times, configuration and summary to `folder`, if any.
 
     After a first Ctrl-C the results so far are completed and published, and the summary says
     `is_complete: false`. After any error, and after a second Ctrl-C, nothing of this run remains and an older
@@ -80,70 +80,68 @@ def run(
 
     Args:
         source: The frames.
-        pipeline: What makes results of them; it is reset at the start of each sequence.
-        folder: Where the results go; sinks that write files write to its `partial` names. None for sinks alone.
-        sinks: Further takers of the results.
+        pipeline: It makes the results, and is reset at the start of each sequence.
+        folder: Where the results go; sinks that write files write to its `partial` paths. None: only to the sinks.
+        sinks: They get the results, too.
         limit: Stop after this many frames; None runs all of them.
-        source_name: What the summary calls the source; empty takes its own name.
+        source_name: Name of the source in the summary; empty takes its own name.
 
     Raises:
         ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
             be read.
         OSError: If a result cannot be written; the message names the path.
     """
-    tally = Tally()
-    takers: list[ResultSink] = list(sinks)
-    try:
+    tally, name = Tally(), source_name or source.name
+    all_sinks = list(sinks)
+    with folder or contextlib.nullcontext(), _discarding(all_sinks):
         if folder is not None:
-            takers.insert(0, FrameRecords(folder.partial("times.jsonl"), time_record))
-            takers.insert(0, FrameRecords(folder.partial("frames.jsonl")))
-        name = source_name or source.name
+            all_sinks[:0] = folder.line_sinks()
         with InterruptFlag() as interrupt:
-            step_through(itertools.islice(source, limit), pipeline, takers, tally, lambda: interrupt.is_set)
+            step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally, source.skipped)
-            for taker in takers:
-                taker.close()
-        summary = tally.summary(name, source.skipped, pipeline, is_complete=not interrupt.is_set)
+            for sink in all_sinks:
+                sink.close()
+        summary = tally.summary(
+            name, source.skipped, pipeline.config, is_complete=not interrupt.is_set, dispatch=pipeline.dispatch
+        )
         if folder is not None:
-            publish(folder, pipeline.config, summary)
-    except BaseException:
-        for taker in takers:
-            taker.discard()
-        if folder is not None:
-            folder.discard()
-        raise
+            folder.publish(pipeline.config, summary)
     return summary
+
+
+@contextlib.contextmanager
+def _discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
+    """Discards the sinks if the `with` block ends with an error."""
+    try:
+        yield
+    except BaseException:
+        for sink in sinks:
+            sink.discard()
+        raise
 
 
 def step_through(
     frames: Iterable[Frame],
     pipeline: Stepper,
-    takers: Sequence[ResultSink],
+    sinks: Sequence[ResultSink],
     tally: Tally,
     is_stopped: Callable[[], bool],
 ) -> None:
-    """Runs the pipeline over the frames until it is stopped, which is asked after each, and hands on the results."""
+    """Runs the pipeline over the frames and passes on the results; after each frame it asks whether to stop."""
     sequence: str | None = None
     for frame in frames:
         if frame.sequence != sequence:  # sequences share no time axis
             pipeline.reset()
             sequence = frame.sequence
         result = pipeline.step(frame)
-        for taker in takers:
-            taker.write(frame, result)
+        for sink in sinks:
+            sink.write(frame, result)
         tally.add(frame, result)
         if is_stopped():
             break
 
 
 def check_readable(name: str, tally: Tally, skipped: Sequence[str]) -> None:
-    """ValueError if all frames of the source called `name` were passed over."""
+    """ValueError if all frames of the source called `name` were skipped."""
     if not tally.num_frames and skipped:
         raise ValueError(f"{name}: expected a readable frame; {skipped[0]}")
-
-
-def publish(folder: OutputFolder, config: PipelineConfig, summary: RunSummary) -> None:
-    """Makes the results in `folder` whole, and gives them their names."""
-    folder.write_text("config.toml", config_to_toml(config))
-    folder.write_text("summary.json", summary.to_json())
-    folder.publish()

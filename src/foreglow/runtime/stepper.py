@@ -1,4 +1,4 @@
-"""What a run drives, frame by frame."""
+"""Anything that is driven through the frames of a run, one by one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from foreglow.config import PipelineConfig
 from foreglow.types import Frame, FrameResult
 
 
-class Described(Protocol):
-    """What a summary says of a pipeline."""
+class Stepper(Protocol):
+    """A `Pipeline`, or a substitute for one such as `Replay`."""
 
     config: PipelineConfig
 
@@ -17,10 +17,6 @@ class Described(Protocol):
     def dispatch(self) -> str | None:
         """As `Pipeline.dispatch`."""
         ...
-
-
-class Stepper(Described, Protocol):
-    """A `Pipeline`, or what stands in for one."""
 
     def step(self, frame: Frame) -> FrameResult:
         """The result of `frame`."""

@@ -1,4 +1,4 @@
-"""The fourth stage: light artifacts followed over time, and which of them are plausible."""
+"""The fourth stage: light artifacts tracked over time, and which of the tracks are plausible."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from foreglow.types import Detections, Frame, Ranges, Tracks
 
 
 class Tracker(Protocol):
-    """Follows the boxes from frame to frame."""
+    """Tracks the boxes from frame to frame."""
 
     def __init__(self, config: TrackerConfig) -> None: ...
 

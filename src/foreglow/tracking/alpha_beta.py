@@ -1,7 +1,13 @@
-"""Alpha-beta filters over many tracks and channels at once, with real steps of time: pure maths.
+"""Alpha-beta filters over many tracks and channels at once, with time steps of any length.
 
-An alpha-beta filter is a Kalman filter of constant velocity in its steady state: with the prediction
-x' = x + v dt and the residual r = z - x', it takes x = x' + alpha r and v = v + beta / dt r.
+An alpha-beta filter is the steady state of a Kalman filter for constant velocity. State: a value x and its rate v per
+second, in any unit, for each channel. Prediction over dt seconds, and correction by a measurement z:
+
+    x' = x + v dt                                                                                               (1)
+    x = x' + alpha (z - x'),   v = v + beta (z - x') / dt                                                       (2)
+    beta = alpha^2 / (2 - alpha)                                                                                (3)
+
+Source: Benedict and Bordner, Synthesis of an optimal set of radar track-while-scan smoothing equations, 1962.
 """
 
 from __future__ import annotations
@@ -13,21 +19,18 @@ from foreglow.geometry import Floats
 
 
 def steady_betas(alphas: ArrayLike) -> Floats:
-    """The beta that belongs to each alpha: the best compromise of following a manoeuvre and passing less noise.
-
-    Source: Benedict and Bordner, Synthesis of an optimal set of radar track-while-scan smoothing equations, 1962:
-    beta = alpha^2 / (2 - alpha).
+    """The beta that belongs to each alpha: the best compromise between following manoeuvres and suppressing noise.
 
     >>> steady_betas([0.5, 1.0]).round(3).tolist()
     [0.167, 1.0]
     """
     gains = np.asarray(alphas, np.float64)
-    return np.asarray(gains**2 / (2.0 - gains))
+    return np.asarray(gains**2 / (2.0 - gains))  # (3)
 
 
 def predict(values: Floats, rates: Floats, dt_s: float) -> Floats:
-    """Where `values`, shape (M, K), are after `dt_s` if they change by `rates`, shape (M, K), a second."""
-    return values + rates * dt_s
+    """Values, shape (M, K), after `dt_s` if they change by `rates`, shape (M, K), per second."""
+    return values + rates * dt_s  # (1)
 
 
 def correct(
@@ -35,14 +38,14 @@ def correct(
 ) -> tuple[Floats, Floats]:
     """Values and rates after a measurement.
 
-    A channel without a measurement (NaN) keeps its prediction; one without a value so far (NaN) begins with its first
-    measurement, at rest.
+    A channel without a measurement (NaN) keeps its prediction; a channel without a value so far (NaN) begins with its
+    first measurement and the rate 0.
 
     Args:
         predicted: Shape (M, K), the values at the time of the measurement; NaN where never measured.
         rates: Shape (M, K), per second.
         measured: Shape (M, K); NaN where not measured.
-        dt_s: Shape (M, K), positive, since the measurement before: a wrong rate had that long to show.
+        dt_s: Shape (M, K), positive, since the channel's previous measurement: that is how long a wrong rate has acted.
         gains: Alphas and betas, each of shape (K,).
 
     >>> gains = (np.array([0.5]), np.array([0.1]))
@@ -55,13 +58,13 @@ def correct(
     is_new = np.isnan(predicted)
     residuals[np.isnan(residuals)] = 0.0
     values = np.where(is_new, measured, predicted + alphas * residuals)
-    return values, rates + betas * residuals / dt_s
+    return values, rates + betas * residuals / dt_s  # (2)
 
 
 def moving_mean(means: Floats, values: Floats, weight: float) -> Floats:
-    """Exponential moving means, shape (M,), after `values`, which weigh `weight`.
+    """Exponential moving means, shape (M,), after new `values` with the given weight.
 
-    NaN in `values` leaves a mean as it is; a mean that is NaN begins with its value.
+    NaN in `values` leaves a mean unchanged; a mean that is NaN begins with its value.
 
     >>> moving_mean(np.array([0.5, 0.5, np.nan]), np.array([1.0, np.nan, 0.7]), 0.25).tolist()
     [0.625, 0.5, 0.7]

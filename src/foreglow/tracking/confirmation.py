@@ -1,6 +1,22 @@
-"""When a track is plausible: rules over what was seen of it, all tracks at once.
+"""When a track is plausible: confirmation rules, computed for all tracks at once.
 
-A rule remembers `memory_size` numbers of each track, in an array of shape (M, memory_size) that begins with zeros.
+A rule remembers `memory_size` numbers for each track, in an array of shape (M, memory_size) that begins with zeros.
+
+The rule `evidence` is a sequential test of the hypothesis "light artifact" against "anything else". State: the summed
+log-likelihood ratio E of each track, no unit (natural logarithm), 0 for a new track. In each frame, with the calibrated
+score s of the track's detection, the neutral score s0 that speaks for neither, and the detection probability P_d,
+
+    detected    E <- E + clip(logit(s), -7, 7) - logit(s0),   logit(s) = log(s / (1 - s))                       (1)
+    missed      E <- E + log(1 - P_d)                                                                           (2)
+    then        E <- clip(E, 0, 20)                                                                             (3)
+
+(2) assumes that anything but light would be missed for certain. The floor of (3) lets a light appear where there was
+none before; the ceiling lets a sure track be forgotten again. A track becomes plausible at `confirm` and stays so down
+to `reject`; while another track is plausible, or was so a moment ago, it needs `company` more:
+
+    E > confirm (+ company), or E > reject for a plausible track                                                (4)
+
+Sources: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
 """
 
 from __future__ import annotations
@@ -17,22 +33,22 @@ from foreglow.config import TrackerConfig
 from foreglow.geometry import Floats
 
 MAX_EVIDENCE = 20.0
-"""Sums of evidence stay below this: what was sure may still be unlearnt."""
+"""Ceiling of the evidence in (3)."""
 
-MAX_LOOK_EVIDENCE = 7.0
-"""A single score says no more than 1 in 1100, either way: the calibration knows nothing of rarer cases."""
+MAX_SCORE_EVIDENCE = 7.0
+"""A single score counts for odds of at most 1100 to 1, either way: the calibration knows nothing of rarer cases."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
-    """What this frame says of M tracks.
+class Observations:
+    """What this frame shows of M tracks.
 
     Attributes:
-        scores: Shape (M,), of the detection that each track took; NaN where it was missed.
+        scores: Shape (M,), of each track's detection; NaN where the track was missed.
         num_hits: Shape (M,), detections so far, this one included.
         confidences: Shape (M,), the filtered score.
         was_plausible: Shape (M,), before this frame.
-        since_plausible_s: Since any track was plausible, up to the frame before; infinite for never.
+        since_plausible_s: Time since any track was plausible, not counting this frame; infinite if none ever was.
     """
 
     scores: Floats
@@ -49,13 +65,13 @@ class ConfirmationRule(Protocol):
 
     def __init__(self, config: TrackerConfig) -> None: ...
 
-    def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
-        """The memory, shape (M, memory_size), and which tracks are plausible, shape (M,), after `looks`."""
+    def update(self, memory: Floats, observed: Observations) -> tuple[Floats, NDArray[np.bool_]]:
+        """The memory, shape (M, memory_size), and which tracks are plausible, shape (M,), after this frame."""
         ...
 
 
 class FramesRule:
-    """Plausible while a track has enough detections, in a row or not, and its confidence is high enough.
+    """Plausible while the track has enough detections, in a row or not, and its confidence is high enough.
 
     Source: Ewecker et al., arXiv 2107.11302: five detections and a confidence above 0.5.
     """
@@ -66,58 +82,52 @@ class FramesRule:
         self._min_hits = config.min_hits
         self._min_confidence = config.min_confidence
 
-    def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
-        """As `ConfirmationRule.look`."""
-        is_plausible = (looks.num_hits >= self._min_hits) & (looks.confidences > self._min_confidence)
+    def update(self, memory: Floats, observed: Observations) -> tuple[Floats, NDArray[np.bool_]]:
+        """As `ConfirmationRule.update`."""
+        is_plausible = (observed.num_hits >= self._min_hits) & (observed.confidences > self._min_confidence)
         return memory, np.asarray(is_plausible)
 
 
 class MOfNRule:
-    """Plausible once enough of the last looks were detections, at a sufficient confidence; then as long as it lives."""
+    """Plausible once M of the last N frames had a detection, at a sufficient confidence; then as long as it lives."""
 
     def __init__(self, config: TrackerConfig) -> None:
         self.memory_size = config.num_looks
         self._min_hits = config.min_hits
         self._min_confidence = config.min_confidence
 
-    def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
-        """As `ConfirmationRule.look`."""
-        newest = ~np.isnan(looks.scores)
+    def update(self, memory: Floats, observed: Observations) -> tuple[Floats, NDArray[np.bool_]]:
+        """As `ConfirmationRule.update`."""
+        newest = ~np.isnan(observed.scores)
         memory = np.concatenate([newest[:, None].astype(np.float64), memory[:, :-1]], axis=1)
-        is_enough = (memory.sum(axis=1) >= self._min_hits) & (looks.confidences > self._min_confidence)
-        return memory, looks.was_plausible | is_enough
+        is_enough = (memory.sum(axis=1) >= self._min_hits) & (observed.confidences > self._min_confidence)
+        return memory, observed.was_plausible | is_enough
 
 
 class EvidenceRule:
-    """Plausible by the sum of the log-likelihood ratios of light against anything else: a sequential test.
+    """Plausible by the summed evidence of (1) to (4).
 
-    A detection with the calibrated score s says logit(s) - logit(neutral); a miss says log(1 - P_d), as if what is no
-    light were missed for sure. The sum does not fall below 0, since light may appear where there was none before; a
-    track that became plausible stays so down to `reject_evidence`.
-
-    Beside a track that is plausible, or was a moment ago, another one needs more: most of what is bright around a
-    vehicle is lit by it, and what is to be done about the vehicle is under way. See decision 8.
-
-    Source: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
+    A second track needs more evidence, because most of what is bright around a vehicle is lit by that vehicle, and the
+    beam is already being dimmed for it. See decision 8.
     """
 
     memory_size = 1
 
     def __init__(self, config: TrackerConfig) -> None:
         self._neutral = float(np.log(config.neutral_score / (1.0 - config.neutral_score)))
-        self._miss = float(np.log1p(-config.detection_probability))
+        self._miss = float(np.log1p(-config.detection_probability))  # (2)
         self._confirm, self._reject = config.confirm_evidence, config.reject_evidence
         self._company, self._company_s = config.company_evidence, config.company_s
 
-    def look(self, memory: Floats, looks: Looks) -> tuple[Floats, NDArray[np.bool_]]:
-        """As `ConfirmationRule.look`."""
+    def update(self, memory: Floats, observed: Observations) -> tuple[Floats, NDArray[np.bool_]]:
+        """As `ConfirmationRule.update`."""
         with np.errstate(divide="ignore"):
-            logits = np.log(looks.scores) - np.log1p(-looks.scores)
-        hits = np.clip(logits, -MAX_LOOK_EVIDENCE, MAX_LOOK_EVIDENCE) - self._neutral
-        evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)
-        has_company = looks.since_plausible_s <= self._company_s
-        needed = self._confirm + (self._company if has_company else 0.0)
-        return evidence[:, None], (evidence > needed) | (looks.was_plausible & (evidence > self._reject))
+            logits = np.log(observed.scores) - np.log1p(-observed.scores)
+        hits = np.clip(logits, -MAX_SCORE_EVIDENCE, MAX_SCORE_EVIDENCE) - self._neutral  # (1)
+        evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)  # (3)
+        is_second = observed.since_plausible_s <= self._company_s
+        needed = self._confirm + (self._company if is_second else 0.0)
+        return evidence[:, None], (evidence > needed) | (observed.was_plausible & (evidence > self._reject))  # (4)
 
 
 CONFIRMATIONS: Mapping[str, type[ConfirmationRule]] = MappingProxyType(

@@ -1,4 +1,4 @@
-"""How the image moves because we turn."""
+"""How the image moves because the vehicle turns."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from foreglow.geometry import Camera, Floats
 
 
 def turn_shift_px(camera: Camera, centres_px: Floats, turn_rad: float) -> Floats:
-    """By how many pixels x, y, shape (M, 2), distant points move when we turn to the left by `turn_rad`.
+    """Pixels x, y, shape (M, 2), by which distant points move when the vehicle turns to the left by `turn_rad`.
 
-    To first order, without the lens's distortion and the camera's own tilt: within a tenth of a shift of some ten
-    pixels, as a turn between two frames makes.
+    To first order, without lens distortion and the camera's own tilt: accurate to a tenth of the shift, which is some
+    ten pixels for a turn between two frames.
 
     Source: Longuet-Higgins and Prazdny, The interpretation of a moving retinal image, 1980, rotation about y.
     """

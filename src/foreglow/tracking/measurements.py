@@ -1,4 +1,4 @@
-"""What the detections of a frame measure, as the filter takes it."""
+"""The detections of a frame as measurements for the filter."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ class Measurements:
 
     Attributes:
         values: Shape (N, NUM_CHANNELS): centre x, y, width, height, range; NaN where unknown.
-        sigmas_m: Shape (N,), of the range; infinite where it comes without one, NaN where the range is unknown.
-        scores: Shape (N,).
-        direct_probabilities: Shape (N,); NaN where unknown.
-        places: Shape (N,), in the frame's detections.
+        sigmas_m: Shape (N,), standard deviation of the range; infinite if it has none, NaN if the range is unknown.
+        scores: Shape (N,), of the classifier.
+        direct_probabilities: Shape (N,), of being a lamp itself; NaN where unknown.
+        detections: Shape (N,), indices in the frame's detections.
     """
 
     values: Floats
     sigmas_m: Floats
     scores: Floats
     direct_probabilities: Floats
-    places: NDArray[np.int64]
+    detections: NDArray[np.int64]
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.detections)
 
     def taken(self, assigned: Assignment) -> Measurements:
-        """For each track the measurement that it takes: NaN and place -1 where it takes none."""
+        """The measurement assigned to each track; NaN and the index -1 for a track without one."""
         nothing = np.full((1, NUM_CHANNELS), np.nan)
-        return Measurements(  # -1 as an index is the row that is put behind them
+        return Measurements(  # index -1 picks the row that is appended
             np.concatenate([self.values, nothing])[assigned],
             np.append(self.sigmas_m, np.nan)[assigned],
             np.append(self.scores, np.nan)[assigned],
             np.append(self.direct_probabilities, np.nan)[assigned],
-            np.append(self.places, UNASSIGNED)[assigned],
+            np.append(self.detections, UNASSIGNED)[assigned],
         )
 
 
 def measurements(detections: Detections, ranges: Ranges | None, min_score: float) -> Measurements:
-    """Those of all detections with a score above `min_score`."""
+    """The measurements of all detections with a score above `min_score`."""
     scores = detections.scores.astype(np.float64)
-    places = np.flatnonzero(scores > min_score)
-    values = np.full((len(places), NUM_CHANNELS), np.nan)
-    values[:, :RANGE] = centres_and_sizes(detections.boxes_xyxy_px[places].astype(np.float64))
-    sigmas_m = np.full(len(places), np.nan)
+    kept = np.flatnonzero(scores > min_score)
+    values = np.full((len(kept), NUM_CHANNELS), np.nan)
+    values[:, :RANGE] = centres_and_sizes(detections.boxes_xyxy_px[kept].astype(np.float64))
+    sigmas_m = np.full(len(kept), np.nan)
     if ranges is not None:
-        values[:, RANGE] = ranges.ranges_m[places]
-        sigmas_m = np.where(np.isnan(values[:, RANGE]), np.nan, ranges.sigmas_m[places])
-    direct_probabilities = detections.direct_probabilities[places].astype(np.float64)
-    return Measurements(values, sigmas_m, scores[places], direct_probabilities, places)
+        values[:, RANGE] = ranges.ranges_m[kept]
+        sigmas_m = np.where(np.isnan(values[:, RANGE]), np.nan, ranges.sigmas_m[kept])
+    direct_probabilities = detections.direct_probabilities[kept].astype(np.float64)
+    return Measurements(values, sigmas_m, scores[kept], direct_probabilities, kept)

@@ -1,8 +1,8 @@
-"""The published code's tracker, as it behaves: to compare with, not to drive with.
+"""The tracker of the paper's published code, with its behaviour as it is: for comparison, not for driving.
 
-It departs from the paper: detections are compared with a share of the track's area and not by IoU, each gain is
-applied twice, several detections may each take a copy of one track, and a velocity is the last innovation. Only one
-object is its output.
+It departs from the paper: a detection is matched by the share of the track's area that it covers instead of IoU, each
+gain is applied twice, several detections may each take a copy of the same track, and the velocity is the last
+innovation. It returns a single object.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A detection as this tracker takes it.
+    """A detection in the form that this tracker uses.
 
     Attributes:
         box: x1, y1, x2, y2, pixels.
-        score: Of the classifier.
-        distance_m: None where unknown.
-        place: In the frame's detections.
+        score: The classifier's.
+        distance_m: Range to the light; None where unknown.
+        detection: Index in the frame's detections.
     """
 
     box: Box
     score: float
     distance_m: float | None
-    place: int = -1
+    detection: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +44,17 @@ class PublishedObject:
     """A tracked object.
 
     Attributes:
-        track_id: Its own, unlike in the published code; a copy of an object has another one.
+        track_id: Unique, unlike in the published code; a copy of an object gets a new one.
         birth_s: Time of its first detection, which a copy shares.
-        box: x1, y1, x2, y2; cut to the image's area from the second frame on.
-        future_box: Where it is expected next, not cut.
+        box: x1, y1, x2, y2; clipped to the image from the second frame on.
+        future_box: Where it is expected next, not clipped.
         score: Filtered.
-        distance_m: Filtered; None without any so far.
-        num_hits: Detections, the first included (count_visibility).
-        num_lost: Frames in a row without one (count_lost).
+        distance_m: Filtered; None before the first one.
+        num_hits: Number of detections, the first included (count_visibility).
+        num_lost: Frames in a row without a detection (count_lost).
         momentum: Last innovation of centre x, y, width, height; None before the second detection.
         momentum_m: Last innovation of the distance; None before the second one.
-        place: Of its detection in the latest frame; -1 without one.
+        detection: Index of its detection in the latest frame; -1 without one.
     """
 
     track_id: int
@@ -67,15 +67,15 @@ class PublishedObject:
     num_lost: int = 0
     momentum: Box | None = None
     momentum_m: float | None = None
-    place: int = -1
+    detection: int = -1
 
 
 class PublishedTracker:
-    """The tracker of the published code with all its quirks; counts frames.
+    """The tracker of the published code with all its quirks; it counts frames, not time.
 
-    Of the configuration it takes the fields that `TrackerConfig` marks with p, and of the frame its size and time.
-    Ids and ages are ours. An object keeps its id with the first detection that takes it; every further copy is given
-    a new one. A range comes without a standard deviation.
+    It uses the configuration fields that `TrackerConfig` marks with p, and the frame's size and time. Ids and ages are
+    our addition: the first detection that takes an object keeps its id; every further copy gets a new one. Ranges have
+    no standard deviation.
     """
 
     def __init__(self, config: TrackerConfig) -> None:
@@ -94,16 +94,17 @@ class PublishedTracker:
 
     @property
     def focus(self) -> PublishedObject | None:
-        """The one object that the published code returns: of those above the confidence the one with most detections.
+        """The single object that the published code returns, or None.
 
-        Then the most confident one, then the last in the list; None if it has fewer than `min_hits` detections.
+        Among those with enough confidence it is the one with most detections, then the most confident, then the last
+        in the list; it must have at least `min_hits` detections.
         """
         best: PublishedObject | None = None
-        for one in reversed(self._objects):
-            if one.score > self._config.min_confidence and (
-                best is None or (one.num_hits, one.score) > (best.num_hits, best.score)
+        for candidate in reversed(self._objects):
+            if candidate.score > self._config.min_confidence and (
+                best is None or (candidate.num_hits, candidate.score) > (best.num_hits, best.score)
             ):
-                best = one
+                best = candidate
         return best if best is not None and best.num_hits >= self._config.min_hits else None
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
@@ -111,8 +112,8 @@ class PublishedTracker:
         boxes, scores = detections.boxes_xyxy_px.astype(np.float64).tolist(), detections.scores.tolist()
         distances_m = [math.nan] * len(boxes) if ranges is None else ranges.ranges_m.tolist()
         sightings = [
-            Sighting((x1, y1, x2, y2), score, None if math.isnan(distance_m) else distance_m, place)
-            for place, ((x1, y1, x2, y2), score, distance_m) in enumerate(zip(boxes, scores, distances_m, strict=True))
+            Sighting((x1, y1, x2, y2), score, None if math.isnan(distance_m) else distance_m, index)
+            for index, ((x1, y1, x2, y2), score, distance_m) in enumerate(zip(boxes, scores, distances_m, strict=True))
         ]
         now_s = frame.timestamp_ns / 1e9
         self.follow(sightings, (frame.width_px - 1.0, frame.height_px - 1.0), now_s)
@@ -123,8 +124,8 @@ class PublishedTracker:
 
         Args:
             sightings: All detections.
-            limits_px: Greatest x and y of a box; the published code ends one pixel before the half-open image.
-            now_s: The time, for ages alone.
+            limits_px: Greatest x and y of a box; the published code stops one pixel short of the half-open image.
+            now_s: The time, used for ages only.
         """
         followed: list[PublishedObject] = []
         found: set[int] = set()
@@ -133,16 +134,16 @@ class PublishedTracker:
                 continue
             index = self._best_object(sighting, limits_px)
             if index is None:
-                followed.append(self._started(sighting, now_s))  # not cut before its second frame
+                followed.append(self._started(sighting, now_s))  # not clipped before its second frame
                 continue
             source = self._objects[index]
             if index in found:
                 source = replace(source, track_id=self._new_id())
             found.add(index)
             followed.append(_clipped(self._updated(source, sighting), limits_px))
-        lost = [_clipped(self._lost(one), limits_px) for place, one in enumerate(self._objects) if place not in found]
+        lost = [_clipped(self._lost(obj), limits_px) for index, obj in enumerate(self._objects) if index not in found]
         self._objects = tuple(
-            one for one in followed + lost if one.num_lost <= self._config.max_misses and _is_ordered(one.box)
+            obj for obj in followed + lost if obj.num_lost <= self._config.max_misses and _is_ordered(obj.box)
         )
 
     def _new_id(self) -> int:
@@ -150,12 +151,12 @@ class PublishedTracker:
         return self._next_id - 1
 
     def _best_object(self, sighting: Sighting, limits_px: tuple[float, float]) -> int | None:
-        """The object that a detection covers most; of equals that with most hits, the most confident, the last."""
+        """Index of the object that a detection covers most; ties go to more hits, more confidence, then the last."""
         x, y, width, height = _centre_size(sighting.box)
         grow = self._config.enlargement
         grown = _clip(_corners((x, y, grow * width, grow * height)), limits_px)
-        shares = [(_share_covered(one.future_box, grown), one.num_hits, one.score) for one in self._objects]
-        candidates = [(*share, place) for place, share in enumerate(shares) if share[0] >= self._config.min_iou]
+        shares = [(_share_covered(obj.future_box, grown), obj.num_hits, obj.score) for obj in self._objects]
+        candidates = [(*share, index) for index, share in enumerate(shares) if share[0] >= self._config.min_iou]
         return max(candidates)[-1] if candidates else None
 
     def _started(self, sighting: Sighting, now_s: float) -> PublishedObject:
@@ -166,16 +167,16 @@ class PublishedTracker:
             sighting.box,
             sighting.score,
             sighting.distance_m,
-            place=sighting.place,
+            detection=sighting.detection,
         )
 
-    def _updated(self, one: PublishedObject, sighting: Sighting) -> PublishedObject:
-        """`one` with a detection: both gains are applied twice, and the future moves as far once more."""
+    def _updated(self, obj: PublishedObject, sighting: Sighting) -> PublishedObject:
+        """The trackedect after a detection: both gains are applied twice, and the future box moves on as far again."""
         config = self._config
-        old, new = _centre_size(one.box), _centre_size(sighting.box)
+        old, new = _centre_size(obj.box), _centre_size(sighting.box)
         momentum = (new[0] - old[0], new[1] - old[1], new[2] - old[2], new[3] - old[3])
         moved = _moved(old, momentum, 2.0 * config.alpha_centre, 2.0 * config.alpha_size)
-        distance_m, momentum_m = one.distance_m, one.momentum_m
+        distance_m, momentum_m = obj.distance_m, obj.momentum_m
         if sighting.distance_m is not None:
             if distance_m is None:
                 distance_m = sighting.distance_m
@@ -183,56 +184,56 @@ class PublishedTracker:
                 momentum_m = sighting.distance_m - distance_m
                 distance_m += config.alpha_range * momentum_m
         return replace(
-            one,
+            obj,
             box=_corners(moved),
             future_box=_corners(_moved(moved, momentum, 2.0 * config.alpha_centre, 0.0)),
-            score=config.alpha_confidence * sighting.score + (1.0 - config.alpha_confidence) * one.score,
+            score=config.alpha_confidence * sighting.score + (1.0 - config.alpha_confidence) * obj.score,
             distance_m=distance_m,
-            num_hits=one.num_hits + 1,
+            num_hits=obj.num_hits + 1,
             num_lost=0,
             momentum=momentum,
             momentum_m=momentum_m,
-            place=sighting.place,
+            detection=sighting.detection,
         )
 
-    def _lost(self, one: PublishedObject) -> PublishedObject:
-        """`one` without a detection: it moves on by its last innovation, which never decays."""
+    def _lost(self, obj: PublishedObject) -> PublishedObject:
+        """The trackedect without a detection: it moves on by its last innovation, which never decays."""
         gain = 2.0 * self._config.alpha_centre
-        momentum = one.momentum or _AT_REST
-        moved = _moved(_centre_size(one.box), momentum, gain, 0.0)
-        distance_m = one.distance_m
-        if distance_m is not None and one.momentum_m is not None:
-            distance_m += self._config.alpha_range * one.momentum_m
+        momentum = obj.momentum or _AT_REST
+        moved = _moved(_centre_size(obj.box), momentum, gain, 0.0)
+        distance_m = obj.distance_m
+        if distance_m is not None and obj.momentum_m is not None:
+            distance_m += self._config.alpha_range * obj.momentum_m
         return replace(
-            one,
+            obj,
             box=_corners(moved),
-            future_box=one.future_box if one.momentum is None else _corners(_moved(moved, momentum, gain, 0.0)),
+            future_box=obj.future_box if obj.momentum is None else _corners(_moved(moved, momentum, gain, 0.0)),
             distance_m=distance_m,
-            num_lost=one.num_lost + 1,
-            place=-1,
+            num_lost=obj.num_lost + 1,
+            detection=-1,
         )
 
     def _as_tracks(self, now_s: float) -> Tracks:
-        objects = sorted(self._objects, key=lambda one: one.track_id)
-        # 0 m is what is left of a negative distance: not a range.
-        ranges_m = np.array([one.distance_m or math.nan for one in objects], np.float64)
+        objects = sorted(self._objects, key=lambda obj: obj.track_id)
+        # Negative distances were clipped to 0 m, which is no range.
+        ranges_m = np.array([obj.distance_m or math.nan for obj in objects], np.float64)
         return Tracks(
-            ids=np.array([one.track_id for one in objects], np.int64),
-            states=np.array([self._state(one) for one in objects], np.int64),
-            boxes_xyxy_px=np.array([one.box for one in objects], np.float64).reshape(-1, 4),
-            confidences=np.array([one.score for one in objects], np.float64),
-            num_hits=np.array([one.num_hits for one in objects], np.int64),
-            num_misses=np.array([one.num_lost for one in objects], np.int64),
-            ages_s=np.array([now_s - one.birth_s for one in objects], np.float64),
+            ids=np.array([obj.track_id for obj in objects], np.int64),
+            states=np.array([self._state(obj) for obj in objects], np.int64),
+            boxes_xyxy_px=np.array([obj.box for obj in objects], np.float64).reshape(-1, 4),
+            confidences=np.array([obj.score for obj in objects], np.float64),
+            num_hits=np.array([obj.num_hits for obj in objects], np.int64),
+            num_misses=np.array([obj.num_lost for obj in objects], np.int64),
+            ages_s=np.array([now_s - obj.birth_s for obj in objects], np.float64),
             ranges_m=ranges_m,
             sigmas_m=np.full(len(objects), np.inf),
-            detections=np.array([one.place for one in objects], np.int64),
+            detections=np.array([obj.detection for obj in objects], np.int64),
         )
 
-    def _state(self, one: PublishedObject) -> TrackState:
-        if one.num_hits < self._config.min_hits or not one.score > self._config.min_confidence:
+    def _state(self, obj: PublishedObject) -> TrackState:
+        if obj.num_hits < self._config.min_hits or not obj.score > self._config.min_confidence:
             return TrackState.TENTATIVE
-        return TrackState.COASTING if one.num_lost else TrackState.CONFIRMED
+        return TrackState.COASTING if obj.num_lost else TrackState.CONFIRMED
 
 
 def _centre_size(box: Box) -> Box:
@@ -263,16 +264,16 @@ def _is_ordered(box: Box) -> bool:
     return x1 < x2 and y1 < y2
 
 
-def _clipped(one: PublishedObject, limits_px: tuple[float, float]) -> PublishedObject:
-    """`one` inside the image's area, with a distance of at least 0 and a future box of a positive size."""
-    x, y, width, height = _centre_size(one.future_box)
+def _clipped(obj: PublishedObject, limits_px: tuple[float, float]) -> PublishedObject:
+    """The trackedect clipped to the image, with a distance of at least 0 and a future box of positive size."""
+    x, y, width, height = _centre_size(obj.future_box)
     is_sound = width > 0.0 and height > 0.0
     sound = (x, y, width if width > 0.0 else 1.0, height if height > 0.0 else 1.0)
     return replace(
-        one,
-        box=_clip(one.box, limits_px),
-        future_box=one.future_box if is_sound else _corners(sound),
-        distance_m=None if one.distance_m is None else max(one.distance_m, 0.0),
+        obj,
+        box=_clip(obj.box, limits_px),
+        future_box=obj.future_box if is_sound else _corners(sound),
+        distance_m=None if obj.distance_m is None else max(obj.distance_m, 0.0),
     )
 
 

@@ -1,4 +1,4 @@
-"""What a tracker remembers of its tracks: one array a quantity, one place a track, in the order of their ids."""
+"""What a tracker remembers of its tracks: one array for each quantity, one entry for each track, ordered by id."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ RANGE = 4
 class TrackStates:
     """The state of M tracks.
 
-    Arrays are replaced, never written to, so that results that were handed out stay as they are.
+    Arrays are replaced, never written to, so that results returned earlier stay unchanged.
 
     Attributes:
         ids: Shape (M,).
         values: Shape (M, NUM_CHANNELS), filtered; NaN where never measured.
         rates: Shape (M, NUM_CHANNELS), per second.
         measured_s: Shape (M, NUM_CHANNELS), time of each channel's latest measurement; -infinity where there is none.
-        sigmas_m: Shape (M,), of the range; infinite where unknown.
+        sigmas_m: Shape (M,), standard deviation of the range; infinite where unknown.
         range_history: Shape (M, H), the latest measured ranges, newest first, NaN where there are fewer.
         sigma_history: Shape (M, H), their standard deviations.
-        confidences: Shape (M,).
-        direct_probabilities: Shape (M,); NaN where unknown.
-        num_hits: Shape (M,).
-        num_misses: Shape (M,), in a row up to now.
+        confidences: Shape (M,), the filtered score.
+        direct_probabilities: Shape (M,), filtered; NaN where unknown.
+        num_hits: Shape (M,), detections so far.
+        num_misses: Shape (M,), frames in a row without a detection.
         births_s: Shape (M,), time of the first detection.
-        missing_s: Shape (M,), for how long the track has been looked for in vain.
+        missing_s: Shape (M,), how long the track has gone without a detection.
         memory: Shape (M, K), of the confirmation rule.
-        is_plausible: Shape (M,).
-        detections: Shape (M,), place of the box in the latest frame's detections; -1 without one.
+        is_plausible: Shape (M,), whether the track is confirmed.
+        detections: Shape (M,), index of the box in the latest frame's detections; -1 without one.
     """
 
     ids: NDArray[np.int64]
@@ -62,19 +62,19 @@ class TrackStates:
         return len(self.ids)
 
     def where(self, is_kept: NDArray[np.bool_]) -> TrackStates:
-        """The states of some of the tracks."""
+        """The states of the tracks that are kept."""
         return TrackStates(*(getattr(self, name)[is_kept] for name in _NAMES))
 
     def joined(self, others: TrackStates) -> TrackStates:
-        """These and `others` behind them."""
+        """These states followed by `others`."""
         return TrackStates(*(np.concatenate([getattr(self, name), getattr(others, name)]) for name in _NAMES))
 
 
-_NAMES = tuple(one.name for one in dataclasses.fields(TrackStates))
+_NAMES = tuple(field.name for field in dataclasses.fields(TrackStates))
 
 
 def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_size: int) -> TrackStates:
-    """Tracks that begin at the time `now_s`, before their first measurement."""
+    """New tracks at the time `now_s`, before their first measurement."""
     count = len(ids)
     history = np.full((count, history_size), np.nan)
     return TrackStates(

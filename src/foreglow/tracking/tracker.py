@@ -1,4 +1,4 @@
-"""The life of tracks: predicted, associated, corrected, confirmed, ended."""
+"""The life of a track: predict, associate, correct, confirm, end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from foreglow.tracking.association import (
     is_range_apart,
     overlaps,
 )
-from foreglow.tracking.confirmation import CONFIRMATIONS, Looks
+from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
 from foreglow.tracking.ego_motion import turn_shift_px
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
@@ -36,15 +36,15 @@ from foreglow.tracking.track_range import (
 from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
 
 MIN_SIZE_PX = 1.0
-"""Predicted boxes do not shrink below this."""
+"""Predicted boxes never become smaller than this."""
 
 
 class AlphaBetaTracker:
-    """The paper's tracker, with options that go beyond it: `TrackerConfig` names them.
+    """The paper's tracker, with the further options that `TrackerConfig` names.
 
-    With the clock `time`, a frame at the time of the one before and with the same boxes is that frame again, and its
-    tracks are returned as they are. Any other frame that is not later than the one before ends all tracks, and so
-    does a gap longer than `max_gap_s`; their ids are not given again.
+    With the clock `time`, a frame with the time and the boxes of the previous frame counts as a repetition, and the
+    same tracks are returned. Any other frame that is not later than the previous one ends all tracks, and so does a
+    gap longer than `max_gap_s`; ids are not reused.
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking.
     """
@@ -56,7 +56,7 @@ class AlphaBetaTracker:
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
         self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
-        # Half a frame of tolerance: frames come somewhat early or late.
+        # Half a frame of tolerance, since frames come somewhat early or late.
         self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz
         self._max_miss_s = max(config.max_misses, 1) / config.rate_hz
         self.reset()
@@ -104,13 +104,13 @@ class AlphaBetaTracker:
         )
 
     def _step_s(self, frame: Frame) -> float:
-        """Time since the frame before."""
+        """Time since the previous frame."""
         if self._config.clock == "frames" or self._timestamp_ns is None:
             return 1.0 / self._config.rate_hz
         return (frame.timestamp_ns - self._timestamp_ns) / 1e9
 
     def _born(self, count: int) -> TrackStates:
-        """New tracks that wait for their first measurement."""
+        """New tracks before their first measurement."""
         ids = np.arange(self._next_id, self._next_id + count)
         self._next_id += count
         return unmeasured(ids, self._now_s, self._num_ranges, self._rule.memory_size)
@@ -124,7 +124,7 @@ class AlphaBetaTracker:
         self._states.values = values
 
     def _associated(self, found: Measurements) -> Assignment:
-        """For each track the measurement that it takes."""
+        """The measurement assigned to each track."""
         states, config = self._states, self._config
         if not (len(states) and len(found)):
             return np.full(len(states), UNASSIGNED)
@@ -132,7 +132,7 @@ class AlphaBetaTracker:
         return self._assign(overlap, config.min_iou)
 
     def _overlaps(self, values: Floats, sigmas_m: Floats, enlargement: float = 1.0) -> Floats:
-        """Of each track with each of the boxes `values`; 0 where their ranges are too far apart."""
+        """Overlap of each track with each of the boxes `values`; 0 where their ranges are too far apart."""
         states, gate = self._states, self._config.range_gate
         overlap = overlaps(corners(states.values, enlargement), corners(values, enlargement))
         if np.isfinite(gate):
@@ -141,7 +141,7 @@ class AlphaBetaTracker:
         return overlap
 
     def _with_looming(self, taken: Measurements, frame: Frame) -> Measurements:
-        """The measurements with the ranges that growth tells beside the measured ones, weighted by their variances."""
+        """The measurements, their ranges fused with those that follow from the growth of the boxes."""
         if not self._config.use_looming or frame.motion is None:
             return taken
         sizes, rates = self._states.values[:, SIZES], self._states.rates[:, SIZES]
@@ -150,15 +150,15 @@ class AlphaBetaTracker:
         noise = rate_noise(self._config.alpha_size, float(self._gains[1][RANGE - 1]), 1.0 / self._config.rate_hz)
         looming = looming_ranges(np.sqrt(areas_px), rates_px_per_s, frame.motion.speed_mps, noise)
         ranges_m, sigmas_m = fused((taken.values[:, RANGE], taken.sigmas_m), looming)
-        is_taken = taken.places != UNASSIGNED
+        is_taken = taken.detections != UNASSIGNED
         values = taken.values.copy()
         values[is_taken, RANGE] = ranges_m[is_taken]
         return dataclasses.replace(taken, values=values, sigmas_m=np.where(is_taken, sigmas_m, taken.sigmas_m))
 
     def _correct(self, taken: Measurements, step_s: float) -> None:
-        """Puts in what each track was measured to be, and looks whether it is plausible."""
+        """Corrects each track by its measurement, and updates which tracks are plausible."""
         states = self._states
-        is_hit = taken.places != UNASSIGNED
+        is_hit = taken.detections != UNASSIGNED
         since_s = self._now_s - states.measured_s
         states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, self._gains)
         states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
@@ -167,29 +167,34 @@ class AlphaBetaTracker:
         states.direct_probabilities = moving_mean(states.direct_probabilities, taken.direct_probabilities, weight)
         states.num_hits = states.num_hits + is_hit
         states.num_misses = np.where(is_hit, 0, states.num_misses + 1)
-        # However long the gap before it, a single miss ends no track.
+        # A single miss ends no track, however long the gap before it.
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
-        states.detections = taken.places
+        states.detections = taken.detections
         self._correct_sigmas(taken, step_s)
-        since_plausible_s = self._now_s - self._plausible_s
-        looks = Looks(taken.scores, states.num_hits, states.confidences, states.is_plausible, since_plausible_s)
-        states.memory, states.is_plausible = self._rule.look(states.memory, looks)
+        observed = Observations(
+            scores=taken.scores,
+            num_hits=states.num_hits,
+            confidences=states.confidences,
+            was_plausible=states.is_plausible,
+            since_plausible_s=self._now_s - self._plausible_s,
+        )
+        states.memory, states.is_plausible = self._rule.update(states.memory, observed)
         if states.is_plausible.any():
             self._plausible_s = self._now_s
 
     def _correct_sigmas(self, taken: Measurements, step_s: float) -> None:
-        """How well the ranges are known now; remembers them where the latest ones are averaged."""
+        """Updates the standard deviations of the ranges, and the history where ranges are averaged."""
         states = self._states
         if self._num_ranges:
             states.range_history = remembered(states.range_history, taken.values[:, RANGE])
             states.sigma_history = remembered(states.sigma_history, taken.sigmas_m)
             unmeasured_s = self._now_s - states.measured_s[:, RANGE]
-            states.sigmas_m = mean_of(states.sigma_history) + RANGE_RATE_SIGMA_MPS * unmeasured_s
+            states.sigmas_m = mean_of(states.sigma_history) + RANGE_RATE_SIGMA_MPS * unmeasured_s  # (2), `track_range`
         else:
             states.sigmas_m = filtered_sigmas(states.sigmas_m, taken.sigmas_m, step_s, self._config.alpha_range)
 
     def _end(self, frame: Frame) -> None:
-        """Ends tracks that were missed for too long, have left the image, or double another one."""
+        """Ends tracks that were missed for too long, have left the image, or duplicate another track."""
         states = self._states
         x, y = states.values[:, 0], states.values[:, 1]
         is_outside = (x < 0) | (y < 0) | (x >= frame.width_px) | (y >= frame.height_px)
@@ -201,13 +206,13 @@ class AlphaBetaTracker:
             self._states = states.where(~is_over)
 
     def _as_tracks(self, states: TrackStates) -> Tracks:
-        """What is handed out."""
+        """The states as the stage's result."""
         seen = np.where(states.num_misses > 0, TrackState.COASTING, TrackState.CONFIRMED)
         ranges_m, sigmas_m = states.values[:, RANGE], states.sigmas_m
         if self._num_ranges:
             average = mean_of if self._config.range_filter == "mean" else median_of
             ranges_m = average(states.range_history)
-        # A light that is behind us by its own motion has no range any more.
+        # A light that has been predicted past the camera has no range any more.
         is_known = ranges_m > 0.0
         return Tracks(
             ids=states.ids,

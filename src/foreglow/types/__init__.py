@@ -1,8 +1,8 @@
-"""The values that flow: Frame -> Proposals -> Detections -> Ranges -> Tracks -> BeamCommand, and the FrameResult that
-keeps them.
+"""The values that flow through the pipeline: Frame -> Proposals -> Detections -> Ranges -> Tracks -> BeamCommand, and
+FrameResult, which keeps them all.
 
-Every type is frozen and checked once, when it is made. Arrays are plural, boxes are half-open
-`xyxy` in full-frame pixels (x = column to the right, y = row downwards), and no array may be written to afterwards.
+Every type is frozen and checked once, when it is made. Names of arrays are plural, boxes are half-open `xyxy` in
+full-frame pixels (x = column to the right, y = row downwards), and arrays are read-only afterwards.
 """
 
 from foreglow.types.arrays import Boxes, Image

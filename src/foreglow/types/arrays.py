@@ -1,4 +1,4 @@
-"""What the values' arrays are, and views of them that nobody writes to."""
+"""Types of the values' arrays, and read-only views of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What our headlamps shall shine."""
+"""The command to our headlamps."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from foreglow.types.arrays import frozen_view
 
 
 class BeamMode(IntEnum):
-    """What our headlamps shine."""
+    """The kind of beam."""
 
     LOW = 0
     """Low beam alone: all LEDs above it are off."""
     GLARE_FREE = 1
     """High beam with dark gaps."""
     FULL = 2
-    """High beam without any."""
+    """High beam without gaps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamCommand:
-    """What our matrix headlamps shall shine.
+    """The command to our matrix headlamps.
 
     Attributes:
         timestamp_ns: Time of exposure of the frame that it follows from, nanoseconds.
         mode: A `BeamMode`; with LOW all levels are 0 and there are no gaps.
-        levels: Shape (2, L), float64 in [0, 1], left and right lamp, one for each LED above the low beam; as the lamp
-            description numbers them.
-        gaps_rad: Shape (G, 2), float64, right and left border of each dark gap: azimuth to the left in the vehicle's
-            frame, right < left, from right to left and apart.
-        gap_ranges_m: Shape (G,), float64, from the vehicle's origin to what each gap is for; NaN where unknown.
-        faults: Why there is low beam although high beam was wanted; names of faults, empty without any.
+        levels: Shape (2, L), float64 in [0, 1], left and right lamp, one for each LED above the low beam, numbered as
+            in the lamp description.
+        gaps_rad: Shape (G, 2), float64, right and left border of each dark gap: azimuths to the left in the vehicle's
+            frame; right < left, gaps from right to left, without overlap.
+        gap_ranges_m: Shape (G,), float64, from the vehicle's origin to the vehicle that each gap protects; NaN where
+            unknown.
+        faults: Names of the faults for which low beam replaces the wanted beam; empty without faults.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, a level is outside [0, 1] or NaN, gaps are not in order, or LOW has
@@ -69,5 +70,5 @@ class BeamCommand:
 
     @classmethod
     def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:
-        """Low beam, and why."""
+        """Low beam, with the faults that it is commanded for."""
         return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults)

@@ -1,4 +1,4 @@
-"""Boxes in one image: proposed, scored, ranged."""
+"""Boxes in one image: as proposals, with scores, with ranges."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class Detections:
 
     Attributes:
         proposals: The proposals that were scored.
-        scores: Shape (N,), float32 in [0, 1], one for each proposal: how sure the classifier is of a light artifact.
-        score_threshold: A proposal is accepted when its score is above this.
-        direct_probabilities: Shape (N,), float32 in [0, 1]: how sure the classifier is that it is the lamp itself, if
-            it is light at all, before anything is known of how often either is seen; NaN where the model does not
-            say. An empty array becomes NaNs.
+        scores: Shape (N,), float32 in [0, 1], the classifier's probability of a light artifact in each proposal.
+        score_threshold: A proposal is accepted if its score is above this.
+        direct_probabilities: Shape (N,), float32 in [0, 1]: the classifier's probability that it is a lamp itself, if
+            it is light at all, assuming that lamps and lit surfaces are equally frequent; NaN if the model does not
+            tell. An empty array becomes NaNs.
 
     Raises:
         ValueError: If an array's shape or dtype is wrong, or a score is outside [0, 1] or NaN.
@@ -91,7 +91,7 @@ class Detections:
 
     @property
     def is_accepted(self) -> NDArray[np.bool_]:
-        """Shape (N,): which boxes are light artifacts; compared in double precision, as when files are evaluated."""
+        """Shape (N,): which boxes are light artifacts; compared in double precision, as in the evaluation of files."""
         return np.asarray(self.scores.astype(np.float64) > self.score_threshold)
 
     @property
@@ -102,13 +102,13 @@ class Detections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranges:
-    """How far away the light in each box is: from the camera along the viewing ray, to what shines or is lit.
+    """Range of the light in each box: from the camera along the viewing ray, to the lamp or the surface that it lights.
 
     Attributes:
         detections: The boxes.
-        ranges_m: Shape (N,), float64, positive; NaN where nothing is known.
-        sigmas_m: Shape (N,), float64, standard deviation, positive; infinite where the range is NaN, or an estimator
-            cannot tell how good it is.
+        ranges_m: Shape (N,), float64, positive; NaN where unknown.
+        sigmas_m: Shape (N,), float64, standard deviation, positive; infinite where the range is NaN, or where the
+            estimator does not know its own error.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, a range is not positive, or a range that is NaN has a finite sigma.

@@ -1,4 +1,4 @@
-"""What goes in: an image, and what the car knew when it was taken."""
+"""The pipeline's input: an image, and what the car knew when it was taken."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from foreglow.types.arrays import Image, frozen_view
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoMotion:
-    """How our vehicle moves at the time of an image.
+    """Motion of our vehicle at the time of an image.
 
     Attributes:
         speed_mps: Forward speed.
         yaw_rate_radps: Rate of turn to the left.
-        pitch_rad: How far the body's nose is up against the road under it, beyond its rest; NaN where no sensor tells.
+        pitch_rad: Pitch of the body against the road, nose up, relative to its rest; NaN without a sensor.
 
     Raises:
         ValueError: If speed or yaw rate is not finite, or the pitch is infinite.
@@ -39,17 +39,17 @@ class EgoMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadAhead:
-    """The road in front of us as a map or a street message has it: a ribbon around the carriageway's centre line.
+    """The road in front of us by a map or a street message: a ribbon around the carriageway's centre line.
 
-    It is written in the frame of the vehicle as the map believes it to stand: on the road, and along it.
+    Points are in the frame of the vehicle as the map assumes it to stand: on the road, and heading along it.
 
     Attributes:
-        points_m: Shape (N, 3), N >= 2, the centre line in the vehicle's frame, metres, in the order of driving and
-            no two neighbours alike; it may end anywhere, and says nothing of what lies beyond.
+        points_m: Shape (N, 3), N >= 2, the centre line in the vehicle's frame, metres, in the direction of driving, no
+            two neighbours the same. It may end anywhere; the road beyond its end is unknown.
         half_width_m: From the centre line to either edge.
-        cross_slopes: Shape (N,), rise for each metre to the left, no unit; an empty array, where the map has none,
-            becomes zeros.
-        error_bound_m: How far along the road the believed position may be off; infinite where unknown.
+        cross_slopes: Shape (N,), rise for each metre to the left, no unit. An empty array, for a map without cross
+            slopes, becomes zeros.
+        error_bound_m: Largest error of the assumed position along the road; infinite where unknown.
 
     Raises:
         ValueError: If a shape is wrong, a number is not finite (the bound: NaN or negative), or two neighbouring
@@ -94,12 +94,12 @@ class Frame:
     Attributes:
         image: Shape (height, width), uint8 or uint16, at least 1x1; any strides.
         timestamp_ns: Time of exposure in nanoseconds; the zero is the source's own.
-        frame: Number that identifies the image in its source (PVDN: the image id; else its index from 0).
-        sequence: Name of the sequence, empty where the source has none.
-        path: Where the image came from, for messages; empty for an array in memory.
-        camera: Calibration of an image of this size; None where unknown: then nothing has a range.
-        motion: How our vehicle moves; None where unknown.
-        road: The road ahead by a map or a street message; None where there is none.
+        frame: Number that identifies the image in its source (PVDN: the image id; otherwise its index from 0).
+        sequence: Name of the sequence; empty if the source has none.
+        path: Origin of the image, for messages; empty for an array in memory.
+        camera: Calibration for images of this size; without it, nothing has a range.
+        motion: Motion of our vehicle; None where unknown.
+        road: The road ahead by a map or a street message; None without either.
         is_damaged: Whether the source knows that the image is damaged, such as by a decoder that lost packets.
 
     Raises:

@@ -1,4 +1,4 @@
-"""All that the stages made of one frame."""
+"""The results of all stages for one frame."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from foreglow.types.tracks import Tracks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """What the pipeline made of one frame.
+    """The results of all stages for one frame.
 
     Attributes:
         frame: The frame's number in its source, as in `Frame.frame`.
         timestamp_ns: The frame's time of exposure in nanoseconds.
         proposals: Boxes that may hold a light artifact.
-        detections: The scored proposals; None where no classifier is configured (never an empty stand-in).
-        ranges: How far away the light in each box is; None without detections, without an estimator or where the
-            frame has no camera.
-        tracks: What is followed over time; None without detections or without a tracker.
-        beam: What our headlamps shall shine; None without tracks, or where no beam is configured.
-        stage_ms: Run-time of each stage in milliseconds, by stage name; a measurement, not part of the result's
-            identity.
+        detections: The scored proposals; None if no classifier is configured.
+        ranges: Range of the light in each box; None without detections, without an estimator, or if the frame has no
+            camera.
+        tracks: The tracks after this frame; None without detections or without a tracker.
+        beam: The command to our headlamps; None without tracks, or if no beam is configured.
+        stage_ms: Run-time of each stage in milliseconds, by stage name; differs from run to run.
     """
 
     frame: int

@@ -1,4 +1,4 @@
-"""What is followed over time."""
+"""Light artifacts tracked over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class TrackState(IntEnum):
     """Where a track is in its life."""
 
     TENTATIVE = 0
-    """Not yet plausible: not to be acted on."""
+    """Not yet plausible: must not be acted on."""
     CONFIRMED = 1
     """Plausible, and detected in this frame."""
     COASTING = 2
@@ -26,21 +26,21 @@ class TrackState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracks:
-    """The light artifacts that are followed over time, in the order of their ids.
+    """The light artifacts that are tracked over time, in the order of their ids.
 
     Attributes:
-        ids: Shape (M,), int64, unique since the last reset, ascending; never given twice.
+        ids: Shape (M,), int64, unique since the last reset, ascending; never reused.
         states: Shape (M,), int64, a `TrackState` each.
         boxes_xyxy_px: Shape (M, 4), float64, filtered, half-open, full-frame pixels, x1 < x2 and y1 < y2.
         confidences: Shape (M,), float64 in [0, 1], the filtered score.
-        num_hits: Shape (M,), int64, detections that the track has taken so far, at least 1.
-        num_misses: Shape (M,), int64, frames in a row without one, up to this frame.
+        num_hits: Shape (M,), int64, number of detections so far, at least 1.
+        num_misses: Shape (M,), int64, frames in a row without a detection, up to this frame.
         ages_s: Shape (M,), float64, time since its first detection.
         ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray; NaN where unknown.
         sigmas_m: Shape (M,), float64, standard deviation of the range; infinite where unknown.
-        detections: Shape (M,), int64, place of the box in this frame's `Detections`; -1 without one.
-        direct_probabilities: Shape (M,), float64 in [0, 1], filtered: that it is a lamp itself and not its light on
-            something; NaN where unknown. An empty array becomes NaNs.
+        detections: Shape (M,), int64, index of the box in this frame's `Detections`; -1 without one.
+        direct_probabilities: Shape (M,), float64 in [0, 1], filtered probability of being a lamp itself, not its light
+            on a surface; NaN where unknown. An empty array becomes NaNs.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, ids do not ascend, or a box is not in order or not finite.

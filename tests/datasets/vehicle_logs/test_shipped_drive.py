@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import shipped_drive
+from foreglow.datasets.simulated import SequenceTruth, read_truth
 from foreglow.datasets.vehicle_logs import open_vehicle_data, read_can_log, write_can_log
 from foreglow.geometry import Floats, rotation_angles_rad
-from foreglow.lab.simulation import read_truth
-from foreglow.lab.simulation.writing.truth_files import SequenceTruth
+from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.writing.scene_files import scene_of
+from foreglow.lab.simulation.writing.street_data import road_ahead
 from foreglow.maps import GeographicOrigin
 from foreglow.types import EgoMotion, Frame
 
@@ -62,12 +64,12 @@ def test_its_road_as_a_map(drive: SequenceTruth, tmp_path: Path) -> None:
 
 def _errors_m(drive: SequenceTruth, geojson: Path, poses: Path) -> list[float]:
     """The largest error of the road within 200 m, of each frame."""
-    data = open_vehicle_data(road_map=geojson, poses=poses)
+    data, true_road = open_vehicle_data(road_map=geojson, poses=poses), Road(scene_of(drive).road)
     errors_m = []
     for known in drive.frames:
         road = data.road(Frame(np.zeros((64, 64), np.uint8), known.timestamp_ns))
         assert road is not None
-        true = drive.road_ahead(known.image_id)[:200]
+        true = road_ahead(true_road, known.ego_s_m, known.ego_pose)[:200]
         away = road.points_m[:200] - true[: len(road)]
         errors_m.append(float(np.linalg.norm(away, axis=1).max()))
     return errors_m

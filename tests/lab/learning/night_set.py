@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.datasets.json_files import write_json
-from foreglow.datasets.pvdn_schema import Instance, KeypointsFile, Sequence, Vehicle
-from foreglow.datasets.pvdn_writer import LabelledImage, PVDNWriter
+from foreglow.datasets.pvdn.schema import Instance, KeypointsFile, Sequence, Vehicle
+from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
 from foreglow.types import Frame
 
 SIZE_PX = (480, 640)  # height, width; the sizes of a preset are pixels of such a frame
@@ -41,7 +41,7 @@ def make_night_set(folder: Path, splits: tuple[str, ...] = ("train", "val"), num
         with PVDNWriter(folder / "night" / split) as writer:
             for sequence in range(1, NUM_SEQUENCES + 1):
                 first = 1000 * number + 100 * sequence
-                frames = [night_frame(first + place) for place in range(num_images)]
+                frames = [night_frame(first + index) for index in range(num_images)]
                 writer.add_sequence(
                     Sequence.plain(sequence), [LabelledImage(frame, vehicles) for frame, vehicles, _ in frames]
                 )

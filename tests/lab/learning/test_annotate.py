@@ -89,11 +89,11 @@ def test_processes_change_nothing(split: Path) -> None:
 
 def test_second_call_keeps_the_files(split: Path) -> None:
     first, times = annotate_split(split, PAPER, "paper"), changed(split)
-    told: list[tuple[int, int]] = []
-    again = annotate_split(split, PAPER, "paper", progress=lambda _, done, whole: told.append((done, whole)))
+    reported: list[tuple[int, int]] = []
+    again = annotate_split(split, PAPER, "paper", progress=lambda _, done, whole: reported.append((done, whole)))
     assert again == first
     assert changed(split) == times
-    assert told == [(NUM_ALL, NUM_ALL)]
+    assert reported == [(NUM_ALL, NUM_ALL)]
 
 
 def test_other_parameters_replace_the_files(split: Path) -> None:
@@ -128,7 +128,7 @@ def test_sequence_with_newer_files_is_made_again(split: Path, name: str) -> None
     os.utime(split / name, ns=(later, later))
     annotate_split(split, PAPER)
     new = {name for name, time in changed(split).items() if time != times[name]}
-    assert new == {f"{100 + place:06d}.json" for place in range(NUM_IMAGES)}
+    assert new == {f"{100 + index:06d}.json" for index in range(NUM_IMAGES)}
 
 
 def test_missing_box_file_is_made_again(split: Path) -> None:

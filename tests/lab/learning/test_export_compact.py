@@ -73,11 +73,11 @@ def test_the_second_output_says_what_is_direct(tmp_path: Path) -> None:
         found.append(OnnxClassifier(ClassifierConfig(model=tmp_path / f"{name}.onnx")).classify(frame, boxes))
     assert np.isfinite(found[0].direct_probabilities).all()
     np.testing.assert_allclose(found[1].direct_probabilities, found[0].direct_probabilities, atol=1e-6)
-    logits = [np.log(one.scores) - np.log1p(-one.scores) for one in found]
+    logits = [np.log(detections.scores) - np.log1p(-detections.scores) for detections in found]
     np.testing.assert_allclose(logits[1], logits[0] / 2 + 1, atol=1e-5)
     write_compact(network(), SPEC, tmp_path / "one.onnx", {})
-    one = OnnxClassifier(ClassifierConfig(model=tmp_path / "one.onnx")).classify(frame, boxes)
-    assert np.isnan(one.direct_probabilities).all()
+    first = OnnxClassifier(ClassifierConfig(model=tmp_path / "one.onnx")).classify(frame, boxes)
+    assert np.isnan(first.direct_probabilities).all()
 
 
 def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:
 
 def test_within_the_budget_of_one_core(tmp_path: Path) -> None:
     made = network()
-    assert sum(one.numel() for one in made.parameters()) <= 60_000
+    assert sum(weights.numel() for weights in made.parameters()) <= 60_000
     write_compact(made, SPEC, tmp_path / "model.onnx", {})
     counts = count_model(tmp_path / "model.onnx")
     assert counts.num_parameters <= 60_000

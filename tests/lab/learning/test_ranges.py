@@ -27,21 +27,23 @@ CONFIG = preset("foreglow")
 def test_views_hold_every_light_with_a_box_and_a_range(data: Path) -> None:
     views = list(ranged_views(data / "val", CONFIG))
     assert views
-    for one in views:
-        assert len(one.truth_m) == len(one.view.boxes.directions_rad)
-        assert (one.truth_m > 0).all()
-        assert one.view.road is not None
+    for view in views:
+        assert len(view.truth_m) == len(view.view.boxes.directions_rad)
+        assert (view.truth_m > 0).all()
+        assert view.view.road is not None
 
 
 def test_fitting_moves_what_is_fitted_and_nothing_else(data: Path) -> None:
-    told: list[str] = []
+    reported: list[str] = []
     start = read_hypotheses(PRIOR)
-    model = fit_ranges(data, CONFIG, seed=1, progress=lambda step, done, total: told.append(f"{step} {done}/{total}"))
+    model = fit_ranges(
+        data, CONFIG, seed=1, progress=lambda step, done, total: reported.append(f"{step} {done}/{total}")
+    )
     before, after = parameters_of(start), parameters_of(model)
     for name in before._fields:
         is_same = np.array_equal(getattr(before, name), getattr(after, name))
         assert is_same == (name not in FITTED), name
-    assert told[-1] == "epochs 12/12"
+    assert reported[-1] == "epochs 12/12"
     assert "lights of" in model.origin
 
 

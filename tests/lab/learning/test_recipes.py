@@ -14,10 +14,10 @@ from foreglow.lab.learning.schedules import learning_rate, num_plateaus
 @pytest.mark.parametrize("base", RECIPES)
 def test_a_recipe_is_read_back_over_any_base(tmp_path: Path, name: str, base: str) -> None:
     wanted = changed(RECIPES[name], {"patience": 7, "inputs": {"lag_s": 0.25}})
-    for one in (RECIPES[name], wanted):
+    for chosen in (RECIPES[name], wanted):
         path = tmp_path / "recipe.toml"
-        path.write_text(recipe_to_toml(one))
-        assert read_recipe(path, changed(RECIPES[base], {"max_gradient": 3.0, "inputs": {"lag_s": 0.5}})) == one
+        path.write_text(recipe_to_toml(chosen))
+        assert read_recipe(path, changed(RECIPES[base], {"max_gradient": 3.0, "inputs": {"lag_s": 0.5}})) == chosen
 
 
 def test_the_published_recipe() -> None:
@@ -76,8 +76,8 @@ def test_an_unknown_recipe_lists_the_known() -> None:
 
 def rates(fields: dict[str, Any], epochs_done: list[float]) -> list[float]:
     base: dict[str, Any] = {"epochs": 10, "learning_rate": 1.0, "warmup_epochs": 0.0}
-    one = changed(RECIPES["foreglow"], base | fields)
-    return [learning_rate(one, done, []) for done in epochs_done]
+    chosen = changed(RECIPES["foreglow"], base | fields)
+    return [learning_rate(chosen, done, []) for done in epochs_done]
 
 
 def test_cosine_with_warm_up() -> None:
@@ -93,14 +93,14 @@ def test_plateau_is_that_of_torch() -> None:
 
     losses = np.abs(np.random.default_rng(0).normal(1, 0.5, 60)).round(2).tolist() + [math.nan] * 8
     for patience in (0, 2, 5):
-        one = changed(RECIPES["paper"], {"plateau_patience": patience})
-        optimiser = torch.optim.SGD([torch.zeros(1, requires_grad=True)], one.learning_rate)
+        chosen = changed(RECIPES["paper"], {"plateau_patience": patience})
+        optimiser = torch.optim.SGD([torch.zeros(1, requires_grad=True)], chosen.learning_rate)
         scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser, "min", factor=0.9, patience=patience)
         for number, loss in enumerate(losses):
             scheduler.step(loss)
             expected = optimiser.param_groups[0]["lr"]
             # torch leaves out reductions below 1e-8, far from here
-            assert learning_rate(one, number + 1, losses[: number + 1]) == pytest.approx(expected, rel=1e-9)
+            assert learning_rate(chosen, number + 1, losses[: number + 1]) == pytest.approx(expected, rel=1e-9)
     assert num_plateaus([], 5) == 0
 
 

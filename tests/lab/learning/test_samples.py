@@ -10,6 +10,7 @@ import pytest
 
 from foreglow import _native
 from foreglow.datasets import PVDN, Selection
+from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light
 from foreglow.lab.learning import sample_cache
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
@@ -23,7 +24,6 @@ from foreglow.lab.learning.samples import (
     jittered,
     no_samples,
 )
-from foreglow.lab.simulation.world.materials import KINDS as SIMULATED_KINDS
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
@@ -52,16 +52,16 @@ def test_samples_are_what_the_pipeline_would_classify(data: Path) -> None:
     assert found.num_labelled(1) == 8  # one light an image
     assert found.num_labelled(0) == 16  # and two that are none
     for image_id in dataset.frame_ids:
-        its = found[found.image_ids == image_id]
+        own = found[found.image_ids == image_id]
         image = dataset.read(image_id).image
         boxes = make_proposer(CONFIG).propose(image).boxes_xyxy_px
-        assert np.array_equal(its.boxes_xyxy_px, boxes)
+        assert np.array_equal(own.boxes_xyxy_px, boxes)
         crops, _ = _native.extract_crops(image, np.array(boxes), 2, 64, None)
-        assert np.abs(its.crops / 255 - crops).max() <= 0.5001 / 255
+        assert np.abs(own.crops / 255 - crops).max() <= 0.5001 / 255
         x, y = dataset.keypoints_px(image_id)[0]
         x1, y1, x2, y2 = boxes.T
-        assert (its.labels == 1).tolist() == ((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).tolist()
-        assert set(its.sequence_ids.tolist()) == {dataset.sequence(image_id).id}
+        assert (own.labels == 1).tolist() == ((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).tolist()
+        assert set(own.sequence_ids.tolist()) == {dataset.sequence(image_id).id}
 
 
 def test_doubtful_light_is_marked(own: PVDN) -> None:
@@ -98,11 +98,11 @@ def test_jittered_copies_follow_their_boxes(data: Path) -> None:
     again = collect_samples(dataset, JITTERED)
     assert all(np.array_equal(getattr(found, name), getattr(again, name)) for name in ARRAYS)
     for image_id in dataset.frame_ids:
-        its, copies = plain[plain.image_ids == image_id], found[found.image_ids == image_id]
-        num_boxes = len(its)
-        assert np.array_equal(copies.boxes_xyxy_px[:num_boxes], its.boxes_xyxy_px)
-        assert copies.labels.tolist() == 3 * its.labels.tolist()
-        assert not np.array_equal(copies.boxes_xyxy_px[num_boxes : 2 * num_boxes], its.boxes_xyxy_px)
+        own, copies = plain[plain.image_ids == image_id], found[found.image_ids == image_id]
+        num_boxes = len(own)
+        assert np.array_equal(copies.boxes_xyxy_px[:num_boxes], own.boxes_xyxy_px)
+        assert copies.labels.tolist() == 3 * own.labels.tolist()
+        assert not np.array_equal(copies.boxes_xyxy_px[num_boxes : 2 * num_boxes], own.boxes_xyxy_px)
 
 
 def test_jitter_keeps_to_its_bounds_and_to_the_frame() -> None:

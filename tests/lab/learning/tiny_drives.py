@@ -22,7 +22,7 @@ def make_drives(data: Path, num_images: int = 4) -> Path:
         with PVDNWriter(data / "day" / split, info={"rate_hz": 4.0}) as writer:
             for sequence in (1, 2):
                 first_id = 1000 * number + 100 * sequence
-                images = [_labelled(first_id + place) for place in range(num_images)]
+                images = [_labelled(first_id + index) for index in range(num_images)]
                 writer.add_sequence(Sequence.plain(sequence), images)
     return data
 
@@ -40,8 +40,8 @@ def _labelled(image_id: int) -> LabelledImage:
     random = np.random.default_rng(image_id)
     rows, columns = np.mgrid[: SIZE_PX[0], : SIZE_PX[1]]
     image = random.normal(6, 1, SIZE_PX)
-    places = random.permutation([(30, 30), (30, 80), (30, 130), (90, 30), (90, 80), (90, 130)])[:3]
-    for number, (row, column) in enumerate(places + random.integers(-4, 5, (3, 2))):
+    positions = random.permutation([(30, 30), (30, 80), (30, 130), (90, 30), (90, 80), (90, 130)])[:3]
+    for number, (row, column) in enumerate(positions + random.integers(-4, 5, (3, 2))):
         height, width = (3.5, 3.5) if number == 0 else (1.5, 6.0)
         image += 200 * np.exp(-(((rows - row) / height) ** 2 + ((columns - column) / width) ** 2) / 2)
         if number == 0:

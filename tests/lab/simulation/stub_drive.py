@@ -8,10 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from foreglow.datasets import ImageCategory
+from foreglow.datasets.simulated import Artifact, LampTruth, VehicleTruth
 from foreglow.geometry import Camera, Pose, rotation
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, Scene, VehicleSpec
-from foreglow.lab.simulation.truth import Artifact, DriveFrame, LampTruth, VehicleTruth
 from foreglow.lab.simulation.world.road import Road, interpolated
+from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap
 from foreglow.types import Frame
 
 WIDTH_PX, HEIGHT_PX = 96, 72
@@ -37,35 +39,36 @@ def drive(scene: Scene, fail_at: tuple[int, int] | None = None, lag_ns: int = 0)
     rng = np.random.default_rng([scene.seed, 1])
     road = Road(scene.road)
     mount = Pose(np.array(scene.camera.mount_m), rotation(pitch_rad=math.radians(scene.camera.pitch_deg)))
+    streets = StreetMap(road, StreetDataError(), np.random.default_rng(0))
     focal = scene.camera.focal_px
     camera = Camera(WIDTH_PX, HEIGHT_PX, (focal, focal), (WIDTH_PX / 2, HEIGHT_PX / 2), (-0.05, 0.02, 0, 0, 0), mount)
-    for place in range(scene.num_frames):
-        if fail_at == (scene.seed, place):
+    for index in range(scene.num_frames):
+        if fail_at == (scene.seed, index):
             raise RuntimeError("interrupted here")
-        time_s = place / scene.rate_hz
+        time_s = index / scene.rate_hz
         s_m, speed_mps = interpolated(scene.ego.timetable, time_s)
         depth_m = rng.uniform(5.0, 150.0, (HEIGHT_PX, WIDTH_PX)).astype(np.float32)
         depth_m[: HEIGHT_PX // 3] = np.nan
+        timestamp_ns = 500_000_000 + round(index * 1e9 / scene.rate_hz) + index * lag_ns
         yield DriveFrame(
-            frame=Frame(
-                rng.integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8),
-                500_000_000 + round(place * 1e9 / scene.rate_hz) + place * lag_ns,
-                frame=place,
-            ),
+            image_id=index,
+            timestamp_ns=timestamp_ns,
+            frame=Frame(rng.integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8), timestamp_ns, frame=index),
             camera=camera,
             ego_pose=road.pose(float(s_m), -1.75, 1, 2.7),
             ego_s_m=float(s_m),
             ego_speed_mps=float(speed_mps),
-            ego_yaw_rate_radps=0.01 * place,
-            vehicles=tuple(_vehicle(number, place, road, rng) for number in range(place % 3)),
-            category=ImageCategory(place % 3),
-            is_production_detected=place >= 2,
+            ego_yaw_rate_radps=0.01 * index,
+            vehicles=tuple(_vehicle(number, index, road, rng) for number in range(index % 3)),
+            category=ImageCategory(index % 3),
+            is_production_detected=index >= 2,
+            street=streets.message(float(s_m)),
             depth_m=depth_m,
             ego_eye_lx={"0": float(rng.random()), "fixed": 0.0},
         )
 
 
-def _vehicle(number: int, place: int, road: Road, rng: np.random.Generator) -> VehicleTruth:
+def _vehicle(number: int, index: int, road: Road, rng: np.random.Generator) -> VehicleTruth:
     pose = road.pose(70.0 + 20.0 * number, 1.75, -1, 2.7)
     artifacts = (
         _artifact(0, "lamp", rng, is_direct=True),
@@ -86,7 +89,7 @@ def _vehicle(number: int, place: int, road: Road, rng: np.random.Generator) -> V
             LampTruth("low_left", False, pose.to_outer([3.6, 0.6, 0.65]), (3.5, 7.25), 0.08, 1234.5, 0.5),
             LampTruth("rear_left", True, pose.to_outer([-0.9, 0.6, 0.8]), (math.nan, math.nan), 0.06, 0.0, 0.0),
         ),
-        artifacts=artifacts if place == 1 or number else artifacts[2:],
+        artifacts=artifacts if index == 1 or number else artifacts[2:],
         candidates=(*artifacts, _artifact(-1, "foliage", rng)),
         eye_world_m=pose.to_outer([1.0, 0.4, 1.2]),
         eye_lx={"ego": float(rng.random()), "1": 0.125},

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.datasets.pvdn_schema import ImageCategory
-from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, read_truth, simulate, simulate_dataset
+from foreglow.datasets.pvdn.schema import ImageCategory
+from foreglow.datasets.simulated import read_truth
+from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, simulate, simulate_dataset
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Rail, SurroundingsSpec, Verge
-from foreglow.lab.simulation.truth import DriveFrame
 from foreglow.parallel import Local
 from tests.lab.simulation.light.rendering import need_renderer
 
@@ -61,17 +62,17 @@ def test_a_drive_is_a_source_of_frames() -> None:
 def test_same_scene_same_bytes_also_when_driven_again() -> None:
     source = simulate(scene())
     for frames in (source, source):  # iterating again begins anew
-        for one, other in zip(drive(), frames, strict=True):
-            assert np.array_equal(one.frame.image, other.image)
+        for again, first in zip(drive(), frames, strict=True):
+            assert np.array_equal(again.frame.image, first.image)
     other_seed = next(iter(simulate(scene(seed=1))))
     assert not np.array_equal(drive()[0].frame.image, other_seed.image)
 
 
 def test_lamps_are_labelled_where_they_shine() -> None:
     first = drive()[0]
-    lamps = [one for one in first.vehicles[0].artifacts if one.is_direct]
+    lamps = [artifact for artifact in first.vehicles[0].artifacts if artifact.is_direct]
     assert lamps
-    assert not any(one.is_rear for one in lamps)
+    assert not any(artifact.is_rear for artifact in lamps)
     x, y = lamps[0].position_px
     row, column = np.unravel_index(first.frame.image.argmax(), first.frame.image.shape)
     assert abs(column + 0.5 - x) < 4.0
@@ -129,14 +130,14 @@ def test_a_hidden_car_has_no_lamps_but_its_light_is_seen_on_the_rail() -> None:
     vehicle = next(drive_frames(hidden)).vehicles[0]
     assert all(lamp.visible_share == 0.0 for lamp in vehicle.lamps)
     assert vehicle.artifacts
-    assert not any(one.is_direct for one in vehicle.artifacts)
+    assert not any(artifact.is_direct for artifact in vehicle.artifacts)
 
 
 def test_a_car_ahead_shows_its_rear_lamps() -> None:
     ahead = VehicleSpec(lane="own", timetable=((0.0, 45.0), (10.0, 245.0)))
     vehicle = next(drive_frames(scene(vehicles=(ahead,)))).vehicles[0]
-    assert any(one.is_rear and one.is_direct for one in vehicle.artifacts)
-    assert not any(one.is_direct and not one.is_rear for one in vehicle.artifacts)
+    assert any(artifact.is_rear and artifact.is_direct for artifact in vehicle.artifacts)
+    assert not any(artifact.is_direct and not artifact.is_rear for artifact in vehicle.artifacts)
 
 
 def test_led_levels_count_from_the_next_frame_on() -> None:
@@ -188,7 +189,7 @@ def test_a_data_set_is_the_same_with_any_number_of_processes(tmp_path: Path) -> 
     split, truth = PVDN(roots[0]), read_truth(roots[0])
     assert len(split) == 4
     first = next(iter(truth)).frames[0]
-    marked = [one for vehicle in first.vehicles for one in vehicle.artifacts if not one.is_doubtful]
+    marked = [artifact for vehicle in first.vehicles for artifact in vehicle.artifacts if not artifact.is_doubtful]
     assert len(split.keypoints_px(first.image_id)) == len(marked)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.datasets.simulated import Artifact, LampTruth, VehicleTruth
 from foreglow.geometry import Pose
-from foreglow.lab.simulation.truth import Artifact, LampTruth, VehicleTruth
 
 
 def artifact(x: float = 100.0, y: float = 100.0, **fields: Any) -> Artifact:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from foreglow.datasets.simulated import Artifact
 from foreglow.geometry import Camera, Pose, rotation
 from foreglow.lab.simulation import Scene
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import CameraSpec, RoadSpec
-from foreglow.lab.simulation.truth import Artifact, DriveFrame
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
 from foreglow.types import Image
 from tests.lab.simulation import stub_drive

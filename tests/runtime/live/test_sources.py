@@ -22,7 +22,7 @@ import pytest
 from benchmarks.faulty import live_config
 from foreglow.datasets import shipped_drive
 from foreglow.pipeline import Pipeline
-from foreglow.runs.frame_records import frame_record
+from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.live import DriveAround, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_live
@@ -69,8 +69,8 @@ def test_live_results_are_those_of_a_run_off_line(drive: list[Frame]) -> None:
     source = Paced(ListSource(drive), math.inf)
     summary, _ = run_live(source, live_config(), sinks=[keeper])
     offline = Pipeline(live_config())
-    expected = [frame_record(frame, offline.step(frame)) for frame in drive]
-    found = [frame_record(frame, result) for frame, result in keeper.results]
+    expected = [frame_to_line(frame, offline.step(frame)) for frame in drive]
+    found = [frame_to_line(frame, result) for frame, result in keeper.results]
     assert found == expected
     assert summary.num_dropped == 0
 

@@ -17,7 +17,8 @@ from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import Recording, open_source, shipped_drive
 from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.pipeline import Pipeline
-from foreglow.runs.frame_records import frame_record, time_record
+from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.times_file import frame_to_times
 from foreglow.types import Frame, FrameResult, Proposals
 from tests.runtime.mcap.drives import STEP_NS, full_frame, full_result, health_at
 
@@ -84,7 +85,7 @@ def test_topics_times_and_schemas(tmp_path: Path) -> None:
     for topic in TOPICS.keys() - {"/health", "/log"}:
         assert [time_ns for time_ns, _ in found[topic]] == times_ns
     assert [json.loads(data) for _, data in found["/result"]] == [
-        frame_record(one, full_result(one)) | time_record(one, full_result(one)) for one in frames
+        {**frame_to_line(one, full_result(one)), **frame_to_times(one, full_result(one))} for one in frames
     ]
     assert [json.loads(data)["motion"]["speed_mps"] for _, data in found["/frame"]] == [20.0 + k for k in range(30)]
     ((time_ns, health),) = found["/health"]
@@ -188,10 +189,10 @@ def test_a_replay_gives_the_same_results(tmp_path: Path, kind: str) -> None:
     for frame in frames:
         result = pipeline.step(frame)
         recorder.write(frame, result)
-        expected.append(frame_record(frame, result))
+        expected.append(frame_to_line(frame, result))
     recorder.close()
     pipeline.reset()
-    found = [frame_record(frame, pipeline.step(frame)) for frame in Recording(path)]
+    found = [frame_to_line(frame, pipeline.step(frame)) for frame in Recording(path)]
     assert any(one["tracks"] for one in expected)
     assert found == expected
 

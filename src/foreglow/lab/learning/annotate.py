@@ -19,8 +19,8 @@ from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_to
 from foreglow.datasets import PVDN, split_folder
 from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
-from foreglow.datasets.pvdn_schema import BoxLabels, Sequence
-from foreglow.datasets.splits import SPLIT_NAMES
+from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.learning.annotation import IGNORED, label_boxes
@@ -158,20 +158,20 @@ def annotate_split(
     record = _Record(version=version("foreglow"), preset=preset, is_complete=False, proposals=parameters)
     path = folder.with_name(RECORD_NAME)
     done = _kept(dataset, path, record)
-    tell = progress or (lambda what, num_done, num_all: None)  # noqa: ARG005
+    tell = progress or (lambda task, num_done, num_all: None)  # noqa: ARG005
     directories = [sequence.directory for sequence in dataset.sequences]
-    todo = {one: one for one in directories if one not in done}
+    todo = {directory: directory for directory in directories if directory not in done}
     work = functools.partial(_annotate_sequence, dataset.root, config.proposals, uuid.uuid4().hex)
     made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
-    for directory, one in itertools.chain([("", None)], made):
-        if one is not None:
-            done[directory] = one
+    for directory, finished in itertools.chain([("", None)], made):
+        if finished is not None:
+            done[directory] = finished
         record = record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
         write_atomic(path, _toml(record))
         tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
     write_atomic(path, _toml(record.model_copy(update={"is_complete": True})))
     totals = {
-        name: sum(getattr(one, name) for one in record.sequences)
+        name: sum(getattr(sequence, name) for sequence in record.sequences)
         for name in ("num_images", "num_boxes", "num_positive", "num_ignored")
     }
     return Annotation(dataset.root, **totals, quality=annotation_quality(dataset.root))
@@ -203,7 +203,7 @@ def _dataset(root: Path, call: str) -> PVDN:  # noqa: ARG001
 def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[int, int, int]:
     """Writes the boxes of one image; how many there are, how many of them positive, and how many were left out."""
     boxes = proposer.propose(dataset.read(image_id).image).boxes_xyxy_px
-    doubtful_px = np.array([one.position_px for one in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
+    doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
     labels = label_boxes(boxes, dataset.keypoints_px(image_id), doubtful_px)
     is_written = labels != IGNORED
     kept = labels[is_written]
@@ -221,7 +221,7 @@ def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceReco
     there = validated(_Record, _lists_as_tuples(read_toml(path)), str(path))
     if not there.is_made_like(wanted):
         return {}
-    finished = {one.directory: one for one in there.sequences}
+    finished = {sequence.directory: sequence for sequence in there.sequences}
     return {
         sequence.directory: finished[sequence.directory]
         for sequence in dataset.sequences
@@ -231,10 +231,10 @@ def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceReco
 
 def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> bool:
     return record.num_images == len(sequence.image_ids) and all(
-        _box_file(dataset, one).exists()
-        and _box_file(dataset, one).stat().st_mtime_ns
-        >= max(path.stat().st_mtime_ns for path in _sources(dataset, one))
-        for one in sequence.image_ids
+        _box_file(dataset, image_id).exists()
+        and _box_file(dataset, image_id).stat().st_mtime_ns
+        >= max(path.stat().st_mtime_ns for path in _sources(dataset, image_id))
+        for image_id in sequence.image_ids
     )
 
 

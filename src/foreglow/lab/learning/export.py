@@ -110,12 +110,12 @@ def phase_filters(
     outputs, inputs, *sides = weight.shape
     cells = [-(-(write - 1 + side) // read) for side, read, write in zip(sides, reads, writes, strict=True)]
     result = np.zeros((*writes, outputs, *reads, inputs, *cells))
-    for place in np.ndindex(*writes):
+    for phase in np.ndindex(*writes):
         for tap in np.ndindex(*sides):
             (row, row_phase), (column, column_phase) = (
-                divmod(at + shift, read) for at, shift, read in zip(place, tap, reads, strict=True)
+                divmod(at + shift, read) for at, shift, read in zip(phase, tap, reads, strict=True)
             )
-            result[(*place, slice(None), row_phase, column_phase, slice(None), row, column)] = weight[(..., *tap)]
+            result[(*phase, slice(None), row_phase, column_phase, slice(None), row, column)] = weight[(..., *tap)]
     return result.reshape(outputs * writes[0] * writes[1], inputs * reads[0] * reads[1], *cells)
 
 

@@ -86,7 +86,7 @@ def _fold_proven(layers: Layers, budget: float) -> Layers:
     """Step 1; `budget` is the most that the logit of any crop may change."""
     middles, effects = bound_effects(layers)
     num_removed = int(np.searchsorted(np.cumsum(np.sort(np.concatenate(effects))), budget, side="right"))
-    return _removed(layers, [place >= num_removed for place in _places(effects)], middles, effects)
+    return _removed(layers, [rank >= num_removed for rank in _ranks(effects)], middles, effects)
 
 
 def _fold_measured(layers: Layers, tolerance: float, probes: NDArray[np.float32]) -> Layers:
@@ -95,11 +95,11 @@ def _fold_measured(layers: Layers, tolerance: float, probes: NDArray[np.float32]
     expected = _scores(layers, crops)
     means, influences = _influences(layers, crops)
     savings = [_saved_multiply_adds(layers, index) for index in range(_NUM_HIDDEN)]
-    places = _places([influence / saved for influence, saved in zip(influences, savings, strict=True)])
+    ranks = _ranks([influence / saved for influence, saved in zip(influences, savings, strict=True)])
     best, fewest, most = layers, 0, sum(layers.num_channels)
     while fewest < most:
         num_removed = (fewest + most + 1) // 2
-        candidate = _removed(layers, [place >= num_removed for place in places], means, influences)
+        candidate = _removed(layers, [rank >= num_removed for rank in ranks], means, influences)
         if float((_scores(candidate, crops) - expected).abs().max()) <= tolerance:
             best, fewest = candidate, num_removed
         else:
@@ -107,12 +107,12 @@ def _fold_measured(layers: Layers, tolerance: float, probes: NDArray[np.float32]
     return best
 
 
-def _places(values_by_layer: list[NDArray[np.float64]]) -> list[NDArray[np.int64]]:
+def _ranks(values_by_layer: list[NDArray[np.float64]]) -> list[NDArray[np.int64]]:
     """Each value's place, from 0, in the ascending order of all of them."""
     values = np.concatenate(values_by_layer)
-    places = np.empty(len(values), np.int64)
-    places[np.argsort(values, kind="stable")] = np.arange(len(values))
-    return np.split(places, np.cumsum([len(values) for values in values_by_layer])[:-1])
+    ranks = np.empty(len(values), np.int64)
+    ranks[np.argsort(values, kind="stable")] = np.arange(len(values))
+    return np.split(ranks, np.cumsum([len(values) for values in values_by_layer])[:-1])
 
 
 def _removed(

@@ -50,8 +50,8 @@ def count_model(path: Path) -> ModelCounts:
     makers = {node.output[0]: node for node in graph.node}
     multiply_adds = 0
     for node in graph.node:
-        place = (_CONVOLUTIONS | _PRODUCTS).get(node.op_type)
-        weights = None if place is None else _weights(node.input[place], constants, makers)
+        index = (_CONVOLUTIONS | _PRODUCTS).get(node.op_type)
+        weights = None if index is None else _weights(node.input[index], constants, makers)
         if weights is None:
             continue
         shape = shapes.get(node.output[0], ())
@@ -61,7 +61,9 @@ def count_model(path: Path) -> ModelCounts:
             raise ValueError(f"{path}: {node.name or node.op_type}: expected an output of known shape, got {shape}")
         multiply_adds += math.prod(weights.dims) * math.prod(known)
     floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16, onnx.TensorProto.INT8)
-    parameters = sum(math.prod(one.dims) for one in constants.values() if one is not None and one.data_type in floats)
+    parameters = sum(
+        math.prod(tensor.dims) for tensor in constants.values() if tensor is not None and tensor.data_type in floats
+    )
     return ModelCounts(parameters, multiply_adds)
 
 

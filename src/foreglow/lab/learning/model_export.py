@@ -49,7 +49,7 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
         from foreglow.lab.learning.export import write_onnx
         from foreglow.lab.learning.layers import layers_from_state
 
-        layers = layers_from_state({name: one.numpy() for name, one in network.state_dict().items()})
+        layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})
     elif isinstance(network, CompactNetwork):
         from foreglow.lab.learning.export_compact import write_compact

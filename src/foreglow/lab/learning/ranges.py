@@ -18,6 +18,7 @@ import tomli_w
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets.simulated import read_truth
 from foreglow.distance.hypotheses import (
     Hypotheses,
     Parameters,
@@ -31,7 +32,6 @@ from foreglow.distance.weighing import weighed_ranges
 from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
-from foreglow.lab.simulation import read_truth
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
 
@@ -100,7 +100,9 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
         raise ValueError(f"{data}: expected lights with a box and a known range in train and val, found none")
     fitted = _fitted(read_hypotheses(PRIOR), train, seed, progress)
     scaled = fitted.model_copy(update={"sigma_scale": _sigma_scale(fitted, val)})
-    return scaled.model_copy(update={"origin": f"{sum(len(one.truth_m) for one in train)} lights of {data.name}/train"})
+    return scaled.model_copy(
+        update={"origin": f"{sum(len(ranged.truth_m) for ranged in train)} lights of {data.name}/train"}
+    )
 
 
 def write_hypotheses(path: Path, model: Hypotheses) -> None:
@@ -126,14 +128,14 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
             view = estimator.view(frame, boxes)
             lights = [artifact for vehicle in known.vehicles for artifact in vehicle.artifacts]
             found = [
-                (place, light.depth_m)
+                (box, light.depth_m)
                 for light in lights
                 if not (light.is_doubtful or math.isnan(light.depth_m))
-                and (place := smallest_box(light.position_px, proposals.boxes_xyxy_px)) is not None
+                and (box := smallest_box(light.position_px, proposals.boxes_xyxy_px)) is not None
             ]
             if found:
-                places, truth_m = zip(*found, strict=True)
-                its_boxes = type(view.boxes)(*(one[list(places)] for one in view.boxes))
+                chosen, truth_m = zip(*found, strict=True)
+                its_boxes = type(view.boxes)(*(column[list(chosen)] for column in view.boxes))
                 yield RangedView(view._replace(boxes=its_boxes), np.array(truth_m))
             num_done += 1
             if progress is not None:
@@ -148,7 +150,7 @@ def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Pro
     initial = _as_tensors(parameters_of(start))
     free = {name: _raw(name, getattr(initial, name)).clone().requires_grad_() for name in FITTED}
     balance = _balance(views)
-    tensors = [_tensor_view(one.view) for one in views]
+    tensors = [_tensor_view(ranged.view) for ranged in views]
     optimiser = torch.optim.Adam(free.values(), lr=LEARNING_RATE)
     num_batches = math.ceil(len(views) / BATCH)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS * num_batches)
@@ -156,9 +158,9 @@ def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Pro
         for batch in np.array_split(rng.permutation(len(views)), num_batches):
             parameters = _with_fitted(initial, free)
             loss = _prior(initial, free) * (len(batch) / len(views))
-            for place in batch.tolist():
-                likelihoods = _log_likelihoods(parameters, tensors[place], torch.as_tensor(views[place].truth_m))
-                loss = loss - (torch.as_tensor(balance[place]) * likelihoods).sum()
+            for index in batch.tolist():
+                likelihoods = _log_likelihoods(parameters, tensors[index], torch.as_tensor(views[index].truth_m))
+                loss = loss - (torch.as_tensor(balance[index]) * likelihoods).sum()
             optimiser.zero_grad()
             (loss / len(batch)).backward()
             optimiser.step()
@@ -166,7 +168,7 @@ def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Pro
         if progress is not None:
             progress("epochs", epoch + 1, EPOCHS)
     final = _with_fitted(initial, free)
-    return _model_of(start, Parameters(*(one.detach().numpy() for one in final)))
+    return _model_of(start, Parameters(*(value.detach().numpy() for value in final)))
 
 
 def _log_likelihoods(parameters: Parameters, view: View, truth_m: torch.Tensor) -> torch.Tensor:
@@ -182,12 +184,12 @@ def _log_likelihoods(parameters: Parameters, view: View, truth_m: torch.Tensor) 
 
 def _balance(views: list[RangedView]) -> list[Floats]:
     """Weight of each light: lights of all ranges count alike, as far as `MAX_BALANCE` allows."""
-    logs = np.log(np.concatenate([one.truth_m for one in views]))
+    logs = np.log(np.concatenate([ranged.truth_m for ranged in views]))
     edges = np.quantile(logs, (0.01, 0.99))
     bins = np.clip(((logs - edges[0]) / (edges[1] - edges[0]) * NUM_RANGE_BINS).astype(int), 0, NUM_RANGE_BINS - 1)
     counts = np.bincount(bins, minlength=NUM_RANGE_BINS)
     weights = np.minimum(counts.max() / counts[bins], MAX_BALANCE)
-    ends = np.cumsum([len(one.truth_m) for one in views])[:-1]
+    ends = np.cumsum([len(ranged.truth_m) for ranged in views])[:-1]
     return np.split(weights / weights.mean(), ends)
 
 
@@ -218,14 +220,16 @@ def _with_fitted(initial: Parameters, free: dict[str, torch.Tensor]) -> Paramete
 def _as_tensors(numbers: Parameters) -> Parameters:
     import torch
 
-    return Parameters(*(torch.as_tensor(one if one.dtype == np.bool_ else one.astype(np.float64)) for one in numbers))
+    return Parameters(
+        *(torch.as_tensor(array if array.dtype == np.bool_ else array.astype(np.float64)) for array in numbers)
+    )
 
 
 def _tensor_view(view: View) -> View:
     """The view with arrays as tensors."""
     import torch
 
-    boxes = type(view.boxes)(*(torch.as_tensor(one) for one in view.boxes))
+    boxes = type(view.boxes)(*(torch.as_tensor(column) for column in view.boxes))
     road = view.road
     if road is not None:
         arrays: dict[str, Any] = {
@@ -241,15 +245,15 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
     """`start` with the fitted `numbers`, rounded to what matters."""
 
     def plain(value: Any) -> Any:
-        return float(f"{float(value):.4g}") if np.ndim(value) == 0 else tuple(plain(one) for one in value)
+        return float(f"{float(value):.4g}") if np.ndim(value) == 0 else tuple(plain(part) for part in value)
 
     kinds = [
         {
             **kind.model_dump(),
-            **{name: plain(getattr(numbers, name)[place]) for name in SIGNED_OF_KINDS + SPREADS_OF_KINDS},
-            "size_slope": plain(numbers.feature_slopes[place, 0]),
+            **{name: plain(getattr(numbers, name)[index]) for name in SIGNED_OF_KINDS + SPREADS_OF_KINDS},
+            "size_slope": plain(numbers.feature_slopes[index, 0]),
         }
-        for place, kind in enumerate(start.kinds)
+        for index, kind in enumerate(start.kinds)
     ]
     shared = {name: plain(getattr(numbers, name)) for name in SHARED_SPREADS}
     fields = {**shared, "feature_slopes": plain(numbers.feature_slopes[0, 1:]), "kinds": kinds}
@@ -260,10 +264,10 @@ def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
     """The factor on the sigmas: between those with which one, and two, hold `COVERAGES`."""
     parameters = parameters_of(model)
     ratios = []
-    for one in views:
-        view = one.view
+    for ranged in views:
+        view = ranged.view
         cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad)
         near_m, range_m, far_m = weighed_ranges(parameters, cells, view.boxes)
-        ratios.append(np.abs(range_m - one.truth_m) / (0.5 * (far_m - near_m)))
+        ratios.append(np.abs(range_m - ranged.truth_m) / (0.5 * (far_m - near_m)))
     one_sigma, two_sigmas = np.quantile(np.concatenate(ratios), COVERAGES)
     return round(math.sqrt(one_sigma * two_sigmas / 2.0), 3)

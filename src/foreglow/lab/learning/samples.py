@@ -115,7 +115,7 @@ class Samples:
                 or not is_fitting
                 or any(wanted not in (None, found) for wanted, found in zip(shape, array.shape[1:], strict=True))
             ):
-                wanted_shape = (len(self.labels), *("any" if one is None else one for one in shape))
+                wanted_shape = (len(self.labels), *("any" if side is None else side for side in shape))
                 raise ValueError(
                     f"Samples.{name}: expected {np.dtype(dtype)} of shape {wanted_shape}, "
                     f"got {array.dtype} of shape {array.shape}"
@@ -197,7 +197,7 @@ def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | N
                 maker.reset()
         frame = dataset.read(image_id)
         boxes = proposer.propose(frame.image).boxes_xyxy_px
-        doubtful_px = np.array([one.position_px for one in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
+        doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
         labels = label_boxes(boxes, dataset.keypoints_px(image_id), doubtful_px)
         groups = box_groups(boxes, lights[image_id])
         random = np.random.default_rng([config.jitter.seed, image_id])
@@ -211,7 +211,7 @@ def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | N
 def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
     """The group of each box as in `Samples.groups`, shape (N,); a lamp is stronger than any other light."""
     groups = np.full(len(boxes_xyxy_px), NO_GROUP, np.int8)
-    for light in sorted(lights, key=lambda one: -one.rank):  # the strongest last, over all others
+    for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, over all others
         is_inside = label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE
         groups[is_inside] = 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden
     return groups
@@ -233,7 +233,7 @@ def no_samples(inputs: InputSpec) -> Samples:
     """Empty samples of the right shapes."""
     shapes = {"crops": (inputs.num_channels, inputs.size_px, inputs.size_px), "features": (inputs.num_features,)}
     arrays: dict[str, Any] = {
-        name: np.empty((0, *shapes.get(name, tuple(one or 0 for one in shape))), dtype)
+        name: np.empty((0, *shapes.get(name, tuple(side or 0 for side in shape))), dtype)
         for name, (dtype, shape) in ARRAYS.items()
     }
     return Samples(**arrays)

@@ -134,12 +134,12 @@ def train(
         ValueError: If the samples have no positive or no negative among them, do not fit each other, the folder holds
             another training or a damaged checkpoint, or there is no such device.
     """
-    place = torch_device(device)
+    chosen = torch_device(device)
     is_used = train_samples.labels != IGNORED
     for name, samples in (("train", train_samples), ("val", val_samples)):
-        for label, what in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
+        for label, kind in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
             if samples.num_labelled(label) == 0:
-                raise ValueError(f"{name} samples: expected {what} among {len(samples)} boxes, found none")
+                raise ValueError(f"{name} samples: expected {kind} among {len(samples)} boxes, found none")
     folder.mkdir(parents=True, exist_ok=True)
     identity = {
         **recipe.model_dump(mode="json"),
@@ -147,8 +147,8 @@ def train(
         "val data": val_samples.digest or content_digest(val_samples),
     }
     checkpoint = read_checkpoint(folder, identity)
-    with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if place.type == "cuda" else []):
-        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, place)
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if chosen.type == "cuda" else []):
+        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, chosen)
         if checkpoint is None:
             checkpoint = Checkpoint(identity, *trainer.states())
         else:
@@ -165,7 +165,7 @@ def train(
                 progress.epoch(epoch, recipe.epochs)
     network = trainer.network
     network.load_state_dict(checkpoint.best)
-    val_logits = score_samples(network, val_samples, place)
+    val_logits = score_samples(network, val_samples, chosen)
     epochs = tuple(Epoch(**row) for row in checkpoint.epochs)  # type: ignore[arg-type]
     return TrainingResult(
         network=network.cpu().to(memory_format=torch.contiguous_format),
@@ -174,7 +174,7 @@ def train(
         val_logits=val_logits,
         num_train=int(is_used.sum()),
         num_val=int((val_samples.labels != IGNORED).sum()),
-        device=place.type,
+        device=chosen.type,
     )
 
 
@@ -237,7 +237,7 @@ class _Trainer:
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
         self._is_direct = is_direct(samples)
-        num_indirect, num_direct = ((self._is_direct == one).sum() for one in (0.0, 1.0))
+        num_indirect, num_direct = ((self._is_direct == value).sum() for value in (0.0, 1.0))
         if recipe.direct_weight and not (num_direct and num_indirect):
             raise ValueError(
                 f"train samples: expected lamps and light on something with direct_weight, found {num_direct} and "
@@ -353,8 +353,8 @@ class _Trainer:
 def _optimiser(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
     if recipe.optimiser == "adam":
         return torch.optim.Adam(network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
-    matrices = [one for one in network.parameters() if one.ndim > 1]
-    vectors = [one for one in network.parameters() if one.ndim <= 1]  # biases and normalisation
+    matrices = [parameter for parameter in network.parameters() if parameter.ndim > 1]
+    vectors = [parameter for parameter in network.parameters() if parameter.ndim <= 1]  # biases and normalisation
     groups = [{"params": matrices, "weight_decay": recipe.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, recipe.learning_rate)
 

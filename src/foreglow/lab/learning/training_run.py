@@ -106,20 +106,21 @@ def train_model(
 
     started = time.perf_counter()
     names: tuple[SplitName, ...] = ("train", "val")
-    splits = {name: [PVDN(split_folder(one, name)) for one in data] for name in names}
+    splits = {name: [PVDN(split_folder(folder, name)) for folder in data] for name in names}
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
-        name: joined([_samples(one, recipe, config, name, cache, progress) for one in splits[name]]) for name in names
+        name: joined([_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
+        for name in names
     }
-    told = WithEventFiles(folder, progress) if event_files_wanted() else progress
-    result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=told)
+    reported = WithEventFiles(folder, progress) if event_files_wanted() else progress
+    result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=reported)
     write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     summary = {
         **provenance(),
-        "data": [str(one) for one in data],
+        "data": [str(path) for path in data],
         **finish(recipe, result, samples["val"], folder),
-        "samples": {name: _counts(one) for name, one in samples.items()},
+        "samples": {name: _counts(split) for name, split in samples.items()},
         "seconds": round(time.perf_counter() - started, 1),
         "recipe": recipe.model_dump(mode="json"),
     }
@@ -164,7 +165,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     model_bytes = (folder / MODEL).read_bytes()
     return {
         "network": recipe.network,
-        "num_parameters": sum(one.numel() for one in network.parameters()),
+        "num_parameters": sum(parameter.numel() for parameter in network.parameters()),
         "seed": recipe.seed,
         "num_epochs": len(result.epochs),
         "best_epoch": dataclasses.asdict(result.best),
@@ -196,7 +197,7 @@ def _samples(
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
     """What the validation boxes say, before and after calibration; precision, recall and F after it."""
     after = calibrator.applied(logits)
-    errors = [expected_calibration_error(expit(one), labels) for one in (logits, after)]
+    errors = [expected_calibration_error(expit(values), labels) for values in (logits, after)]
     return {
         **dataclasses.asdict(box_scores(after, labels)),
         "temperature": calibrator.temperature,
@@ -218,5 +219,5 @@ def _as_text(values: dict[str, Any]) -> dict[str, str]:
 def _without_nan(value: Any) -> Any:
     """The same with null instead of NaN."""
     if isinstance(value, dict):
-        return {key: _without_nan(one) for key, one in value.items()}
+        return {key: _without_nan(part) for key, part in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

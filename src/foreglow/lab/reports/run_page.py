@@ -132,7 +132,7 @@ def _facts(run: RecordedRun) -> Table:
         ["plausible tracks", _count(summary.num_tracks)],
     ]
     if summary.beam is not None:
-        counts = [f"{summary.beam.get(f'num_{mode}', 0)} {words}" for mode, words in _MODE_WORDS.items()]
+        counts = [f"{getattr(summary.beam, f'num_{mode}')} {words}" for mode, words in _MODE_WORDS.items()]
         rows.append(["frames with", ", ".join(counts)])
     if summary.live is not None:
         rows.append(["dropped for a newer frame", str(summary.live.num_dropped)])

@@ -1,4 +1,4 @@
-"""A simulated drive as a source of frames, with all that is known of each, and our lamps under the caller's control."""
+"""A simulated drive as a source of frames with all that is known about each; the caller may set our lamps."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.exposure import Exposer, Points
 from foreglow.lab.simulation.camera.streaks import FallingParticles
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.annotation import Annotation, Annotator
 from foreglow.lab.simulation.labels.categories import ImageCategories
 from foreglow.lab.simulation.labels.production import ProductionSystem
@@ -21,7 +23,6 @@ from foreglow.lab.simulation.traffic.eyes import Eyes
 from foreglow.lab.simulation.traffic.fixed_lights import FixedLights
 from foreglow.lab.simulation.traffic.kinematics import BodyMotion, VehicleState, ego_state
 from foreglow.lab.simulation.traffic.sightings import Sightings
-from foreglow.lab.simulation.truth import DriveFrame, LampTruth, VehicleTruth
 from foreglow.lab.simulation.world.bodies import BODIES
 from foreglow.lab.simulation.world.mesh import Mesh
 from foreglow.lab.simulation.world.road import Road
@@ -41,25 +42,25 @@ def camera_of(spec: CameraSpec) -> Camera:
 
 
 class Drive:
-    """One drive; iterating yields its frames, each rendered when it is asked for.
+    """A drive; iterating yields its frames, each rendered when it is asked for.
 
-    A `FrameSource` like any data set. With `Scene.ego.beam = "matrix"` the caller sets our headlamps' LED levels at any
-    time; they count from the next frame on. The renderer needs the extra `sim`.
+    A `FrameSource` like any data set. With `Scene.ego.beam = "matrix"` the caller may set our headlamps' LED levels at
+    any time; they take effect with the next frame. The renderer needs the extra `sim`.
 
     Attributes:
         name: The scenario's name and the seed.
         rate_hz: Frames a second.
         num_frames: Frames of the drive.
-        skipped: Always empty: nothing can be unreadable.
-        latest: All that is known of the frame that was yielded last; None before the first.
+        skipped: Always empty, as no frame can be unreadable.
+        latest: The frame that was yielded last, with all that is known about it; None before the first.
     """
 
     def __init__(self, scene: Scene, quality: str = "training") -> None:
         """A drive through `scene`; the world is built when the first frame is asked for.
 
         Args:
-            scene: What happens.
-            quality: How finely it is rendered: `fast`, `training` or `fine`.
+            scene: The drive's specification.
+            quality: Quality of the rendering: `fast`, `training` or `fine`.
 
         Raises:
             ValueError: If the quality is unknown.
@@ -93,11 +94,11 @@ class Drive:
         self._led_levels = given
 
     def __iter__(self) -> Iterator[Frame]:
-        for one in self.frames():
-            yield one.frame
+        for known in self.frames():
+            yield known.frame
 
     def frames(self) -> Iterator[DriveFrame]:
-        """The frames with all that is known of them; each call begins the drive anew."""
+        """The frames with all that is known about them; each call begins the drive anew."""
         run = _Run(self.scene, self.camera, self._settings)
         for number in range(self.scene.num_frames):
             self.latest = run.frame(number, self._led_levels)
@@ -114,7 +115,7 @@ def simulate(scene: Scene, quality: str = "training") -> Drive:
 
 
 def drive_frames(scene: Scene, quality: str = "training") -> Iterator[DriveFrame]:
-    """The frames of `scene` with all that is known of them.
+    """The frames of `scene` with all that is known about them.
 
     Raises:
         ValueError: If the quality is unknown.
@@ -123,7 +124,7 @@ def drive_frames(scene: Scene, quality: str = "training") -> Iterator[DriveFrame
 
 
 class _Run:
-    """A drive under way: the world, the renderer, and what is remembered from frame to frame."""
+    """A drive in progress: the world, the renderer, and the state that passes from frame to frame."""
 
     def __init__(self, scene: Scene, camera: Camera, settings: RenderSettings) -> None:
         self._scene = scene
@@ -141,7 +142,7 @@ class _Run:
         self._map = StreetMap(Road(scene.road), StreetDataError(), np.random.default_rng([scene.seed, STREET_STREAM]))
 
     def frame(self, number: int, led_levels: Floats) -> DriveFrame:
-        """Renders, exposes and labels one frame; they come in the order of time."""
+        """Renders, exposes and labels a frame; frames must come in the order of time."""
         scene, time_s = self._scene, number / self._scene.rate_hz
         ego = self._ego(time_s)
         view = self._view(ego)
@@ -166,17 +167,20 @@ class _Run:
         image = exposure.captured(number)
 
         annotations = [
-            self._annotator.annotate(place, actor, seen, exposure, view.position_m)
-            for place, (actor, seen) in enumerate(zip(actors, lamps, strict=True))
+            self._annotator.annotate(index, actor, seen, exposure, view.position_m)
+            for index, (actor, seen) in enumerate(zip(actors, lamps, strict=True))
         ]
         eyes = Eyes(sightings, actors, own, fixed)
         vehicles = tuple(
-            _vehicle_truth(place, actor, lamps[place], annotations[place], sightings, eyes)
-            for place, actor in enumerate(actors)
+            _vehicle_truth(index, actor, lamps[index], annotations[index], sightings, eyes)
+            for index, actor in enumerate(actors)
         )
         timestamp_ns = round(time_s * 1e9)
         is_detected = bool(self._production.update(timestamp_ns, vehicles))
+        street = self._map.message(ego.s_m)
         return DriveFrame(
+            image_id=number,
+            timestamp_ns=timestamp_ns,
             frame=Frame(
                 image,
                 timestamp_ns,
@@ -184,7 +188,7 @@ class _Run:
                 f"{scene.name}/{scene.seed}",
                 camera=self._camera,
                 motion=EgoMotion(ego.speed_mps, ego.yaw_rate_radps),
-                road=road_from_message(self._map.message(ego.s_m)),
+                road=road_from_message(street),
             ),
             camera=self._camera,
             ego_pose=ego.pose,
@@ -194,6 +198,7 @@ class _Run:
             vehicles=vehicles,
             category=self._categories.update(vehicles, is_detected),
             is_production_detected=is_detected,
+            street=street,
             depth_m=rendered.depth_m,
             ego_eye_lx=eyes.at_ego(ego.pose),
         )
@@ -208,13 +213,13 @@ class _Run:
 
 def _body_meshes(scene: Scene) -> dict[str, Mesh]:
     """The bodies that the scene needs, as the renderer calls them."""
-    return {mesh_name(one.kind, one.is_light): BODIES[one.kind].painted(one.is_light) for one in scene.vehicles}
+    return {mesh_name(spec.kind, spec.is_light): BODIES[spec.kind].painted(spec.is_light) for spec in scene.vehicles}
 
 
 def _vehicle_truth(
-    place: int, actor: Actor, lamps: tuple[LampTruth, ...], marks: Annotation, sightings: Sightings, eyes: Eyes
+    index: int, actor: Actor, lamps: tuple[LampTruth, ...], marks: Annotation, sightings: Sightings, eyes: Eyes
 ) -> VehicleTruth:
-    """All that is known of the vehicle in `place`."""
+    """All that is known about the vehicle `index` of the frame."""
     return VehicleTruth(
         vehicle_id=actor.vehicle_id,
         kind=actor.spec.kind,
@@ -223,11 +228,11 @@ def _vehicle_truth(
         size_m=actor.body.size_m,
         box_centre_m=np.asarray(actor.body.box_centre_m),
         box_xyxy_px=sightings.box_xyxy_px(actor),
-        visible_share=sightings.body_share(place, actor),
+        visible_share=sightings.body_share(index, actor),
         range_m=sightings.range_m(actor),
         lamps=lamps,
         artifacts=marks.artifacts,
         candidates=marks.candidates,
         eye_world_m=actor.eye_world_m,
-        eye_lx=eyes.at_vehicle(place),
+        eye_lx=eyes.at_vehicle(index),
     )

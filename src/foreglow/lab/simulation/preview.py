@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from foreglow.datasets.simulated import Artifact, VehicleTruth
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
 from foreglow.files import write_atomic
-from foreglow.lab.simulation.truth import Artifact, DriveFrame, VehicleTruth
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.writing.dataset import Progress
 
 KIND_BGR: dict[str, Colour] = {

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
 from enum import StrEnum
+
+from foreglow.runs.summary import FaultEvent
 
 MAX_EVENTS = 1000
 """So many of the latest events are kept; all are counted."""
@@ -31,23 +32,6 @@ class LiveFault(StrEnum):
     """A command could not be sent: the lamps go to low beam by themselves."""
     NOT_RECORDED = "not_recorded"
     """A recording, a view or a result failed or fell behind; the beam goes on."""
-
-
-@dataclass(slots=True)
-class FaultEvent:
-    """A fault from its beginning to its end.
-
-    Attributes:
-        fault: Its name.
-        from_ns: When it was noticed, by the frames' clock.
-        until_ns: When it was over; None while it lasts.
-        detail: What is known of it, for people.
-    """
-
-    fault: str
-    from_ns: int
-    until_ns: int | None = None
-    detail: str = ""
 
 
 class FaultBook:

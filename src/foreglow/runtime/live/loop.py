@@ -11,13 +11,13 @@ from typing import Protocol
 
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
-from foreglow.runs.summary import Tally
+from foreglow.runs.summary import LiveSummary
+from foreglow.runs.tally import Tally
 from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.background import Background
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.sources import LiveSource
-from foreglow.runtime.live.summary import LiveSummary, live_summary
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
@@ -143,10 +143,22 @@ class LiveLoop:
             sys.setswitchinterval(switch_s)
         if self._error is not None:
             raise self._error
-        run = self._tally.summary(self._source.name, self._source.skipped, pipeline, is_complete=is_complete)
-        num_lost = sum(sink.num_lost for sink in self._sinks)
-        errors = [f"{type(one.sink).__name__}: {one.error}" for one in self._sinks if one.error is not None]
-        return live_summary(run, self._book, self._mailbox.num_dropped, self._num_late, num_lost, errors)
+        run = self._tally.summary(
+            self._source.name,
+            self._source.skipped,
+            pipeline.config,
+            is_complete=is_complete,
+            dispatch=pipeline.dispatch,
+        )
+        return LiveSummary(
+            run=run,
+            num_dropped=self._mailbox.num_dropped,
+            num_late=self._num_late,
+            num_unrecorded=sum(sink.num_lost for sink in self._sinks),
+            sink_errors=[f"{type(one.sink).__name__}: {one.error}" for one in self._sinks if one.error is not None],
+            fault_counts=dict(self._book.counts.most_common()),
+            faults=tuple(self._book.events),
+        )
 
     @property
     def _is_enough(self) -> bool:

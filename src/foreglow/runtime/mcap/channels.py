@@ -98,7 +98,7 @@ RESULT_SCHEMA = {
         ),
     ),
 }
-"""A line of `frames.jsonl`: `runtime.records.frame_record`."""
+"""A line of `frames.jsonl`: `runs.frames_file.FrameLine`."""
 
 HEALTH_SCHEMA = {
     "title": "foreglow.Health",

@@ -17,7 +17,8 @@ from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets.bags import FRAME_TOPIC, FrameRecord
-from foreglow.runs.frame_records import frame_record, time_record
+from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.times_file import frame_to_times
 from foreglow.runtime.health import Health
 from foreglow.runtime.mcap.channels import (
     BOXES_TOPIC,
@@ -127,7 +128,7 @@ class McapRecorder:
             self._transform.log(transform_message(frame.camera, stamp), log_time=time_ns)
         self._boxes.log(boxes_message(result, stamp), log_time=time_ns)
         self._scene.log(scene_message(frame, result, stamp), log_time=time_ns)
-        self._result.log(_json(frame_record(frame, result) | time_record(frame, result)), log_time=time_ns)
+        self._result.log(_json({**frame_to_line(frame, result), **frame_to_times(frame, result)}), log_time=time_ns)
         if result.beam is not None:
             self._note_faults("low beam", result.beam.faults, time_ns)
         if self._chunk_start_ns is None:

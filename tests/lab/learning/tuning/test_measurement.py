@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import PVDN, read_image
-from foreglow.datasets.pvdn_writer import png
+from foreglow.datasets.images import png
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
 from foreglow.lab.evaluation.boxes.lights import Light

@@ -82,7 +82,7 @@ def test_tables_list_what_they_know() -> None:
         objective("f")
     with pytest.raises(ValueError, match="space: expected one of paper, wide, got 'small'"):
         space("small")
-    assert {one.space for one in OBJECTIVES.values()} <= set(SPACES)
+    assert {objective.space for objective in OBJECTIVES.values()} <= set(SPACES)
 
 
 @pytest.mark.parametrize("name", SPACES)

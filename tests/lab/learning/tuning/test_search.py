@@ -35,7 +35,7 @@ def searched(data: Path, out: Path, num_trials: int, **settings: object) -> Tuni
 
 def drawn(trials: tuple[TrialRecord, ...]) -> list[tuple[str, float, dict[str, object]]]:
     """What does not depend on interruptions."""
-    return [(one.state, one.loss, dict(one.parameters)) for one in trials]
+    return [(trial.state, trial.loss, dict(trial.parameters)) for trial in trials]
 
 
 @pytest.fixture(scope="module")
@@ -62,17 +62,17 @@ def test_paper_comes_first_and_is_a_finalist(straight: Tuning) -> None:
 
 
 def test_test_split_is_for_the_chosen_one_only(straight: Tuning) -> None:
-    rated = [one.config for one in straight.finalists if one.test is not None]
+    rated = [finalist.config for finalist in straight.finalists if finalist.test is not None]
     assert set(rated) == {straight.chosen.config, PAPER}
 
 
 def test_bad_trials_end_early(straight: Tuning) -> None:
-    pruned = [one for one in straight.trials if one.state == "PRUNED"]
+    pruned = [trial for trial in straight.trials if trial.state == "PRUNED"]
     assert pruned
-    assert all(one.measurement["num_images"] < NUM_ALL for one in pruned)
-    complete = [one for one in straight.trials if one.state == "COMPLETE"]
-    assert all(one.measurement["num_images"] == NUM_ALL for one in complete)
-    assert min(one.loss for one in pruned) > min(one.loss for one in complete)
+    assert all(trial.measurement["num_images"] < NUM_ALL for trial in pruned)
+    complete = [trial for trial in straight.trials if trial.state == "COMPLETE"]
+    assert all(trial.measurement["num_images"] == NUM_ALL for trial in complete)
+    assert min(trial.loss for trial in pruned) > min(trial.loss for trial in complete)
 
 
 def test_same_seed_same_result(straight: Tuning, data: Path, tmp_path: Path) -> None:
@@ -84,8 +84,8 @@ def test_same_seed_same_result(straight: Tuning, data: Path, tmp_path: Path) -> 
 
 
 def test_goes_on_as_if_never_stopped(straight: Tuning, data: Path, tmp_path: Path) -> None:
-    def interrupt(what: str, done: int, _: int) -> None:
-        if (what, done) == ("trials", 13):
+    def interrupt(task: str, done: int, _: int) -> None:
+        if (task, done) == ("trials", 13):
             raise KeyboardInterrupt
 
     searched(data, tmp_path, 5)
@@ -125,7 +125,7 @@ def test_interrupted_trial_is_given_up(data: Path, tmp_path: Path, monkeypatch: 
     with pytest.raises(KeyboardInterrupt):
         searched(data, tmp_path, 5)
     study = open_study(plan_of(data, tmp_path))
-    assert [one.state.name for one in study.trials] == ["COMPLETE", "COMPLETE", "FAIL"]
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE", "FAIL"]
 
 
 def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Pa
 def test_processes_share_a_study(data: Path, tmp_path: Path) -> None:
     tuning = tune(data, tmp_path, TuningSettings(num_trials=14, seed=SEED), workers=Local(2))
     assert len(tuning.trials) == 14
-    assert len({tuple(one.parameters.items()) for one in tuning.trials}) > 10
+    assert len({tuple(trial.parameters.items()) for trial in tuning.trials}) > 10
     study = open_study(plan_of(data, tmp_path))
     assert num_finished(study) == 14
 
@@ -162,7 +162,7 @@ def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) ->
 def test_without_val_the_best_on_train_is_chosen(tmp_path: Path) -> None:
     tuning = searched(make_night_set(tmp_path, ("train",), num_images=2), tmp_path / "out", 12)
     assert tuning.chosen.val is None
-    assert tuning.chosen.train_loss == min(one.train_loss for one in tuning.finalists)
+    assert tuning.chosen.train_loss == min(finalist.train_loss for finalist in tuning.finalists)
 
 
 def test_bad_settings(data: Path, tmp_path: Path) -> None:

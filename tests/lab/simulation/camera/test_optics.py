@@ -94,13 +94,13 @@ def test_disc_is_wider_and_equally_bright() -> None:
 
 
 def test_light_of_lamps_adds() -> None:
-    one, two = lamp(100.2, 80.0, 2e-3), lamp(150.7, 90.0, 1e-4, 2.0)
+    first, second = lamp(100.2, 80.0, 2e-3), lamp(150.7, 90.0, 1e-4, 2.0)
     both = LampPoints(
-        np.concatenate([one.positions_px, two.positions_px]),
-        np.concatenate([one.illuminances_lx, two.illuminances_lx]),
-        np.concatenate([one.radii_px, two.radii_px]),
+        np.concatenate([first.positions_px, second.positions_px]),
+        np.concatenate([first.illuminances_lx, second.illuminances_lx]),
+        np.concatenate([first.radii_px, second.radii_px]),
     )
-    total = OPTICS.draw_points(one) + OPTICS.draw_points(two)
+    total = OPTICS.draw_points(first) + OPTICS.draw_points(second)
     np.testing.assert_allclose(OPTICS.draw_points(both), total, rtol=1e-4)
 
 
@@ -130,10 +130,12 @@ def test_spread_does_not_wrap() -> None:
 
 def test_spread_is_linear_and_leaves_its_input() -> None:
     rng = np.random.default_rng(3)
-    one, two = rng.random((2, 240, 320), np.float32)
-    kept = one.copy()
-    np.testing.assert_allclose(OPTICS.spread(one + 3 * two), OPTICS.spread(one) + 3 * OPTICS.spread(two), rtol=1e-4)
-    assert (one == kept).all()
+    first, second = rng.random((2, 240, 320), np.float32)
+    kept = first.copy()
+    np.testing.assert_allclose(
+        OPTICS.spread(first + 3 * second), OPTICS.spread(first) + 3 * OPTICS.spread(second), rtol=1e-4
+    )
+    assert (first == kept).all()
 
 
 @pytest.mark.parametrize("share", [0.5, 0.25])

@@ -62,11 +62,11 @@ def dark_frames() -> np.ndarray:
 
 
 def test_the_pattern_stays_while_the_noise_changes(dark_frames: np.ndarray) -> None:
-    one, two = dark_frames[:4].mean((0, 1)), dark_frames[4:].mean((0, 1))
-    assert np.corrcoef(one, two)[0, 1] > 0.99
+    first, second = dark_frames[:4].mean((0, 1)), dark_frames[4:].mean((0, 1))
+    assert np.corrcoef(first, second)[0, 1] > 0.99
     noises = dark_frames - dark_frames.mean(0)
     assert abs(np.corrcoef(noises[0].ravel(), noises[1].ravel())[0, 1]) < 0.2
-    assert one.std() > 1.0
+    assert first.std() > 1.0
 
 
 def test_noise_is_as_stated(dark_frames: np.ndarray) -> None:
@@ -76,12 +76,12 @@ def test_noise_is_as_stated(dark_frames: np.ndarray) -> None:
 
 def test_noise_is_correlated_as_in_the_real_frame(dark_frames: np.ndarray) -> None:
     noises = dark_frames - dark_frames.mean(0)
-    for one, other, real in (
+    for first, second, real in (
         (noises[:, :, :-1], noises[:, :, 1:], 0.34),
         (noises[:, :-1], noises[:, 1:], 0.33),
         (noises[:, :-1, :-1], noises[:, 1:, 1:], 0.22),
     ):
-        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] == pytest.approx(real, abs=0.06)
+        assert np.corrcoef(first.ravel(), second.ravel())[0, 1] == pytest.approx(real, abs=0.06)
 
 
 def test_even_and_odd_rows_have_patterns_of_their_own(dark_frames: np.ndarray) -> None:

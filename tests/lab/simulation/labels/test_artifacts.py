@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from foreglow.datasets.simulated import Artifact
 from foreglow.lab.simulation.labels.artifacts import (
     MAX_CANDIDATES,
     SMOOTHING_PX,
@@ -22,7 +23,6 @@ from foreglow.lab.simulation.labels.artifacts import (
     strength,
 )
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact
 from foreglow.lab.simulation.world.materials import NO_MATERIAL, material_number
 from tests.lab.simulation.truths import artifact, lamp
 

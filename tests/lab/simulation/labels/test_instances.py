@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from foreglow.datasets.simulated import Artifact
 from foreglow.lab.simulation.labels.instances import InstanceTracker
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact
 from tests.lab.simulation.truths import artifact, lamp_artifact
 
 RULE = LabelRule(hold_frames=3, max_instances=2, max_hidden_instances=2)

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.lab.simulation.labels.production import ProductionConfig, ProductionSystem
-from foreglow.lab.simulation.truth import VehicleTruth
 from tests.lab.simulation.truths import artifact, lamp, lamp_artifact, vehicle
 
 FRAME_NS = 50_000_000

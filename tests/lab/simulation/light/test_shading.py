@@ -32,15 +32,15 @@ def _ready() -> None:
     small.need_renderer()
 
 
-def reflectances(look: dict[str, Any], to_lamps: Floats, views: Floats) -> Floats:
+def reflectances(material: dict[str, Any], to_lamps: Floats, views: Floats) -> Floats:
     """BRDF times the lamp's cosine, shape (N,), on a surface that faces upwards; directions of shape (N, 3)."""
-    directions = [mi.Vector3f(np.ascontiguousarray(one.T, np.float32)) for one in (to_lamps, views)]
+    directions = [mi.Vector3f(np.ascontiguousarray(directions.T, np.float32)) for directions in (to_lamps, views)]
     up = mi.Vector3f(0.0, 0.0, 1.0)
     fields = {"albedo": 0.0, "specular": 0.0, "alpha": 0.5, "transmission": 0.0, "retroreflection": 0.0}
     flags = {"is_beaded": False, "is_rough": False}
-    values = {name: mi.Float(float(look.get(name, value))) for name, value in fields.items()}
-    values |= {name: mi.Float(float(look.get(name, 0.0))) for name in ("film", "canopy")}
-    values |= {name: mi.Bool(look.get(name, value)) for name, value in flags.items()}
+    values = {name: mi.Float(float(material.get(name, value))) for name, value in fields.items()}
+    values |= {name: mi.Float(float(material.get(name, 0.0))) for name in ("film", "canopy")}
+    values |= {name: mi.Bool(material.get(name, value)) for name, value in flags.items()}
     surface = Surface(
         is_hit=mi.Bool(True), position=mi.Point3f(0.0), outward=up, normal=up, view=directions[1], **values
     )
@@ -58,12 +58,12 @@ def upward(num: int, seed: int) -> Floats:
 
 @pytest.mark.parametrize("name", LOOKS)
 def test_lamp_and_eye_change_places(name: str) -> None:
-    one, other = upward(500, 1), upward(500, 2)
-    other[:250] = one[:250] + 0.02 * other[:250]  # half of them near each other, where retroreflection is
-    other /= np.linalg.norm(other, axis=1, keepdims=True)
-    there, back = reflectances(LOOKS[name], one, other), reflectances(LOOKS[name], other, one)
+    to_lamps, views = upward(500, 1), upward(500, 2)
+    views[:250] = to_lamps[:250] + 0.02 * views[:250]  # half of them near each other, where retroreflection is
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    there, back = reflectances(LOOKS[name], to_lamps, views), reflectances(LOOKS[name], views, to_lamps)
     if name != "canopy":  # which has no one normal
-        there, back = there / one[:, 2], back / other[:, 2]
+        there, back = there / to_lamps[:, 2], back / views[:, 2]
     np.testing.assert_allclose(there, back, rtol=2e-3, atol=1e-7)
     assert (there >= 0).all()
     assert there.max() > 0

@@ -37,27 +37,27 @@ def test_same_seed_same_scenes() -> None:
 
 def test_seeds_and_splits_differ() -> None:
     seen = [draw_scenes(1, seed, split)[0] for seed in (1, 2) for split in SPLITS]
-    assert len({one.model_dump_json() for one in seen}) == len(seen)
+    assert len({scene.model_dump_json() for scene in seen}) == len(seen)
 
 
 def test_all_scenarios_come_up() -> None:
-    assert {one.name for one in fifty()} == set(SCENARIOS)
+    assert {scene.name for scene in fifty()} == set(SCENARIOS)
 
 
 def test_some_drives_are_empty() -> None:
-    empty = [not one.vehicles for one in fifty()]
+    empty = [not scene.vehicles for scene in fifty()]
     assert 0 < sum(empty) < 20
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_everybody_stays_on_the_road(name: str) -> None:
     for seed in range(2):
-        one = scenario(name, seed)
-        (_, first_m), (last_s, last_m) = one.ego.timetable[0], one.ego.timetable[-1]
-        end_m = first_m + (last_m - first_m) / last_s * one.duration_s
-        assert 0 < first_m < end_m < one.road.length_m
-        for sign in one.surroundings.signs:
-            assert 0 < sign.s_m < one.road.length_m
+        scene = scenario(name, seed)
+        (_, first_m), (last_s, last_m) = scene.ego.timetable[0], scene.ego.timetable[-1]
+        end_m = first_m + (last_m - first_m) / last_s * scene.duration_s
+        assert 0 < first_m < end_m < scene.road.length_m
+        for sign in scene.surroundings.signs:
+            assert 0 < sign.s_m < scene.road.length_m
 
 
 def test_unknown_names() -> None:
@@ -70,9 +70,9 @@ def test_unknown_names() -> None:
 
 
 def test_resizing_keeps_the_field_of_view() -> None:
-    one = resized(scenario("curve"), 640, 480)
+    scene = resized(scenario("curve"), 640, 480)
     full = scenario("curve")
-    assert one.camera.focal_px / 640 == pytest.approx(full.camera.focal_px / 1280)
+    assert scene.camera.focal_px / 640 == pytest.approx(full.camera.focal_px / 1280)
     assert resized(full, 1280, 960) == full
     assert resized(Scene(), 320, 240).camera.centre_px is None
 
@@ -100,8 +100,8 @@ def test_an_obstacle_inside_a_bend_hides(sign: int) -> None:
 def test_time_in_sight_by_hand() -> None:
     # Meeting after 5 s at 20 m/s each; on an open road they see each other all the time.
     road = Road(RoadSpec())
-    ego, other = ((0.0, 0.0), (10.0, 200.0)), ((0.0, 200.0), (10.0, 0.0))
-    assert sight_time_s(road, WIDE, ego, other) == pytest.approx(5.0, abs=0.21)
+    ego, oncoming = ((0.0, 0.0), (10.0, 200.0)), ((0.0, 200.0), (10.0, 0.0))
+    assert sight_time_s(road, WIDE, ego, oncoming) == pytest.approx(5.0, abs=0.21)
 
 
 def test_the_corridor_is_the_nearest_obstacle() -> None:
@@ -118,12 +118,12 @@ def test_the_corridor_is_the_nearest_obstacle() -> None:
 
 def test_cars_come_into_sight_as_planned_and_their_light_soon_before() -> None:
     times, leads = [], []
-    for one in draw_scenes(10, 5):
-        oncoming = [vehicle for vehicle in one.vehicles if vehicle.lane == "oncoming"]
-        if one.name in ("curve", "s_bend", "forest", "crest") and oncoming:
-            road = Road(one.road)
-            free = corridor(one.surroundings, road.half_width_m)
-            ego, other = one.ego.timetable, oncoming[0].timetable
+    for scene in draw_scenes(10, 5):
+        oncoming = [vehicle for vehicle in scene.vehicles if vehicle.lane == "oncoming"]
+        if scene.name in ("curve", "s_bend", "forest", "crest") and oncoming:
+            road = Road(scene.road)
+            free = corridor(scene.surroundings, road.half_width_m)
+            ego, other = scene.ego.timetable, oncoming[0].timetable
             rate = (ego[1][1] - ego[0][1] + other[0][1] - other[1][1]) / 10.0
             meeting = (other[0][1] - ego[0][1]) / rate
             seen = sight_time_s(road, free, ego, other)
@@ -136,14 +136,14 @@ def test_cars_come_into_sight_as_planned_and_their_light_soon_before() -> None:
 
 
 def test_another_beam_changes_nothing_else() -> None:
-    one = fifty()[0]
-    changed = with_beam(one, "matrix")
-    assert (one.ego.beam, changed.ego.beam) == ("low", "matrix")
-    assert with_beam(changed, "low") == one
+    scene = fifty()[0]
+    changed = with_beam(scene, "matrix")
+    assert (scene.ego.beam, changed.ego.beam) == ("low", "matrix")
+    assert with_beam(changed, "low") == scene
 
 
 def test_without_traffic_dark_cars_stay() -> None:
-    one = fifty()[0]
+    scene = fifty()[0]
     parked = VehicleSpec(timetable=((0.0, 50.0), (10.0, 50.0)), beam="off")
     driven = VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0)))
-    assert without_traffic(one.model_copy(update={"vehicles": (driven, parked)})).vehicles == (parked,)
+    assert without_traffic(scene.model_copy(update={"vehicles": (driven, parked)})).vehicles == (parked,)

@@ -76,6 +76,6 @@ def test_body_motion_is_a_small_smooth_function_of_time() -> None:
 
 
 def test_timetable_goes_on_beyond_its_ends() -> None:
-    places, speeds = interpolated(((1.0, 10.0), (2.0, 30.0)), [0.0, 1.5, 3.0])
-    assert np.allclose(places, [-10.0, 20.0, 50.0])
+    positions, speeds = interpolated(((1.0, 10.0), (2.0, 30.0)), [0.0, 1.5, 3.0])
+    assert np.allclose(positions, [-10.0, 20.0, 50.0])
     assert np.allclose(speeds, 20.0)

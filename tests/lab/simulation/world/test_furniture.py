@@ -125,8 +125,8 @@ def test_delineators_stand_on_both_sides_at_their_spacing() -> None:
     for sign in (1, -1):
         own = sign * t > 0
         assert np.allclose(np.abs(t[own]), 4.0, atol=0.15)
-        places = np.unique((s[own] / 25).round(1))
-        assert len(places) == 4
+        posts = np.unique((s[own] / 25).round(1))
+        assert len(posts) == 4
     above = points[:, 2] - ground.road.points(s, np.sign(t) * 3.5)[:, 2]
     assert above.max() == pytest.approx(1.0, abs=0.1)
     assert np.all(points[:, 2].min() < ground.ground_height_m(s, t))

@@ -76,14 +76,14 @@ def test_strip_measures_its_own_lengths() -> None:
 
 def test_copies_are_scaled_turned_and_moved() -> None:
     prototype = box((0.5, 0, 0), (1, 0.2, 0.2), 4)
-    places = np.array([[10.0, 0, 0], [0, 10.0, 0]])
-    copies = instanced(prototype, places, yaw_rotations([0.0, np.pi / 2]), [1.0, 2.0])
+    corners = np.array([[10.0, 0, 0], [0, 10.0, 0]])
+    copies = instanced(prototype, corners, yaw_rotations([0.0, np.pi / 2]), [1.0, 2.0])
     assert copies.vertices_m[:24, 0].max() == pytest.approx(11, abs=1e-5)
     second = copies.vertices_m[len(prototype.vertices_m) :]
     assert second[:, 1].max() == pytest.approx(12, abs=1e-5)
-    moved = prototype.moved(Pose(places[0], rotation()))
+    moved = prototype.moved(Pose(corners[0], rotation()))
     assert np.allclose(copies.vertices_m[: len(prototype.vertices_m)], moved.vertices_m)
-    stretched = instanced(prototype, places[:1], yaw_rotations(0.0), np.array([[3.0, 1.0, 1.0]]))
+    stretched = instanced(prototype, corners[:1], yaw_rotations(0.0), np.array([[3.0, 1.0, 1.0]]))
     assert stretched.vertices_m[:, 0].max() == pytest.approx(13)
 
 

@@ -125,11 +125,11 @@ def test_budgets_hold_and_the_nearest_trees_are_the_finest() -> None:
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_prototypes_have_their_height_and_unit_normals(level: int) -> None:
     rng = np.random.default_rng(0)
-    one, other = tree(rng, 12.0, 1.0, TREE_DETAILS[level]), bush(rng, 1.5, 1.0, BUSH_DETAILS[level])
-    assert 10 < one.vertices_m[:, 2].max() < 18
-    assert 0.9 < other.vertices_m[:, 2].max() < 3.2
-    for mesh in (one, other):
+    plant, shrub = tree(rng, 12.0, 1.0, TREE_DETAILS[level]), bush(rng, 1.5, 1.0, BUSH_DETAILS[level])
+    assert 10 < plant.vertices_m[:, 2].max() < 18
+    assert 0.9 < shrub.vertices_m[:, 2].max() < 3.2
+    for mesh in (plant, shrub):
         assert mesh.vertices_m[:, 2].min() < -0.05
         assert np.allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
     if level:
-        assert len(one.faces) < 0.5 * len(tree(rng, 12.0, 1.0, TREE_DETAILS[level - 1]).faces)
+        assert len(plant.faces) < 0.5 * len(tree(rng, 12.0, 1.0, TREE_DETAILS[level - 1]).faces)

@@ -97,10 +97,10 @@ def test_side_road_leaves_in_the_plane_of_the_main_road(angle_deg: float, side: 
 
 
 def test_time_table_is_met_and_goes_on_at_constant_speed() -> None:
-    places, speeds = interpolated(((0, 10), (2, 30), (4, 70)), np.array([-1.0, 0, 2, 4, 5]))
-    assert np.allclose(places[1:4], [10, 30, 70])
-    assert places[4] - places[3] == pytest.approx(speeds[3])
-    assert places[1] - places[0] == pytest.approx(speeds[1])
+    positions, speeds = interpolated(((0, 10), (2, 30), (4, 70)), np.array([-1.0, 0, 2, 4, 5]))
+    assert np.allclose(positions[1:4], [10, 30, 70])
+    assert positions[4] - positions[3] == pytest.approx(speeds[3])
+    assert positions[1] - positions[0] == pytest.approx(speeds[1])
     standing, still = interpolated(((0, 25),), np.array([0.0, 7.0]))
     assert standing.tolist() == [25, 25]
     assert still.tolist() == [0, 0]

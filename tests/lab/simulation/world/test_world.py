@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from foreglow.datasets.simulated import KINDS
 from foreglow.lab.simulation.scenes.scene import Branch, EgoSpec, RoadSpec, Scene
 from foreglow.lab.simulation.scenes.surroundings import (
     House,
@@ -16,7 +17,7 @@ from foreglow.lab.simulation.scenes.surroundings import (
     Wall,
     Woods,
 )
-from foreglow.lab.simulation.world.materials import KINDS, MATERIALS, column, material_number
+from foreglow.lab.simulation.world.materials import MATERIALS, column, material_number
 from foreglow.lab.simulation.world.world import World, build_world
 from tests.lab.simulation.small_scenes import small_scene
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN, ImageCategory, open_source
-from foreglow.datasets.pvdn_schema import Cycle
+from foreglow.datasets.pvdn.schema import Cycle
+from foreglow.datasets.simulated import read_truth
 from foreglow.files import write_atomic
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
-from foreglow.lab.simulation.truth import DriveFrame
 from foreglow.lab.simulation.writing import dataset
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
-from foreglow.lab.simulation.writing.truth_files import read_truth
 from foreglow.parallel import Local
 from tests.lab.simulation.stub_drive import drive, scene
 

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from foreglow.datasets.simulated.files import decoded_depth_m
 from foreglow.geometry import Camera, Floats, Pose, rotation
-from foreglow.lab.simulation.writing.lidar import LidarConfig, decoded_depth_m, encoded_depth, lidar_depth, scan_pixels
+from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth, scan_pixels
 
 PLAIN = LidarConfig(noise_m=0.0, near_loss=0.0, far_loss=0.0)
 
@@ -95,13 +96,6 @@ def test_the_same_generator_gives_the_same_image() -> None:
     assert first.dtype == np.uint16
     np.testing.assert_array_equal(first, lidar_depth(depth, one, np.random.default_rng(7)))
     assert (first != lidar_depth(depth, one, np.random.default_rng(8))).any()
-
-
-def test_codes() -> None:
-    metres = np.array([0.25, 1.0, 200.0])
-    np.testing.assert_array_equal(decoded_depth_m(encoded_depth(metres)), metres)
-    assert np.isnan(decoded_depth_m(encoded_depth([np.nan]))).all()
-    assert encoded_depth([300.0, -1.0]).tolist() == [65535, 0]
 
 
 def test_a_depth_image_of_another_size() -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from foreglow.datasets.pvdn_schema import EnvironmentLighting, StreetStyle, Weather
+from foreglow.datasets.pvdn.schema import EnvironmentLighting, StreetStyle, Weather
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, WeatherSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.pvdn_labels import is_crest, lighting, street_style, weather

@@ -15,7 +15,7 @@ from foreglow.geometry import Floats
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without_traffic
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
-from foreglow.lab.simulation.writing.truth_files import SceneFile, write_scenes
+from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare.drive_file import read_glare_drive
 from foreglow.lab.studies.glare.driving import RUN_IN_S, settings_of
 from foreglow.lab.studies.glare.light import OurLight, seen_lamps
@@ -156,8 +156,8 @@ def config() -> PipelineConfig:
 
 def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
     from foreglow.lab.simulation.writing.lidar import LidarConfig
+    from foreglow.lab.simulation.writing.scene_files import Making
     from foreglow.lab.simulation.writing.street_data import StreetDataError
-    from foreglow.lab.simulation.writing.truth_files import Making
 
     making = Making(generator="test", lidar=LidarConfig(), street=StreetDataError())
     files = [SceneFile(sequence=place, made_with=making, scene=one) for place, one in enumerate(scenes, start=1)]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from foreglow.beam import Occurrence
+from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.geometry import Pose, rotation
-from foreglow.lab.simulation import LampTruth, VehicleTruth
 from foreglow.lab.studies.occurrence.run import Expectations, Moment, first_sights, is_coming
 
 HERE = Pose(np.zeros(3), np.eye(3))

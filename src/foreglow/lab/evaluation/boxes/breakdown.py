@@ -222,7 +222,7 @@ def read_split_labels(dataset: PVDN) -> SplitLabels:
         empty_images=frozenset(empty_images(dataset)),
         weather_of={one: dataset.sequence(one).weather.name.lower() for one in ids},
         sequence_of={one: dataset.sequence(one).id for one in ids},
-        time_s={one: dataset.labels.place_of[one] / dataset.rate_hz for one in ids},
+        time_s={one: dataset.time_s(one) for one in ids},
     )
 
 

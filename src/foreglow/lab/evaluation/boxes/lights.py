@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from foreglow.datasets import PVDN, Instance, Vehicle
-from foreglow.lab.simulation import Artifact, read_truth
+from foreglow.datasets.simulated import KINDS, Artifact, has_truth, read_truth
 
 LAMP, INDIRECT = "lamp", "indirect"
 """Kinds that the labels alone can tell; simulated sets say what indirect light is seen on."""
 
-LIGHT_KINDS = (LAMP, "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze", INDIRECT)
+LIGHT_KINDS: tuple[str, ...] = (*KINDS, INDIRECT)
 """All kinds, in the order of tables."""
 
 NUM_STRONGEST = 3
@@ -101,7 +101,7 @@ def empty_images(dataset: PVDN) -> tuple[int, ...]:
 
 def _known(dataset: PVDN, sequence_id: int) -> dict[tuple[int, int], _Known]:
     """What the simulator knows, by image and vehicle; nothing of a set that is not simulated."""
-    if not (dataset.root / "simulation" / "info.json").exists():
+    if not has_truth(dataset.root):
         return {}
     return {
         (frame.image_id, vehicle.vehicle_id): _Known(

@@ -1,4 +1,4 @@
-"""The first vehicle of each sequence: when its light is annotated, when it is in sight, when others report it.
+"""The first vehicle of each sequence: when its light is annotated, when it is in sight, and when it is reported.
 
 All times of a sequence count from its first image. Its first vehicle is the one whose light is annotated first.
 """
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
-from foreglow.lab.simulation import read_truth
 
 HUMAN_DELAY_S = 0.8
 """From the first annotated artifact to a human's report of the vehicle, on average (paper)."""
 
 UNKNOWN_VEHICLE = "vehicle"
-"""What a vehicle is called where nothing more is known of it."""
+"""Kind of a vehicle about which nothing more is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Encounter:
         sequence: Its folder.
         scenario: What the simulator drew, such as `crest`; empty where unknown.
         vehicle_id: The vehicle (PVDN: oid).
-        vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
+        vehicle: Its kind: car, van, lorry, motorcycle; `vehicle` where unknown.
         light_s: Its first annotated artifact.
         sight_s: Its first annotated lamp.
         production_s: First report of the production system.
@@ -65,7 +65,7 @@ class Encounter:
 def read_encounters(
     dataset: PVDN, labels: SplitLabels, categories: CategoryConfig | None = None
 ) -> tuple[Encounter, ...]:
-    """The first vehicle of every sequence of `dataset` in which one's light is annotated, in the order of sequences.
+    """The first vehicle of every sequence of `dataset` with annotated light, in the order of sequences.
 
     Args:
         dataset: Images with labels.
@@ -107,15 +107,15 @@ def read_encounters(
 def vehicle_facts(
     dataset: PVDN, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
 ) -> tuple[str, str, float]:
-    """Scenario, what the vehicle is, and when the production system first reports one; see `Encounter`."""
-    place_of, rate_hz = dataset.labels.place_of, dataset.rate_hz
+    """Scenario, kind of the vehicle, and when the production system first reports a vehicle; see `Encounter`."""
     scenario, kind = "", UNKNOWN_VEHICLE
-    if (dataset.root / "simulation" / "info.json").exists():
+    if has_truth(dataset.root):
         truth = read_truth(dataset.root).sequence(sequence_id)
-        kinds = (one.kind for frame in truth.frames for one in frame.vehicles if one.vehicle_id == vehicle_id)
-        reported = next((one.image_id for one in truth.frames if one.is_production_detected), None)
-        scenario, kind = truth.scene.name, next(kinds, UNKNOWN_VEHICLE)
+        vehicles = (vehicle for frame in truth.frames for vehicle in frame.vehicles)
+        kind = next((vehicle.kind for vehicle in vehicles if vehicle.vehicle_id == vehicle_id), UNKNOWN_VEHICLE)
+        reported = next((frame.image_id for frame in truth.frames if frame.is_production_detected), None)
+        scenario = truth.scenario
     else:
-        sequence = next(one for one in dataset.sequences if one.id == sequence_id)
+        sequence = next(sequence for sequence in dataset.sequences if sequence.id == sequence_id)
         reported = dataset.first_with(sequence, (categories or CategoryConfig()).low_beam_trigger)
-    return scenario, kind, math.nan if reported is None else place_of[reported] / rate_hz
+    return scenario, kind, math.nan if reported is None else dataset.time_s(reported)

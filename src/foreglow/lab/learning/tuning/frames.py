@@ -81,7 +81,7 @@ def stack_frames(
         return _stack(pixels, json.loads(index.read_text()))
     entries: list[tuple[int, int, str]] = []
     with open_atomic(pixels) as file, ThreadPoolExecutor(jobs) as pool:
-        for done, image in enumerate(pool.map(lambda one: dataset.read(one).image, image_ids), start=1):
+        for done, image in enumerate(pool.map(lambda image_id: dataset.read(image_id).image, image_ids), start=1):
             file.write(np.ascontiguousarray(image).tobytes())
             entries.append((image.shape[0], image.shape[1], image.dtype.name))
             if progress is not None:

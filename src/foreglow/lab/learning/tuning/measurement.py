@@ -42,11 +42,11 @@ class LabelledLights:
     @classmethod
     def of(cls, lights: Sequence[Light]) -> LabelledLights:
         """The same lights, by the kinds that `Measurement` tells apart."""
-        points = np.array([one.position_px for one in lights], np.float64).reshape(-1, 2)
+        points = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
         kinds = {
-            "lamps": [one.is_direct for one in lights],
-            "strongest": [0 <= one.rank < NUM_STRONGEST for one in lights],
-            "hidden": [one.is_hidden for one in lights],
+            "lamps": [light.is_direct for light in lights],
+            "strongest": [0 <= light.rank < NUM_STRONGEST for light in lights],
+            "hidden": [light.is_hidden for light in lights],
         }
         return cls(points, {name: np.array(flags, np.bool_) for name, flags in kinds.items()})
 
@@ -147,9 +147,9 @@ class Material:
     def digest(self) -> str:
         """Tells data apart, wherever they lie: by image ids and labels."""
         state = hashlib.sha256(repr(self.image_ids).encode())
-        for one in self.lights:
-            state.update(one.points_px.tobytes())
-            for flags in one.is_of_kind.values():
+        for labelled in self.lights:
+            state.update(labelled.points_px.tobytes())
+            for flags in labelled.is_of_kind.values():
                 state.update(flags.tobytes())
         return state.hexdigest()[:8]
 
@@ -173,9 +173,9 @@ class Bench:
         proposer = make_proposer(config)
         tally = Tally()
         for start, end in zip(self._edges, self._edges[1:], strict=False):
-            for place in range(start, end):
-                boxes = proposer.propose(self._images[place]).boxes_xyxy_px
-                tally.add(self.material.image_ids[place], boxes, self.material.lights[place])
+            for index in range(start, end):
+                boxes = proposer.propose(self._images[index]).boxes_xyxy_px
+                tally.add(self.material.image_ids[index], boxes, self.material.lights[index])
             yield tally.measurement()
 
 
@@ -232,7 +232,7 @@ def evenly_spread(image_ids: Sequence[int], num_images: int) -> tuple[int, ...]:
     """
     if num_images >= len(image_ids):
         return tuple(image_ids)
-    return tuple(image_ids[place * len(image_ids) // num_images] for place in range(num_images))
+    return tuple(image_ids[index * len(image_ids) // num_images] for index in range(num_images))
 
 
 def interleaved(image_ids: Sequence[int], num_parts: int) -> tuple[int, ...]:

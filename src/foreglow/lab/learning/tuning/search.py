@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import PVDN, split_folder
-from foreglow.datasets.splits import SplitName
+from foreglow.datasets.pvdn.splits import SplitName
 from foreglow.lab.learning.annotate import Progress
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import objective
@@ -180,7 +180,7 @@ def tune(
     finalists = _on_train(_best(trials, settings), Bench(material), settings)
     finalists = _on_val(finalists, splits.get("val"), settings, progress)
     finalists = _on_test(finalists, splits.get("test"), progress)
-    paper = next(one for one in finalists if one.config == PAPER)
+    paper = next(finalist for finalist in finalists if finalist.config == PAPER)
     seconds = {"trials": searched_s - started_s, "comparison": time.monotonic() - searched_s}
     return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
 
@@ -220,17 +220,21 @@ def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:
     from optuna.trial import TrialState
 
     return tuple(
-        TrialRecord(one.number, one.state.name, float(one.value), one.params, one.user_attrs.get("measurement", {}))
-        for one in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
-        if one.value is not None
+        TrialRecord(
+            trial.number, trial.state.name, float(trial.value), trial.params, trial.user_attrs.get("measurement", {})
+        )
+        for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+        if trial.value is not None
     )
 
 
 def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[ProposalConfig]:
     """The best configurations on train, each once, and the paper's."""
-    complete = sorted((one for one in trials if one.state == "COMPLETE"), key=lambda one: (one.loss, one.number))
+    complete = sorted(
+        (trial for trial in trials if trial.state == "COMPLETE"), key=lambda trial: (trial.loss, trial.number)
+    )
     searched = space(settings.space_name)
-    configs = list(dict.fromkeys(searched.config(_clean(one.parameters)) for one in complete))
+    configs = list(dict.fromkeys(searched.config(_clean(trial.parameters)) for trial in complete))
     best = configs[: settings.num_finalists]
     return best if PAPER in best else [*best, PAPER]
 
@@ -251,15 +255,15 @@ def _on_val(
 ) -> list[Finalist]:
     """With their losses on val, the best first; of equals the better one on train."""
     if val is None:
-        return sorted(finalists, key=lambda one: one.train_loss)
-    measured = measure_split(val, [one.config for one in finalists], progress)
-    paper = next(found for one, found in zip(finalists, measured, strict=True) if one.config == PAPER)
+        return sorted(finalists, key=lambda finalist: finalist.train_loss)
+    measured = measure_split(val, [finalist.config for finalist in finalists], progress)
+    paper = next(found for finalist, found in zip(finalists, measured, strict=True) if finalist.config == PAPER)
     loss = objective(settings.objective).loss
     rated = [
-        dataclasses.replace(one, val=found, val_loss=loss(found, paper))
-        for one, found in zip(finalists, measured, strict=True)
+        dataclasses.replace(finalist, val=found, val_loss=loss(found, paper))
+        for finalist, found in zip(finalists, measured, strict=True)
     ]
-    return sorted(rated, key=lambda one: (one.val_loss, one.train_loss))
+    return sorted(rated, key=lambda finalist: (finalist.val_loss, finalist.train_loss))
 
 
 def _on_test(finalists: list[Finalist], test: PVDN | None, progress: Progress | None) -> list[Finalist]:
@@ -268,4 +272,4 @@ def _on_test(finalists: list[Finalist], test: PVDN | None, progress: Progress | 
         return finalists
     rated = list(dict.fromkeys([finalists[0].config, PAPER]))
     found = dict(zip(rated, measure_split(test, rated, progress), strict=True))
-    return [dataclasses.replace(one, test=found.get(one.config)) for one in finalists]
+    return [dataclasses.replace(finalist, test=found.get(finalist.config)) for finalist in finalists]

@@ -74,7 +74,7 @@ class Space:
 
     def suggest(self, trial: Trial) -> dict[str, bool | int | float]:
         """A value for each parameter."""
-        return {name: one.suggest(trial, name) for name, one in self.ranges.items()}
+        return {name: values.suggest(trial, name) for name, values in self.ranges.items()}
 
     def config(self, parameters: Parameters) -> ProposalConfig:
         """The configuration of `parameters`."""

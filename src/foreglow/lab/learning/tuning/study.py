@@ -101,9 +101,9 @@ def _sampler(seed: int) -> Any:
             self._tpe = TPESampler(seed=seed)
 
         def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
-            earlier = [one for one in study.get_trials(deepcopy=False) if one.number < trial.number]
-            place = sum(one.state not in (TrialState.FAIL, TrialState.WAITING) for one in earlier)
-            own_seed = int(np.random.SeedSequence((seed, place)).generate_state(1)[0])
+            earlier = [other for other in study.get_trials(deepcopy=False) if other.number < trial.number]
+            num_earlier = sum(other.state not in (TrialState.FAIL, TrialState.WAITING) for other in earlier)
+            own_seed = int(np.random.SeedSequence((seed, num_earlier)).generate_state(1)[0])
             # A running trial of another process counts as a bad one, so that not all look in the same place.
             self._tpe = TPESampler(seed=own_seed, n_startup_trials=NUM_STARTUP_TRIALS, constant_liar=True)
             self._tpe.before_trial(study, trial)
@@ -133,14 +133,14 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
     """Gives up trials whose process is gone, and lets a new study begin with the paper's parameters."""
     from optuna.trial import TrialState
 
-    for one in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        if not _is_alive(one):
-            study.tell(one.number, state=TrialState.FAIL)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if not _is_alive(trial):
+            study.tell(trial.number, state=TrialState.FAIL)
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(dict(space(plan.space).first))
 
 
-def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], told: Callable[[], None]) -> None:
+def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], report: Callable[[], None]) -> None:
     """Runs trials until the study has `plan.num_trials`, of this process and others, or `is_stopped`.
 
     Args:
@@ -155,7 +155,7 @@ def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], to
     while not is_stopped() and num_taken(study) < plan.num_trials:
         trial = study.ask()
         _run(study, trial, plan, bench, paper)
-        told()
+        report()
 
 
 def num_taken(study: optuna.Study, before: int | None = None) -> int:
@@ -164,7 +164,7 @@ def num_taken(study: optuna.Study, before: int | None = None) -> int:
 
     states = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
     trials = study.get_trials(deepcopy=False, states=states)
-    return sum(1 for one in trials if before is None or one.number < before)
+    return sum(1 for trial in trials if before is None or trial.number < before)
 
 
 def num_finished(study: optuna.Study) -> int:
@@ -225,6 +225,6 @@ def importances(study: optuna.Study) -> dict[str, float]:
     from optuna.trial import TrialState
 
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    if len(complete) < IMPORTANCE_TRIALS or len({one.value for one in complete}) < 2:
+    if len(complete) < IMPORTANCE_TRIALS or len({trial.value for trial in complete}) < 2:
         return {}
     return dict(get_param_importances(study, evaluator=PedAnovaImportanceEvaluator()))

@@ -123,7 +123,7 @@ def export_yolo(
                 progress(num_done, num_images)
     data_file = folder / DATA_NAME
     write_atomic(data_file, _data_text(tuple(datasets)).encode())
-    return YoloExport(data_file, settings, {name: len(one) for name, one in datasets.items()}, num_boxes)
+    return YoloExport(data_file, settings, {name: len(dataset) for name, dataset in datasets.items()}, num_boxes)
 
 
 def read_export(folder: Path) -> ExportSettings:

@@ -66,8 +66,8 @@ class Exposure:
             self._total += optics.draw_points(points.fixed)
         self._indirect: list[Image | None] = []
         self._direct: list[Image | None] = []
-        for place, lamps in enumerate(points.vehicles):
-            layer = FIRST_VEHICLE_LAYER + place
+        for index, lamps in enumerate(points.vehicles):
+            layer = FIRST_VEHICLE_LAYER + index
             light = rendered.surface_cd_m2[layer] + rendered.haze_cd_m2[layer]
             self._indirect.append(optics.spread(light) if float(light.max()) > FAINTEST_CD_M2 else None)
             self._direct.append(optics.draw_points(lamps) if float(lamps.illuminances_lx.sum()) > 0 else None)
@@ -81,29 +81,29 @@ class Exposure:
         """The image, shape (H, W), uint8, with the noise of frame number `frame`."""
         return self._sensor.capture(self._total, frame)
 
-    def light_of(self, place: int, *, is_rear: bool) -> VehicleLight | None:
+    def light_of(self, vehicle: int, *, is_rear: bool) -> VehicleLight | None:
         """The images with and without the light of the vehicle in `place`; None if it sends us no indirect light."""
-        indirect = self._indirect[place]
+        indirect = self._indirect[vehicle]
         if indirect is None:
             return None
         without_indirect = self._total - indirect
-        direct = self._direct[place]
+        direct = self._direct[vehicle]
         grey_without_indirect = self._sensor.expected_grey(without_indirect)
         grey_without = grey_without_indirect
         if direct is not None:
             grey_without = self._sensor.expected_grey(without_indirect - direct)
         return VehicleLight(self._grey, grey_without_indirect, grey_without, is_rear)
 
-    def surroundings_of(self, place: int) -> Surroundings:
+    def surroundings_of(self, vehicle: int) -> Surroundings:
         """What the labels of the vehicle in `place` need besides."""
-        layer = FIRST_VEHICLE_LAYER + place
+        layer = FIRST_VEHICLE_LAYER + vehicle
         haze = self._rendered.haze_cd_m2[layer]
         share = haze / np.maximum(haze + self._rendered.surface_cd_m2[layer], np.float32(1e-12))
         return Surroundings(self._noise, self._rendered.materials, self._rendered.depth_m, share)
 
-    def lamp_peaks_grey(self, place: int, positions_px: Sequence[tuple[float, float]]) -> list[float]:
+    def lamp_peaks_grey(self, vehicle: int, positions_px: Sequence[tuple[float, float]]) -> list[float]:
         """Grey levels that the lamps of the vehicle in `place` add at their positions; 0 outside the image."""
-        direct = self._direct[place]
+        direct = self._direct[vehicle]
         if direct is None:
             return [0.0] * len(positions_px)
         added = self._grey - self._sensor.expected_grey(self._total - direct)

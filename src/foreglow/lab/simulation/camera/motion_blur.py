@@ -73,9 +73,9 @@ def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
     for spacing in (1.0 / NUM_TAPS, 1.0 / NUM_TAPS**2):  # a coarse comb, then a fine one that fills its gaps
         total = np.zeros_like(x)
         for tap in range(NUM_TAPS):
-            place = np.float32((tap - (NUM_TAPS - 1) / 2) * spacing)
+            share = np.float32((tap - (NUM_TAPS - 1) / 2) * spacing)
             total += cv2.remap(
-                blurred, x + place * flow_x, y + place * flow_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+                blurred, x + share * flow_x, y + share * flow_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
         blurred = blurred.copy() if blurred is luminance else blurred
         blurred[window] = total / NUM_TAPS

@@ -178,11 +178,11 @@ class Optics:
     def _spectrum(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
         """Of the tail's kernel, each element its mean over a cell of pixels times the cell's area."""
         if shape not in self._spectra:
-            places = np.arange(FAR_STEP) - (FAR_STEP - 1) / 2
+            offsets = np.arange(FAR_STEP) - (FAR_STEP - 1) / 2
             down, across = (np.fft.fftfreq(num, 1 / num) * FAR_STEP for num in shape)
             kernel = np.zeros(shape, np.float64)
-            for dy in places:
-                for dx in places:
+            for dy in offsets:
+                for dx in offsets:
                     squares = (down[:, np.newaxis] + dy) ** 2 + (across + dx) ** 2
                     kernel += self._tail / (squares + self._softening_px**2)
             self._spectra[shape] = rfft2(kernel).astype(np.complex64)
@@ -222,8 +222,8 @@ def _disc(radius_px: float, sigma_px: float) -> Floats:
     num = int(np.clip(np.ceil(4.0 * (radius_px / max(sigma_px, 0.2)) ** 2), 1, MAX_DISC_POINTS))
     if num == 1:
         return np.zeros((1, 2))
-    places = np.arange(num) + 0.5
-    radii, angles = radius_px * np.sqrt(places / num), places * np.pi * (3.0 - np.sqrt(5.0))
+    numbers = np.arange(num) + 0.5
+    radii, angles = radius_px * np.sqrt(numbers / num), numbers * np.pi * (3.0 - np.sqrt(5.0))
     return np.stack([radii * np.cos(angles), radii * np.sin(angles)], -1)
 
 

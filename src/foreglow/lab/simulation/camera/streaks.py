@@ -65,7 +65,7 @@ FADING_SHARE = 0.3
 class _Particles:
     """Shape (N, 3) or (N,) each: places in the tile at time 0, velocities in the world, and what they scatter."""
 
-    places_m: Floats
+    positions_m: Floats
     velocities_mps: Floats
     diameters_m: Floats
     cross_sections_m2_sr: Floats
@@ -131,7 +131,7 @@ class FallingParticles:
         opened, closed = world_from_camera
         centre = opened.to_outer([0.5 * self._range_m, 0.0, 0.0])
         velocities = self._particles.velocities_mps
-        wrapped = (self._particles.places_m + velocities * time_s - centre) % self._tile_m
+        wrapped = (self._particles.positions_m + velocities * time_s - centre) % self._tile_m
         worlds = wrapped - self._tile_m * np.round(wrapped / self._tile_m) + centre
         starts = opened.to_body(worlds)
         kept = np.flatnonzero(self._in_view(starts))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from foreglow.datasets.simulated import Artifact, LampTruth
 from foreglow.geometry import Camera, Floats
 from foreglow.lab.simulation.camera.exposure import Exposure
 from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
@@ -11,7 +12,6 @@ from foreglow.lab.simulation.labels.artifacts import direct_artifacts, indirect_
 from foreglow.lab.simulation.labels.instances import InstanceTracker
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.traffic.actors import Actor
-from foreglow.lab.simulation.truth import Artifact, LampTruth
 
 
 @dataclass(frozen=True, slots=True)

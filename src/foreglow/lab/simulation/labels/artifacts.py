@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.simulated import KINDS, Artifact, Kind, LampTruth
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.labels.peaks import area_above_half_px, find_peaks
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact, LampTruth
-from foreglow.lab.simulation.world.materials import KINDS, MATERIALS, NO_MATERIAL, Kind
+from foreglow.lab.simulation.world.materials import MATERIALS, NO_MATERIAL
 
 Greys: TypeAlias = NDArray[np.float32]
 """Grey levels of 8 bits, shape (height, width), float32."""

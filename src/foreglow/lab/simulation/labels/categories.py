@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from foreglow.datasets.pvdn_schema import ImageCategory
+from foreglow.datasets.pvdn.schema import ImageCategory
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.lab.simulation.scenes.scene import LabelRule, VehicleSpec
-from foreglow.lab.simulation.truth import VehicleTruth
 
 IN_SIGHT_SHARE = 0.5
 """Share of a vehicle's body from which it counts as in sight itself."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from foreglow.datasets.simulated import Artifact
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.labels.artifacts import strength
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact
 
 GATE_PX = 30.0
 """An instance moves at most this far from one frame to the next, at 1280 columns, when it is far away."""

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, SpecModel
-from foreglow.lab.simulation.truth import VehicleTruth
 
 
 class ProductionConfig(SpecModel):

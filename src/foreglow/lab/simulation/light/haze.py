@@ -43,7 +43,7 @@ class Haze:
             (np.arange(camera.width_px) + 0.5) * (columns - 1) / camera.width_px,
             (np.arange(camera.height_px) + 0.5) * (rows - 1) / camera.height_px,
         )
-        self._places = mi.Point2f(np.stack([pixel_x.ravel(), pixel_y.ravel()]).astype(np.float32))
+        self._grid_points = mi.Point2f(np.stack([pixel_x.ravel(), pixel_y.ravel()]).astype(np.float32))
 
     def render(self, space: Space, air: Air, distance_m: Number) -> NDArray[np.float32]:
         """Scattered light of every layer, shape (layers, pixels), cd/m^2, up to each pixel's `distance_m`."""
@@ -89,9 +89,9 @@ class Haze:
     def _looked_up(self, gathered: Number, distance_m: Number, num_layers: int) -> NDArray[np.float32]:
         """What every pixel finds at its own depth between the four rays around it; shape (num_layers, pixels)."""
         num = dr.width(distance_m)
-        column = clipped(dr.floor(self._places.x), 0.0, mi.Float(self._columns) - 2.0)
-        row = clipped(dr.floor(self._places.y), 0.0, mi.Float(self._rows) - 2.0)
-        right, down = self._places.x - column, self._places.y - row
+        column = clipped(dr.floor(self._grid_points.x), 0.0, mi.Float(self._columns) - 2.0)
+        row = clipped(dr.floor(self._grid_points.y), 0.0, mi.Float(self._rows) - 2.0)
+        right, down = self._grid_points.x - column, self._grid_points.y - row
         depth = least(dr.select(dr.isfinite(distance_m), distance_m, FAR_M), FAR_M)
         last = mi.Float(self._steps) - 1.0
         step = mi.UInt32(clipped(dr.floor(dr.log(greatest(depth, NEAR_M) / NEAR_M) / self._log_growth), 0.0, last))
@@ -106,8 +106,8 @@ class Haze:
         def look_up(layer: Number) -> tuple[Number]:
             first = corner + layer * layer_size
 
-            def at(place: Number) -> Number:
-                near, far = (dr.gather(mi.Float, gathered, place + ahead) for ahead in (0, num_rays))
+            def at(index: Number) -> Number:
+                near, far = (dr.gather(mi.Float, gathered, index + ahead) for ahead in (0, num_rays))
                 return dr.lerp(near, far, into)
 
             above = dr.lerp(at(first), at(first + 1), right)

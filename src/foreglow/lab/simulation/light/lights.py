@@ -46,20 +46,20 @@ class Lights:
         self._layer_starts = mi.UInt32(ends.astype(np.uint32))
         self.num_layers = max(num_layers, 1)  # a kernel needs somewhere to write
         numbers = np.zeros((max(len(lamps), 1), 16), np.float32)
-        places = np.zeros((max(len(lamps), 1), 4), np.uint32)
-        for number, place, lamp in zip(numbers, places, lamps, strict=False):
+        layouts = np.zeros((max(len(lamps), 1), 4), np.uint32)
+        for number, layout, lamp in zip(numbers, layouts, lamps, strict=False):
             azimuths, elevations = lamp.table.azimuths_deg, lamp.table.elevations_deg
             number[:3] = lamp.world_from_lamp.position_m
             number[3:9] = lamp.world_from_lamp.rotation[:, :2].T.ravel()
             number[9] = lamp.scale
             number[10:12] = azimuths[0], 1.0 / (azimuths[1] - azimuths[0])
             number[12:14] = elevations[0], 1.0 / (elevations[1] - elevations[0])
-            place[:3] = len(azimuths), len(elevations), self._starts[id(lamp.table)]
+            layout[:3] = len(azimuths), len(elevations), self._starts[id(lamp.table)]
         self._positions = mi.Float(numbers[:, :3].ravel())
         self._numbers = mi.Float(numbers.ravel())
-        self._places = mi.UInt32(places.ravel())
+        self._layouts = mi.UInt32(layouts.ravel())
 
-    def summed(self, places: Number, luminance: Callable[[Number], Number]) -> Number:
+    def summed(self, slots: Number, luminance: Callable[[Number], Number]) -> Number:
         """The sum over each layer's lamps of `luminance(number)`, which has one value a ray.
 
         Loops on the device, so that neither the number of lamps nor that of layers needs another kernel. It adds in
@@ -72,7 +72,7 @@ class Lights:
         Returns:
             In the order layer, place.
         """
-        num = dr.width(places)
+        num = dr.width(slots)
         out = dr.empty(mi.Float, num * self.num_layers)
         stride = dr.opaque(mi.UInt32, num)
         num_layers = dr.opaque(mi.UInt32, self.num_layers)
@@ -84,7 +84,7 @@ class Lights:
                 lambda number, _total: number < end,
                 lambda number, total: (number + 1, total + luminance(number)),
             )
-            dr.scatter(out, total, layer * stride + places)
+            dr.scatter(out, total, layer * stride + slots)
             return layer + 1, number
 
         first = dr.zeros(mi.UInt32, num)
@@ -98,7 +98,7 @@ class Lights:
     def towards(self, points: Number, number: Number) -> Light:
         """What the lamps called `number`, one a ray, send to `points`; bilinear, as `IntensityTable.towards`."""
         a, b, c, d = (dr.gather(mi.Vector4f, self._numbers, number * 4 + part) for part in range(4))
-        place = dr.gather(mi.Vector4u, self._places, number)
+        layout = dr.gather(mi.Vector4u, self._layouts, number)
         forward, left = mi.Vector3f(a.w, b.x, b.y), mi.Vector3f(b.z, b.w, c.x)
         way = mi.Point3f(a.x, a.y, a.z) - points
         distance = dr.norm(way)
@@ -106,17 +106,17 @@ class Lights:
         x, y, z = (-dr.dot(direction, axis) for axis in (forward, left, dr.cross(forward, left)))
         columns = (dr.rad2deg(angle_rad(y, x)) - c.z) * c.w
         rows = (dr.rad2deg(angle_rad(z, dr.sqrt(x * x + y * y))) - d.x) * d.y
-        last_column, last_row = mi.Float(place.x - 1), mi.Float(place.y - 1)
+        last_column, last_row = mi.Float(layout.x - 1), mi.Float(layout.y - 1)
         is_inside = (columns >= 0) & (columns <= last_column) & (rows >= 0) & (rows <= last_row)
         column, row = clipped(dr.floor(columns), 0, last_column - 1), clipped(dr.floor(rows), 0, last_row - 1)
-        corner = place.z + mi.UInt32(row) * place.x + mi.UInt32(column)
+        corner = layout.z + mi.UInt32(row) * layout.x + mi.UInt32(column)
         u, v = columns - column, rows - row
 
         def candela(offset: Number) -> Number:
             return dr.gather(mi.Float, self._candela, corner + offset, is_inside)
 
         lower = dr.lerp(candela(0), candela(1), u)
-        upper = dr.lerp(candela(place.x), candela(place.x + 1), u)
+        upper = dr.lerp(candela(layout.x), candela(layout.x + 1), u)
         return Light(direction, distance, dr.lerp(lower, upper, v) * c.y)
 
     def _send_tables(self, lamps: Sequence[PlacedLamp]) -> None:

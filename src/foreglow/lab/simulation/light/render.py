@@ -98,9 +98,9 @@ class Renderer:
         Raises:
             ValueError: If a lamp's layer is out of range, or there is no mesh for a body.
         """
-        for place, lamp in enumerate(lamps):
+        for index, lamp in enumerate(lamps):
             if not 0 <= lamp.layer < num_layers:
-                raise ValueError(f"lamps[{place}].layer: expected 0 to {num_layers - 1}, got {lamp.layer}")
+                raise ValueError(f"lamps[{index}].layer: expected 0 to {num_layers - 1}, got {lamp.layer}")
         self._world.place(bodies)
         self._lights.switch_on(lamps, num_layers)
         space = space_of(self._world, self._lights, camera_pose, self._settings.darkest_cd_m2)
@@ -111,9 +111,9 @@ class Renderer:
         haze = self._haze.render(space, air, first.distance_m)
         chosen = samples.detailed(surface.sum(axis=0).reshape(samples.shape))
         if len(chosen):
-            places = mi.UInt32(np.arange(len(chosen), dtype=np.uint32))
+            slots = mi.UInt32(np.arange(len(chosen), dtype=np.uint32))
             for rays in samples.further(chosen):
-                more = self._shoot(space, air, rays, places)
+                more = self._shoot(space, air, rays, slots)
                 surface[:, chosen] += more.surface_cd_m2
                 ambient[chosen] += more.ambient_cd_m2
             surface[:, chosen] /= samples.num
@@ -148,7 +148,7 @@ class Renderer:
         self._world.place(bodies)
         return self._world.is_free(np.asarray(origins_m, np.float64).reshape(-1, 3), target_m, ignore_body)
 
-    def _shoot(self, space: Space, air: Air, rays: Number, places: Number) -> _Shot:
+    def _shoot(self, space: Space, air: Air, rays: Number, slots: Number) -> _Shot:
         """One sample in the direction of each of `rays`, which are in the camera's frame; its values go to `places`."""
         direction = space.rotation @ rays
         hit = space.world.hit(space.origin, direction)
@@ -156,12 +156,12 @@ class Renderer:
         kept = dr.exp(-air.scattering_per_m * hit.distance_m)
         # Half of the sky's hemisphere on a wall, all of it on the ground.
         skylight = air.sky_cd_m2 * surface.albedo * (0.5 + 0.5 * surface.normal.z)
-        light = _reflected(space, air, surface, hit.distance_m, places)
+        light = _reflected(space, air, surface, hit.distance_m, slots)
         ambient = dr.select(hit.is_hit, dr.lerp(air.sky_cd_m2, skylight, kept), air.sky_cd_m2)
-        ambient = _placed(ambient, places)
-        distance = _placed(dr.select(hit.is_hit, hit.distance_m, dr.nan), places)
-        material = _placed(dr.select(hit.is_hit, hit.material, NO_MATERIAL), places)
-        body = _placed(dr.select(hit.is_hit, hit.body, -1), places)
+        ambient = _placed(ambient, slots)
+        distance = _placed(dr.select(hit.is_hit, hit.distance_m, dr.nan), slots)
+        material = _placed(dr.select(hit.is_hit, hit.material, NO_MATERIAL), slots)
+        body = _placed(dr.select(hit.is_hit, hit.body, -1), slots)
         dr.eval(light, ambient, distance, material, body)
         return _Shot(light.numpy().reshape(space.lights.num_layers, -1), ambient.numpy(), distance, material, body)
 
@@ -177,7 +177,7 @@ class _Shot:
     body: Number
 
 
-def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, places: Number) -> Number:
+def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, slots: Number) -> Number:
     """Light that reaches the camera from the surfaces, cd/m^2, in the order layer, place."""
 
     def luminance(number: Number) -> Number:
@@ -191,11 +191,11 @@ def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, pla
         blocked = space.world.is_blocked(start, light.direction, light.distance_m - END_GAP_M, counts)
         return dr.select(counts & ~blocked, sent, 0.0)
 
-    return space.lights.summed(places, luminance)
+    return space.lights.summed(slots, luminance)
 
 
-def _placed(values: Number, places: Number) -> Number:
+def _placed(values: Number, slots: Number) -> Number:
     """The values in another order."""
-    out = dr.empty(type(values), dr.width(places))
-    dr.scatter(out, values, places)
+    out = dr.empty(type(values), dr.width(slots))
+    dr.scatter(out, values, slots)
     return out

@@ -84,8 +84,8 @@ class Samples:
 
     def further(self, pixels: NDArray[np.intp]) -> list[Number]:
         """Directions of the further samples through `pixels`, for each of these samples."""
-        places = mi.UInt32(self._ranks[pixels].astype(np.uint32))
-        further = [dr.gather(mi.Vector3f, rays, places) for rays in self._rays[1:]]
+        ranks = mi.UInt32(self._ranks[pixels].astype(np.uint32))
+        further = [dr.gather(mi.Vector3f, rays, ranks) for rays in self._rays[1:]]
         dr.eval(further)  # arrays, like the first rays: so the same kernel takes them
         return further
 

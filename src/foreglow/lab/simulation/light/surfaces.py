@@ -169,9 +169,9 @@ class Looks:
         """Noise that is long along the road, and downwards on walls."""
         is_road = hit.material == material_number("road")
         s, t = hit.coordinates_m.x, hit.coordinates_m.y
-        place = dr.select(is_road, mi.Point2f(s / 1.2, t / 0.06), mi.Point2f(u / 0.06, v / 0.9))
+        texel = dr.select(is_road, mi.Point2f(s / 1.2, t / 0.06), mi.Point2f(u / 0.06, v / 0.9))
         seen = clipped(1.5 - footprint_m / 0.25, 0.0, 1.0)
-        return seen * self._noise.eval(place / NOISE_TEXELS)[0]
+        return seen * self._noise.eval(texel / NOISE_TEXELS)[0]
 
     def _build_walls(
         self, surface: Surface, hit: Hit, u: Number, v: Number, footprint_m: Number, streak: Number

@@ -106,5 +106,5 @@ def _winding(draw: Draw, first: Bend) -> tuple[Bend, ...]:
 def _gentle_hills(draw: Draw, focus_m: float) -> Profile:
     if draw.chance(0.4):
         return ((0.0, 0.0),)
-    places = (0.0, focus_m * 0.6, focus_m * 1.3, focus_m * 2.2)
-    return tuple((round(place, 1), draw.uniform(-2.0, 2.0) if place else 0.0) for place in places)
+    points_m = (0.0, focus_m * 0.6, focus_m * 1.3, focus_m * 2.2)
+    return tuple((round(s_m, 1), draw.uniform(-2.0, 2.0) if s_m else 0.0) for s_m in points_m)

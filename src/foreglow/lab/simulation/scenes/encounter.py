@@ -82,7 +82,7 @@ def sight_time_s(
         other: The same for the oncoming car.
         is_seen: What is meant by seeing: the car, or its light.
     """
-    ego_speed, other_speed = (_speed(one) for one in (ego, other))
+    ego_speed, other_speed = (_speed(profile) for profile in (ego, other))
     meeting = (other[0][1] - ego[0][1]) / (ego_speed - other_speed)
     seen = 0.0
     while seen < meeting:
@@ -96,8 +96,8 @@ def sight_time_s(
 def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Floats, free: Corridor) -> bool:
     """Whether the line from `eye` to `target` stays above the road and within the corridor along it."""
     line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (target - eye)
-    places, points, headings = _centre_line(road)
-    part = slice(*np.searchsorted(places, (between_m[0] - CENTRE_STEP_M, between_m[1] + CENTRE_STEP_M)))
+    arc_lengths, points, headings = _centre_line(road)
+    part = slice(*np.searchsorted(arc_lengths, (between_m[0] - CENTRE_STEP_M, between_m[1] + CENTRE_STEP_M)))
     centre = points[part]
     squares = (line[:, None, 0] - centre[:, 0]) ** 2 + (line[:, None, 1] - centre[:, 1]) ** 2
     nearest = np.argmin(squares, axis=1)
@@ -111,8 +111,8 @@ def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Fl
 @functools.lru_cache(maxsize=2)
 def _centre_line(road: Road) -> tuple[Floats, Floats, Floats]:
     """Arc lengths every few metres, also beyond the road's ends, the points there and the headings."""
-    places = np.arange(-100.0, road.length_m + 100.0, CENTRE_STEP_M)
-    return places, road.points(places), road.heading_rad(places)
+    arc_lengths = np.arange(-100.0, road.length_m + 100.0, CENTRE_STEP_M)
+    return arc_lengths, road.points(arc_lengths), road.heading_rad(arc_lengths)
 
 
 def _speed(timetable: Profile) -> float:

@@ -78,7 +78,7 @@ def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
     plans: list[_Plan] = []
     while len(plans) < MAX_PLANS and not (plans and plans[-1].is_good):
         plans.append(_plan(draw, layout, wetness))
-    plan = plans[-1] if plans[-1].is_good else min(plans, key=lambda one: one.miss_s + one.lead_s)
+    plan = plans[-1] if plans[-1].is_good else min(plans, key=lambda plan: plan.miss_s + plan.lead_s)
     duration_s = plan.meeting_s + draw.uniform(-0.3, 1.2)
     return Scene(
         name=name,
@@ -191,14 +191,14 @@ def _road(draw: Draw, course: Course, length_m: float, wetness: float) -> RoadSp
     points = [(0.0, 0.0)]
     for start, end, bend in course.bends:
         transition = min(draw.uniform(15.0, 45.0), (end - start) / 2.5)
-        for place, value in (
+        for s_m, value in (
             (start, 0.0),
             (start + transition, bend),
             (end - transition, bend),
             (end, 0.0),
         ):
-            if place > points[-1][0] + 0.5:
-                points.append((round(place, 1), float(f"{value:.5g}")))
+            if s_m > points[-1][0] + 0.5:
+                points.append((round(s_m, 1), float(f"{value:.5g}")))
     return RoadSpec(
         length_m=length_m,
         lane_width_m=draw.uniform(2.9, 3.6),
@@ -221,7 +221,7 @@ def _speed_mps(draw: Draw, course: Course, cruising_mps: float) -> float:
 
 
 def _shifted(timetable: Profile, by_m: float) -> Profile:
-    return tuple((time, round(place + by_m, 2)) for time, place in timetable)
+    return tuple((time, round(s_m + by_m, 2)) for time, s_m in timetable)
 
 
 def _weather(draw: Draw) -> tuple[WeatherSpec, float]:

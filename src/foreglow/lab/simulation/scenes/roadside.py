@@ -119,9 +119,9 @@ def _signs(
             kind: SignKind = "chevron_left" if curvature > 0 else "chevron_right"
             spacing = draw.uniform(9.0, 16.0)
             signs += [
-                Sign(side=outer, s_m=round(start + place * spacing, 1), kind=kind, height_m=1.0, offset_m=1.5)
-                for place in range(draw.integer(2, 6))
-                if start + place * spacing < min(end, length_m - 5.0)
+                Sign(side=outer, s_m=round(start + number * spacing, 1), kind=kind, height_m=1.0, offset_m=1.5)
+                for number in range(draw.integer(2, 6))
+                if start + number * spacing < min(end, length_m - 5.0)
             ]
     kinds: tuple[SignKind, ...] = ("round", "triangle", "rectangle", "rectangle", "post_marker")
     for _ in range(draw.integer(0, 6 if style == "village" else 4)):
@@ -169,10 +169,10 @@ def _houses(draw: Draw, style: Style, length_m: float) -> tuple[House, ...]:
     houses: list[House] = []
     if style == "village":
         for side in SIDES:
-            place = draw.uniform(5.0, 25.0)
-            while place < length_m - 10.0:
-                houses.append(_house(draw, side, place, draw.uniform(2.5, 7.0)))
-                place += draw.uniform(14.0, 35.0)
+            s_m = draw.uniform(5.0, 25.0)
+            while s_m < length_m - 10.0:
+                houses.append(_house(draw, side, s_m, draw.uniform(2.5, 7.0)))
+                s_m += draw.uniform(14.0, 35.0)
     else:
         houses = [
             _house(draw, draw.choice(SIDES), draw.uniform(0.2, 1.0) * (length_m - 10.0), draw.uniform(15.0, 45.0))
@@ -206,7 +206,7 @@ def _street_lamps(draw: Draw, style: Style, length_m: float) -> tuple[StreetLamp
     side, height, intensity = draw.choice(SIDES), draw.uniform(5.0, 8.0), draw.log_uniform(400.0, 1500.0)
     first, spacing = draw.uniform(5.0, 30.0), draw.uniform(28.0, 45.0)
     return tuple(
-        StreetLamp(side=side, s_m=round(first + place * spacing, 1), height_m=height, intensity_cd=intensity)
-        for place in range(int((length_m - 5.0 - first) // spacing) + 1)
+        StreetLamp(side=side, s_m=round(first + number * spacing, 1), height_m=height, intensity_cd=intensity)
+        for number in range(int((length_m - 5.0 - first) // spacing) + 1)
         if draw.chance(0.85)
     )

@@ -85,7 +85,7 @@ def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
 
 def without_traffic(scene: Scene) -> Scene:
     """`scene` with nobody in it whose lamps are lit; dark cars that are parked stay."""
-    return scene.model_copy(update={"vehicles": tuple(one for one in scene.vehicles if one.beam == "off")})
+    return scene.model_copy(update={"vehicles": tuple(vehicle for vehicle in scene.vehicles if vehicle.beam == "off")})
 
 
 def adapted(scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str) -> Scene:

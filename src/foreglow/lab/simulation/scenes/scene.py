@@ -30,9 +30,9 @@ EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
 
 def _check_growing(name: str, profile: tuple[tuple[float, float], ...]) -> None:
-    places = [place for place, _ in profile]
-    if any(later <= earlier for earlier, later in itertools.pairwise(places)):
-        raise ValueError(f"{name}: expected growing positions, got {places}")
+    positions = [position for position, _ in profile]
+    if any(later <= earlier for earlier, later in itertools.pairwise(positions)):
+        raise ValueError(f"{name}: expected growing positions, got {positions}")
 
 
 class Branch(SpecModel):
@@ -303,10 +303,10 @@ class Scene(SpecModel):
 
     @model_validator(mode="after")
     def _check(self) -> Scene:
-        for place, vehicle in enumerate(self.vehicles):
+        for index, vehicle in enumerate(self.vehicles):
             if vehicle.lane == "branch" and vehicle.branch >= len(self.road.branches):
                 num = len(self.road.branches)
-                raise ValueError(f"vehicles.{place}.branch: expected a side road below {num}, got {vehicle.branch}")
+                raise ValueError(f"vehicles.{index}.branch: expected a side road below {num}, got {vehicle.branch}")
         return self
 
     @property

@@ -42,17 +42,17 @@ class Eyes:
         self._own = own
         self._fixed = fixed
 
-    def at_vehicle(self, place: int) -> dict[str, float]:
+    def at_vehicle(self, index: int) -> dict[str, float]:
         """At the eye of the vehicle in `place`, by source: `ego`, `fixed`, and other vehicles' ids."""
-        actor = self._actors[place]
+        actor = self._actors[index]
         eye, forward = actor.eye_world_m, actor.state.pose.rotation[:, 0]
         sources = {"ego": self._own, "fixed": self._fixed}
         sources |= {
             str(other.vehicle_id): [lamp.placed for lamp in other.lamps]
             for number, other in enumerate(self._actors)
-            if number != place
+            if number != index
         }
-        return {name: self._lx(eye, forward, lamps, place) for name, lamps in sources.items()}
+        return {name: self._lx(eye, forward, lamps, index) for name, lamps in sources.items()}
 
     def at_ego(self, pose: Pose) -> dict[str, float]:
         """At our own driver's eye, by vehicle id."""
@@ -65,11 +65,11 @@ class Eyes:
     def _lx(self, eye_m: Floats, forward: Floats, lamps: Sequence[PlacedLamp], ignore_body: int | None) -> float:
         if not lamps:
             return 0.0
-        places = np.array([lamp.world_from_lamp.position_m for lamp in lamps])
-        distances = np.linalg.norm(places - eye_m, axis=1)
-        facing = np.clip((places - eye_m) @ forward / distances, 0.0, None)
+        positions = np.array([lamp.world_from_lamp.position_m for lamp in lamps])
+        distances = np.linalg.norm(positions - eye_m, axis=1)
+        facing = np.clip((positions - eye_m) @ forward / distances, 0.0, None)
         direct = np.array([self._sightings.illuminance_lx(lamp, eye_m) for lamp in lamps])
         direct *= facing * (distances < FARTHEST_M)
         if float(direct.sum()) < FAINTEST_LX:
             return 0.0
-        return float((direct * self._sightings.is_free(places, eye_m, ignore_body)).sum())
+        return float((direct * self._sightings.is_free(positions, eye_m, ignore_body)).sum())

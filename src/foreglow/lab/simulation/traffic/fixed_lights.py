@@ -31,11 +31,11 @@ class FixedLights:
 
     def __init__(self, lights: Sequence[FixedLight]) -> None:
         self._lights = tuple(light for light in lights if light.intensity_cd > 0)
-        self._places = np.array([light.pose.position_m for light in self._lights]).reshape(-1, 3)
+        self._positions_m = np.array([light.pose.position_m for light in self._lights]).reshape(-1, 3)
 
     def lamps_near(self, position_m: Floats) -> list[PlacedLamp]:
         """The street lamps that light what a camera at `position_m`, shape (3,), sees; windows light nothing."""
-        near = np.linalg.norm(self._places - position_m, axis=1) < REACH_M
+        near = np.linalg.norm(self._positions_m - position_m, axis=1) < REACH_M
         return [
             PlacedLamp(light.pose, street_lamp(), FIXED_LAYER, light.intensity_cd)
             for light, is_near in zip(self._lights, near, strict=True)
@@ -46,8 +46,8 @@ class FixedLights:
         """The faces of the lights as the camera sees them, a few points each."""
         positions, illuminances, radii = [], [], []
         camera_m = sightings.camera_m
-        for light, place in zip(self._lights, self._places, strict=True):
-            distance = float(np.linalg.norm(camera_m - place))
+        for light, position_m in zip(self._lights, self._positions_m, strict=True):
+            distance = float(np.linalg.norm(camera_m - position_m))
             if distance > FARTHEST_M:
                 continue
             towards = light.pose.to_body(camera_m)

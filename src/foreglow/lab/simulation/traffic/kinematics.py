@@ -63,7 +63,7 @@ class BodyMotion:
 
 def ego_state(ego: EgoSpec, road: Road, body: BodyMotion, time_s: float) -> VehicleState:
     """Our own vehicle at `time_s`, in the middle of the right lane."""
-    s, speed = (float(one) for one in interpolated(ego.timetable, time_s))
+    s, speed = (float(value) for value in interpolated(ego.timetable, time_s))
     steady = road.pose(s, -road.half_width_m / 2, 1, EGO_WHEELBASE_M)
     return VehicleState(steady @ body.at(time_s), s, speed, speed * float(road.curvature_per_m(s)))
 
@@ -72,7 +72,7 @@ def vehicle_state(
     vehicle: VehicleSpec, road: Road, branches: tuple[Road, ...], wheelbase_m: float, time_s: float
 ) -> VehicleState:
     """Another vehicle at `time_s`; `road` is the main road, `branches` its side roads."""
-    s, rate = (float(one) for one in interpolated(vehicle.timetable, time_s))
+    s, rate = (float(value) for value in interpolated(vehicle.timetable, time_s))
     own_road = branches[vehicle.branch] if vehicle.lane == "branch" else road
     direction = driving_direction(vehicle)
     lateral = _lateral_m(vehicle, own_road) if vehicle.lateral_m is None else vehicle.lateral_m

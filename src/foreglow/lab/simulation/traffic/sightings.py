@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.simulated import LampTruth
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.lab.simulation.camera.optics import LampPoints
 from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.lab.simulation.light.render import Renderer
 from foreglow.lab.simulation.traffic.actors import Actor, LitLamp
-from foreglow.lab.simulation.truth import LampTruth
 from foreglow.photometry import illuminance_lx
 
 DISC = np.array(
@@ -65,13 +65,13 @@ class Sightings:
             is_seen[is_seen] = self.is_free(points_world_m[is_seen], self.camera_m)
         return is_seen
 
-    def body_share(self, place: int, actor: Actor) -> float:
+    def body_share(self, index: int, actor: Actor) -> float:
         """Share of a vehicle's body that the camera sees."""
         points = actor.state.pose.to_outer(actor.body.box_centre_m + BODY_POINTS * actor.body.size_m)
         is_inside = self._is_in_image(points)
         if not is_inside.any():
             return 0.0
-        is_seen = self.is_free(points[is_inside], self.camera_m, place)
+        is_seen = self.is_free(points[is_inside], self.camera_m, index)
         return float(is_seen.sum() / len(points))
 
     def box_xyxy_px(self, actor: Actor) -> tuple[int, int, int, int] | None:
@@ -91,17 +91,17 @@ class Sightings:
 
     def lamp_points(self, actor: Actor, lamps: tuple[LampTruth, ...]) -> LampPoints:
         """The lamps of a vehicle that the camera sees, as points of light."""
-        seen = [place for place, lamp in enumerate(lamps) if lamp.visible_share > 0]
-        distances = [float(np.linalg.norm(lamps[place].position_world_m - self.camera_m)) for place in seen]
+        seen = [index for index, lamp in enumerate(lamps) if lamp.visible_share > 0]
+        distances = [float(np.linalg.norm(lamps[index].position_world_m - self.camera_m)) for index in seen]
         return LampPoints(
-            np.array([lamps[place].position_px for place in seen]).reshape(-1, 2),
+            np.array([lamps[index].position_px for index in seen]).reshape(-1, 2),
             np.array(
                 [
-                    lamps[place].visible_share * self.illuminance_lx(actor.lamps[place].placed, self.camera_m)
-                    for place in seen
+                    lamps[index].visible_share * self.illuminance_lx(actor.lamps[index].placed, self.camera_m)
+                    for index in seen
                 ]
             ),
-            np.array([self.radius_px(lamps[place].radius_m, d) for place, d in zip(seen, distances, strict=True)]),
+            np.array([self.radius_px(lamps[index].radius_m, d) for index, d in zip(seen, distances, strict=True)]),
         )
 
     def radius_px(self, radius_m: float, distance_m: float) -> float:

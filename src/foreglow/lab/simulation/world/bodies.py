@@ -1,19 +1,29 @@
-"""Vehicles' bodies: shapes with lamps, in the vehicle's frame (x forward, y left, z up, origin under the rear axle)."""
+"""Vehicles' bodies: shapes with lamps, in the vehicle's frame (x forward, y left, z up, origin under the rear axle).
+
+`bodies.toml` describes each kind of vehicle as a list of parts; here is how each shape of a part becomes triangles.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeAlias
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from foreglow.config import read_toml
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.primitives import box, loft, tubes
 
+SHIPPED = Path(__file__).with_name("bodies.toml")
+
 LampFunction: TypeAlias = Literal["low", "high", "rear"]
+
+Rows: TypeAlias = list[list[float]]
 
 NUM_CORNERS = 32
 """Points around a body's cross-section."""
@@ -85,11 +95,11 @@ def _sections(stations: Floats, roundness: float) -> Floats:
     return np.stack(np.broadcast_arrays(x, width * across, (low + high) / 2 + (high - low) / 2 * up), -1)
 
 
-def _shell(stations: list[tuple[float, float, float, float]], material: str, roundness: float = 5.0) -> Mesh:
+def _shell(stations: Rows, material: str, roundness: float) -> Mesh:
     return loft(_sections(np.array(stations), roundness), material_number(material))
 
 
-def _cabin(stations: list[tuple[float, float, float, float]], has_roof: bool) -> Mesh:
+def _cabin(stations: Rows, has_roof: bool) -> Mesh:
     """A greenhouse of glass whose sides lean in towards the roof; the roof and the rear pillars are painted."""
     table = np.array(stations)
     sections = _sections(table, 7.0)
@@ -104,7 +114,7 @@ def _cabin(stations: list[tuple[float, float, float, float]], has_roof: bool) ->
     is_rear = np.arange(len(table)) <= np.flatnonzero(is_top)[0]
     is_pillar = (np.abs(sections[..., 1]) > 0.75 * table[:, 1, None] * (1 - 0.2 * height)) & is_rear[:, None]
     is_painted = is_roof | is_pillar
-    # A cell is painted if its corners are, or it would have teeth.
+    # A cell is painted if all its corners are; otherwise the edge of the paint would be jagged.
     cells = is_painted[:-1] & is_painted[1:]
     cells &= np.roll(cells, -1, axis=1)
     materials = mesh.materials.copy()
@@ -112,256 +122,70 @@ def _cabin(stations: list[tuple[float, float, float, float]], has_roof: bool) ->
     return replace(mesh, materials=materials)
 
 
-def _wheels(axles_m: tuple[float, ...], half_track_m: float, radius_m: float, width_m: float) -> list[Mesh]:
+def _ball(centre_m: list[float], radii_m: list[float], material: str) -> Mesh:
+    """An ellipsoid, open by a hair at both ends of x."""
+    (x, _, z), (along, across, up) = centre_m, radii_m
+    turns = np.linspace(0.05, np.pi - 0.05, 9)
+    stations = [[x - along * np.cos(a), across * np.sin(a), z - up * np.sin(a), z + up * np.sin(a)] for a in turns]
+    return _shell(stations, material, 2.0)
+
+
+def _wheels(axles_m: list[float], half_track_m: float, radius_m: float, width_m: float) -> Mesh:
     """Tyres with dull hubs at both ends of every axle."""
     centres = np.array([[x, side * half_track_m, radius_m] for x in axles_m for side in (-1, 1)])
     half = np.array([0.0, width_m / 2, 0.0])
     bulge = np.array([0.0, 0.004, 0.0])
     tyre, hub = material_number("tyre"), material_number("metal_post")
-    lids = [
-        tubes(
-            centres + side * (half + level * bulge),
-            centres + side * (half + (level + 1) * bulge),
-            one,
-            0.02,
-            20,
-            number,
-        )
-        for side in (-1, 1)
-        for level, one, number in ((0, radius_m, tyre), (1, 0.6 * radius_m, hub))
+    parts = [tubes(centres - half, centres + half, radius_m, radius_m, 20, tyre)]
+    for side in (-1, 1):
+        for level, radius, number in ((0, radius_m, tyre), (1, 0.6 * radius_m, hub)):
+            inner, outer = (centres + side * (half + step * bulge) for step in (level, level + 1))
+            parts.append(tubes(inner, outer, radius, 0.02, 20, number))
+    return joined(parts)
+
+
+def _boxes(material: str, size_m: list[float], centres_m: Rows) -> Mesh:
+    return joined(box(centre, size_m, material_number(material)) for centre in centres_m)
+
+
+def _bars(material: str, radius_m: float, ends_m: list[Rows]) -> Mesh:
+    """Sticks that taper a little, from the first to the second of each pair of ends."""
+    points = np.array(ends_m, np.float64)
+    return tubes(points[:, 0], points[:, 1], radius_m, 0.85 * radius_m, 10, material_number(material))
+
+
+_SHAPES: dict[str, Callable[..., Mesh]] = {
+    "shell": _shell,
+    "cabin": _cabin,
+    "ball": _ball,
+    "wheels": _wheels,
+    "boxes": _boxes,
+    "bars": _bars,
+}
+
+
+def _mounts(function: LampFunction, is_pair: bool, position_m: list[float], radius_m: float) -> list[LampMount]:
+    """One lamp, or a left and a right one, just outside the body's shell."""
+    x, y, z = position_m
+    x += -LAMP_GAP_M if function == "rear" else LAMP_GAP_M
+    if not is_pair:
+        return [LampMount(function, function, (x, y, z), radius_m)]
+    return [
+        LampMount(f"{function}_{side}", function, (x, s * y, z), radius_m) for side, s in (("left", 1), ("right", -1))
     ]
-    return [tubes(centres - half, centres + half, radius_m, radius_m, 20, tyre), *lids]
-
-
-def _plate(x_m: float, z_m: float, width_m: float = 0.52, y_m: float = 0.0) -> Mesh:
-    """A number plate upright at x, with its retroreflective face on both sides."""
-    return box((x_m, y_m, z_m), (0.012, width_m, 0.11), material_number("plate"))
-
-
-def _patches(material: str, x_m: float, places_m: list[tuple[float, float]], size_m: tuple[float, float]) -> Mesh:
-    """Small upright plates across the vehicle at x, one at each (y, z)."""
-    number = material_number(material)
-    return joined(box((x_m, y, z), (0.012, *size_m), number) for y, z in places_m)
-
-
-def _pairs(name: str, function: LampFunction, x: float, y: float, z: float, radius: float) -> tuple[LampMount, ...]:
-    return tuple(
-        LampMount(f"{name}_{side}", function, (x, sign * y, z), radius) for side, sign in (("left", 1), ("right", -1))
-    )
 
 
 def _body(
-    kind: str, parts: list[Mesh], lamps: tuple[LampMount, ...], wheelbase_m: float, eye_m: tuple[float, float, float]
+    kind: str, wheelbase_m: float, eye_m: list[float], parts: list[dict[str, Any]], lamps: list[dict[str, Any]]
 ) -> Body:
-    mesh = joined(parts)
+    mesh = joined(_SHAPES[part["shape"]](**{name: part[name] for name in part if name != "shape"}) for part in parts)
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
     low[2] = 0.0
-    length, width, height = (float(one) for one in high - low)
-    x, y, z = (float(one) for one in (low + high) / 2)
-    return Body(kind, mesh, lamps, (length, width, height), (x, y, z), wheelbase_m, eye_m)
+    length, width, height = (high - low).tolist()
+    x, y, z = ((low + high) / 2).tolist()
+    mounts = tuple(mount for lamp in lamps for mount in _mounts(**lamp))
+    return Body(kind, mesh, mounts, (length, width, height), (x, y, z), wheelbase_m, (eye_m[0], eye_m[1], eye_m[2]))
 
 
-def _car() -> Body:
-    front, rear = 3.46, -0.90
-    shell = _shell(
-        [
-            (rear, 0.70, 0.42, 0.80),
-            (rear + 0.05, 0.80, 0.32, 0.94),
-            (rear + 0.20, 0.86, 0.25, 1.00),
-            (-0.40, 0.89, 0.20, 1.01),
-            (0.40, 0.90, 0.18, 0.97),
-            (1.60, 0.90, 0.18, 0.95),
-            (2.15, 0.90, 0.18, 0.95),
-            (2.60, 0.89, 0.20, 0.91),
-            (3.00, 0.87, 0.22, 0.84),
-            (front - 0.18, 0.82, 0.25, 0.76),
-            (front - 0.05, 0.76, 0.30, 0.70),
-            (front, 0.68, 0.36, 0.62),
-        ],
-        "paint_dark",
-    )
-    cabin = _cabin(
-        [
-            (-0.72, 0.74, 0.90, 1.00),
-            (-0.45, 0.78, 0.88, 1.24),
-            (-0.15, 0.80, 0.88, 1.40),
-            (0.30, 0.82, 0.88, 1.46),
-            (0.90, 0.83, 0.88, 1.48),
-            (1.30, 0.83, 0.88, 1.44),
-            (1.60, 0.82, 0.88, 1.33),
-            (1.95, 0.80, 0.88, 1.14),
-            (2.30, 0.76, 0.88, 0.95),
-        ],
-        has_roof=True,
-    )
-    parts = [
-        shell,
-        cabin,
-        *_wheels((0.0, 2.65), 0.78, 0.32, 0.21),
-        _plate(front + 0.006, 0.42),
-        _plate(rear - 0.006, 0.62),
-        _patches("rear_reflector", rear - 0.004, [(-0.60, 0.50), (0.60, 0.50)], (0.10, 0.035)),
-        _patches("lamp_glass", front - 0.01, [(-0.60, 0.65), (0.60, 0.65)], (0.28, 0.13)),
-        _patches("sign_black", front - 0.004, [(0.0, 0.56)], (0.80, 0.10)),
-    ]
-    lamps = (
-        *_pairs("low", "low", front + LAMP_GAP_M, 0.66, 0.65, 0.07),
-        *_pairs("high", "high", front + LAMP_GAP_M, 0.50, 0.65, 0.06),
-        *_pairs("rear", "rear", rear - LAMP_GAP_M, 0.66, 0.80, 0.06),
-    )
-    return _body("car", parts, lamps, 2.65, (1.15, 0.37, 1.17))
-
-
-def _van() -> Body:
-    front, rear = 4.15, -0.98
-    shell = _shell(
-        [
-            (rear, 0.90, 0.38, 2.25),
-            (rear + 0.06, 0.95, 0.30, 2.34),
-            (0.60, 0.98, 0.24, 2.38),
-            (2.10, 0.98, 0.24, 2.36),
-            (2.50, 0.98, 0.24, 2.22),
-            (2.90, 0.97, 0.24, 1.30),
-            (3.50, 0.95, 0.26, 1.14),
-            (front - 0.15, 0.88, 0.30, 0.98),
-            (front, 0.74, 0.40, 0.82),
-        ],
-        "paint_dark",
-        8.0,
-    )
-    screen = _cabin(
-        [(1.50, 0.93, 1.25, 2.20), (2.35, 0.95, 1.25, 2.20), (2.58, 0.93, 1.25, 2.05), (3.02, 0.88, 1.20, 1.32)],
-        has_roof=False,
-    )
-    parts = [
-        shell,
-        screen,
-        *_wheels((0.0, 3.25), 0.86, 0.34, 0.23),
-        _plate(front + 0.006, 0.50),
-        _plate(rear - 0.006, 0.75, y_m=0.3),
-        _patches("glass", rear - 0.004, [(-0.44, 1.60), (0.44, 1.60)], (0.70, 0.60)),
-        _patches("rear_reflector", rear - 0.004, [(-0.80, 0.50), (0.80, 0.50)], (0.10, 0.05)),
-        _patches("lamp_glass", front - 0.01, [(-0.64, 0.78), (0.64, 0.78)], (0.24, 0.20)),
-    ]
-    lamps = (
-        *_pairs("low", "low", front + LAMP_GAP_M, 0.70, 0.75, 0.08),
-        *_pairs("high", "high", front + LAMP_GAP_M, 0.56, 0.75, 0.06),
-        *_pairs("rear", "rear", rear - LAMP_GAP_M, 0.86, 1.00, 0.07),
-    )
-    return _body("van", parts, lamps, 3.25, (2.05, 0.45, 1.75))
-
-
-def _lorry() -> Body:
-    front, rear, load = 6.45, -2.10, 4.45
-    paint, dark = material_number("paint_dark"), material_number("sign_black")
-    cab = _shell(
-        [
-            (4.60, 1.22, 0.55, 2.95),
-            (4.70, 1.24, 0.50, 3.00),
-            (5.90, 1.24, 0.45, 2.98),
-            (6.20, 1.23, 0.42, 2.75),
-            (front - 0.08, 1.21, 0.40, 1.75),
-            (front, 1.15, 0.42, 1.45),
-        ],
-        "paint_dark",
-        9.0,
-    )
-    screen = _shell([(6.00, 1.10, 1.72, 2.70), (6.24, 1.10, 1.72, 2.64), (6.43, 1.06, 1.68, 1.76)], "glass", 9.0)
-    middle = (load + rear) / 2
-    length, tape = load - rear, 0.05
-    sides = [
-        box((middle, side * 1.256, z), (length - 0.2, 0.012, tape), material_number("contour_tape"))
-        for side in (-1, 1)
-        for z in (1.15,)
-    ]
-    outline = [((0.0, 3.58), (2.40, tape)), ((0.0, 1.12), (2.40, tape))]
-    outline += [((side * 1.2, 2.35), (tape, 2.40)) for side in (-1, 1)]
-    parts = [
-        cab,
-        screen,
-        box((middle, 0.0, 2.35), (length, 2.5, 2.6), paint),
-        box(((load + rear) / 2, 0.0, 0.85), (length, 0.9, 0.35), dark),
-        box((rear + 0.05, 0.0, 0.50), (0.1, 2.3, 0.14), material_number("metal_post")),
-        box((rear + 0.05, 0.0, 0.98), (0.1, 2.3, 0.14), dark),
-        *(box((rear + 0.08, y, 0.74), (0.08, 0.12, 0.50), dark) for y in (-0.6, 0.6)),
-        *(box((2.2, side * 1.15, 0.75), (2.6, 0.05, 0.5), dark) for side in (-1, 1)),
-        *_wheels((0.0, 5.0), 1.05, 0.50, 0.32),
-        *sides,
-        *(_patches("contour_tape", rear - 0.006, [place], size) for place, size in outline),
-        _plate(front + 0.006, 0.62),
-        _plate(rear - 0.006, 0.97),
-        _patches("rear_reflector", rear - 0.006, [(-1.05, 0.50), (1.05, 0.50)], (0.15, 0.10)),
-        _patches("lamp_glass", front - 0.005, [(-0.92, 0.88), (0.92, 0.88)], (0.36, 0.22)),
-    ]
-    lamps = (
-        *_pairs("low", "low", front + LAMP_GAP_M, 0.98, 0.90, 0.09),
-        *_pairs("high", "high", front + LAMP_GAP_M, 0.80, 0.90, 0.08),
-        *_pairs("rear", "rear", rear - LAMP_GAP_M, 0.98, 0.98, 0.07),
-    )
-    return _body("lorry", parts, lamps, 5.0, (5.75, 0.55, 2.35))
-
-
-def _motorcycle() -> Body:
-    def bars(
-        ends: list[tuple[tuple[float, float, float], tuple[float, float, float]]], radius: float, material: str
-    ) -> Mesh:
-        points = np.array(ends, np.float64)
-        return tubes(points[:, 0], points[:, 1], radius, 0.85 * radius, 10, material_number(material))
-
-    tank = _shell(
-        [
-            (-0.35, 0.08, 0.80, 0.90),
-            (0.00, 0.14, 0.66, 0.86),
-            (0.45, 0.18, 0.45, 0.90),
-            (0.75, 0.19, 0.40, 1.02),
-            (1.05, 0.16, 0.45, 1.04),
-            (1.30, 0.17, 0.62, 1.16),
-            (1.42, 0.12, 0.70, 1.05),
-        ],
-        "paint_dark",
-        3.0,
-    )
-    torso = _shell(
-        [(0.30, 0.16, 0.82, 1.10), (0.42, 0.21, 0.85, 1.38), (0.58, 0.23, 0.98, 1.48), (0.70, 0.17, 1.10, 1.42)],
-        "clothing",
-        2.5,
-    )
-    turns = np.linspace(0.05, np.pi - 0.05, 9)
-    helmet = _shell(
-        [(0.68 - 0.15 * np.cos(a), 0.12 * np.sin(a), 1.56 - 0.14 * np.sin(a), 1.56 + 0.14 * np.sin(a)) for a in turns],
-        "sign_black",
-        2.0,
-    )
-    legs = [((0.35, s * 0.14, 0.85), (0.78, s * 0.24, 0.72)) for s in (-1, 1)] + [
-        ((0.78, s * 0.24, 0.72), (0.40, s * 0.20, 0.30)) for s in (-1, 1)
-    ]
-    arms = [((0.58, s * 0.22, 1.36), (0.80, s * 0.33, 1.12)) for s in (-1, 1)] + [
-        ((0.80, s * 0.33, 1.12), (1.12, s * 0.36, 1.08)) for s in (-1, 1)
-    ]
-    fork = [((1.10, s * 0.10, 0.95), (1.45, s * 0.10, 0.31)) for s in (-1, 1)]
-    parts = [
-        tank,
-        torso,
-        helmet,
-        bars(legs, 0.075, "clothing"),
-        bars(arms, 0.055, "clothing"),
-        bars(
-            [*fork, ((0.45, 0.0, 0.45), (0.0, 0.10, 0.31)), ((1.10, -0.38, 1.08), (1.10, 0.38, 1.08))],
-            0.025,
-            "metal_post",
-        ),
-        *_wheels((0.0, 1.45), 0.0, 0.31, 0.14),
-        _plate(-0.36, 0.62, 0.20),
-        _patches("rear_reflector", -0.362, [(0.0, 0.74)], (0.08, 0.05)),
-        _patches("lamp_glass", 1.425, [(0.0, 0.88)], (0.18, 0.18)),
-    ]
-    lamps = (
-        LampMount("low", "low", (1.43 + LAMP_GAP_M, 0.0, 0.86), 0.07),
-        LampMount("high", "high", (1.43 + LAMP_GAP_M, 0.0, 0.94), 0.06),
-        LampMount("rear", "rear", (-0.37 - LAMP_GAP_M, 0.0, 0.84), 0.04),
-    )
-    return _body("motorcycle", parts, lamps, 1.45, (0.80, 0.0, 1.56))
-
-
-BODIES: dict[str, Body] = {body.kind: body for body in (_car(), _van(), _lorry(), _motorcycle())}
+BODIES: dict[str, Body] = {kind: _body(kind, **fields) for kind, fields in read_toml(SHIPPED).items()}
 """Every kind of vehicle by its name."""

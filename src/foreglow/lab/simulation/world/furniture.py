@@ -162,10 +162,10 @@ def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, materia
     points = terrain.road.points(s[:, None], t)
     points[..., 2] = heights
     lengths = np.cumsum(np.abs(np.diff(t, axis=1, prepend=t[:, :1])) + np.abs(np.diff(heights, axis=1, prepend=0)), 1)
-    places = np.stack([np.broadcast_to(s[:, None], t.shape), lengths], -1)
+    coordinates = np.stack([np.broadcast_to(s[:, None], t.shape), lengths], -1)
     last = t.shape[1]
     cuts = [(0, last)] if is_rock else [(first, first + 2) for first in range(last - 1)]
-    faces = [strip(points[:, a:b], number, coordinates_m=places[:, a:b]) for a, b in cuts]
+    faces = [strip(points[:, a:b], number, coordinates_m=coordinates[:, a:b]) for a, b in cuts]
     if is_rock:
         faces = [faceted(face) for face in faces]
     fan = np.array([[0, k, k + 1] for k in range(1, last - 1)])
@@ -175,19 +175,19 @@ def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, materia
 def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
     """White posts with a black band; a driver sees an upright reflector on the right and two small ones on the left."""
     road = terrain.road
-    places = np.arange(rng.uniform(0.1, 0.9) * spec.delineator_spacing_m, road.length_m, spec.delineator_spacing_m)
+    arc_lengths = np.arange(rng.uniform(0.1, 0.9) * spec.delineator_spacing_m, road.length_m, spec.delineator_spacing_m)
     meshes = []
     for name, side in SIDE_SIGNS.items():
-        out = np.full(len(places), DELINEATOR_OFFSET_M)
+        out = np.full(len(arc_lengths), DELINEATOR_OFFSET_M)
         for rail in (rail for rail in spec.rails if rail.side == name):
-            is_behind = (places >= rail.span_m[0]) & (places <= rail.span_m[1])
+            is_behind = (arc_lengths >= rail.span_m[0]) & (arc_lengths <= rail.span_m[1])
             out = np.where(is_behind, np.maximum(out, rail.offset_m + 0.35), out)
         for wall in (wall for wall in spec.walls if wall.side == name):
-            is_before = (places >= wall.span_m[0]) & (places <= wall.span_m[1])
+            is_before = (arc_lengths >= wall.span_m[0]) & (arc_lengths <= wall.span_m[1])
             out = np.where(is_before, np.minimum(out, max(wall.offset_m - 0.2, 0.2)), out)
         t = side * (road.half_width_m + out)
-        is_clear = terrain.is_clear(places, t, 0.1)
-        s, t = places[is_clear], t[is_clear]
+        is_clear = terrain.is_clear(arc_lengths, t, 0.1)
+        s, t = arc_lengths[is_clear], t[is_clear]
         if len(s):
             turns = yaw_rotations(road.heading_rad(s) + rng.normal(0, 0.05, len(s)), rng.normal(0, 0.015, len(s)))
             feet = terrain.points(s, t)

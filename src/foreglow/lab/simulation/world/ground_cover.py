@@ -103,8 +103,8 @@ def snow_score(patches: tuple[Noise, Noise], s: Floats, t: Floats, out: Floats) 
 def covered(mesh: Mesh, shape: tuple[int, int], cover: GroundCover) -> Mesh:
     """A grid of `shape` rows and columns with its covers; cells are cut smaller where two covers meet near the road."""
     rows, columns = shape
-    places = mesh.coordinates_m.astype(np.float64).reshape(rows, columns, 2)
-    middles = (places[:-1, :-1] + places[1:, 1:]) / 2
+    coordinates = mesh.coordinates_m.astype(np.float64).reshape(rows, columns, 2)
+    middles = (coordinates[:-1, :-1] + coordinates[1:, 1:]) / 2
     kinds = cover.materials(middles[..., 0], middles[..., 1])
     differs = np.zeros(kinds.shape, bool)
     for axis in (0, 1):
@@ -134,12 +134,12 @@ def _cut(mesh: Mesh, first: NDArray[np.uint32], second: NDArray[np.uint32], cove
     ]
     u, v = u.ravel() + aside[0] / NUM_PARTS, v.ravel() + aside[1] / NUM_PARTS
     weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], -1)
-    points, normals, places = (
+    points, normals, coordinates = (
         np.matmul(weights, array[corners].astype(np.float64))
         for array in (mesh.vertices_m, mesh.normals, mesh.coordinates_m)
     )
     faces = grid_faces(NUM_PARTS + 1, NUM_PARTS + 1)
-    centres = places[:, faces].mean(2)
+    centres = coordinates[:, faces].mean(2)
     kinds = cover.materials(centres[..., 0], centres[..., 1])
     starts = (np.arange(len(corners), dtype=np.uint32) * np.uint32(u.shape[-1]))[:, None, None]
     lengths = np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
@@ -148,5 +148,5 @@ def _cut(mesh: Mesh, first: NDArray[np.uint32], second: NDArray[np.uint32], cove
         (faces[None] + starts).reshape(-1, 3).astype(np.uint32),
         kinds.ravel(),
         (normals / lengths).reshape(-1, 3).astype(np.float32),
-        places.reshape(-1, 2).astype(np.float32),
+        coordinates.reshape(-1, 2).astype(np.float32),
     )

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Kind: TypeAlias = Literal["lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze"]
-"""What a light artifact is seen on; `lamp` is the lamp itself, `haze` the air."""
-
-KINDS: tuple[Kind, ...] = ("lamp", "rail", "road", "verge", "foliage", "wall", "sign", "vehicle", "haze")
+from foreglow.datasets.simulated import Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +79,7 @@ MATERIALS: tuple[Material, ...] = (
 of the order of published tables (EN 1436 for markings, EN 12899 for signs) and tuned on no image.
 """
 
-_PLACES = {material.name: place for place, material in enumerate(MATERIALS)}
+_NUMBERS = {material.name: number for number, material in enumerate(MATERIALS)}
 
 NO_MATERIAL = 255
 """Number of the sky in a material image."""
@@ -95,9 +91,9 @@ def material_number(name: str) -> int:
     Raises:
         ValueError: If there is none; the message lists those that exist.
     """
-    if name not in _PLACES:
-        raise ValueError(f"material: expected one of {', '.join(_PLACES)}, got {name!r}")
-    return _PLACES[name]
+    if name not in _NUMBERS:
+        raise ValueError(f"material: expected one of {', '.join(_NUMBERS)}, got {name!r}")
+    return _NUMBERS[name]
 
 
 def column(field: str) -> NDArray[np.float32]:

@@ -133,7 +133,9 @@ def _instances(
     shapes, yaws, leans = rng.integers(0, NUM_SHAPES, num), rng.uniform(0, 2 * np.pi, num), rng.normal(0, 0.03, num)
     away = np.abs(stand.t_m) - terrain.road.half_width_m
     away = away + FAR_FACTOR * np.maximum(stand.s_m - terrain.fine_m[1], 0.0)
-    levels = _levels(away, np.array([[len(one.faces) for one in row] for row in prototypes]), shapes, max_faces)
+    levels = _levels(
+        away, np.array([[len(prototype.faces) for prototype in row] for row in prototypes]), shapes, max_faces
+    )
     meshes = []
     for level, row in enumerate(prototypes):
         for shape, prototype in enumerate(row):
@@ -178,7 +180,7 @@ def _grass(verge: Verge, side: float, terrain: Terrain, rng: np.random.Generator
     chosen = np.sort(np.argsort(patches, kind="stable")[num_tufts:])
     s, t, lush = s[chosen], side * (terrain.road.half_width_m + out[chosen]), patches[chosen]
     is_clear = terrain.is_clear(s, t, 0.1)
-    s, t, lush = (np.repeat(one[is_clear], BLADES_PER_TUFT) for one in (s, t, lush))
+    s, t, lush = (np.repeat(values[is_clear], BLADES_PER_TUFT) for values in (s, t, lush))
     if not len(s):
         return []
     spread = 0.7 * verge.grass_height_m + 0.05

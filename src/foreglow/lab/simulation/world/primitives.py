@@ -57,7 +57,7 @@ def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Me
     normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.where(np.abs(normals[:, 2:]) > 0.7, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     up = along - normals * np.sum(along * normals, 1, keepdims=True)
-    coordinates = np.stack([np.sum(corners * one[:, None], -1) for one in (np.cross(up, normals), up)], -1)
+    coordinates = np.stack([np.sum(corners * axis[:, None], -1) for axis in (np.cross(up, normals), up)], -1)
     return surface(
         corners,
         np.arange(3 * len(faces)).reshape(-1, 3),
@@ -102,7 +102,7 @@ def tubes(
     )  # (N, sides, 3)
     num = len(starts_m)
     radii = [
-        np.broadcast_to(np.asarray(one, np.float64), (num,))[:, None, None] for one in (start_radii_m, end_radii_m)
+        np.broadcast_to(np.asarray(radii, np.float64), (num,))[:, None, None] for radii in (start_radii_m, end_radii_m)
     ]
     ends = [starts_m[:, None] + outwards * radii[0], ends_m[:, None] + outwards * radii[1]]
     around = angles * float(np.mean(radii[0])) if num else angles

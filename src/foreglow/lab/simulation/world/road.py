@@ -42,15 +42,15 @@ class Road:
         self.length_m = spec.length_m if length_m is None else length_m
         self.half_width_m = spec.lane_width_m
         self._start = start or Pose(np.zeros(3), np.eye(3))
-        places = np.arange(-100.0, self.length_m + 100.0 + STEP_M / 2, STEP_M)
-        curvatures = np.interp(places, *np.array(spec.curvature_per_m, np.float64).T)
-        curvatures *= np.clip(1.0 + np.minimum(places, self.length_m - places) / RUN_OUT_M, 0.0, 1.0)
+        arc_lengths = np.arange(-100.0, self.length_m + 100.0 + STEP_M / 2, STEP_M)
+        curvatures = np.interp(arc_lengths, *np.array(spec.curvature_per_m, np.float64).T)
+        curvatures *= np.clip(1.0 + np.minimum(arc_lengths, self.length_m - arc_lengths) / RUN_OUT_M, 0.0, 1.0)
         heading = _integral(curvatures, STEP_M)
-        zero = int(np.searchsorted(places, 0.0))
+        zero = int(np.searchsorted(arc_lengths, 0.0))
         heading -= heading[zero]
         x, y = _integral(np.cos(heading), STEP_M), _integral(np.sin(heading), STEP_M)
-        self._line = CubicSpline(places, np.stack([x - x[zero], y - y[zero], heading], -1))
-        self._curvatures = places, curvatures
+        self._line = CubicSpline(arc_lengths, np.stack([x - x[zero], y - y[zero], heading], -1))
+        self._curvatures = arc_lengths, curvatures
 
     def curvature_per_m(self, s_m: ArrayLike) -> Floats:
         """Signed curvature at arc lengths of any shape, positive to the left, 1/m."""
@@ -86,7 +86,7 @@ class Road:
 
     def points(self, s_m: ArrayLike, t_m: ArrayLike = 0.0, height_m: ArrayLike = 0.0) -> Floats:
         """Points in the world, shape (..., 3), at arc length s, t to the left, and `height_m` above the carriageway."""
-        s, t, height = np.broadcast_arrays(*(np.asarray(one, np.float64) for one in (s_m, t_m, height_m)))
+        s, t, height = np.broadcast_arrays(*(np.asarray(values, np.float64) for values in (s_m, t_m, height_m)))
         line = self._line(s)
         x, y = line[..., 0] - np.sin(line[..., 2]) * t, line[..., 1] + np.cos(line[..., 2]) * t
         flat = np.stack([x, y, np.zeros_like(x)], -1) @ self._start.rotation.T
@@ -132,8 +132,8 @@ class Road:
 
     @cached_property
     def _samples(self) -> tuple[Floats, cKDTree]:
-        places = np.arange(-100.0, self.length_m + 100.5)
-        return places, cKDTree(self.points(places)[:, :2])
+        arc_lengths = np.arange(-100.0, self.length_m + 100.5)
+        return arc_lengths, cKDTree(self.points(arc_lengths)[:, :2])
 
     @cached_property
     def _elevation(self) -> CubicSpline | PchipInterpolator:

@@ -138,10 +138,10 @@ class Terrain:
         t = np.concatenate(
             [-half - outs[1][:, ::-1], np.broadcast_to(lanes, (len(s), len(lanes))), half + outs[0]], axis=1
         )
-        places = np.broadcast_to(s[:, None], t.shape)
-        points = self.points(places, t)
+        arc_lengths = np.broadcast_to(s[:, None], t.shape)
+        points = self.points(arc_lengths, t)
         points[..., 2] -= self._sunk_m(points, np.abs(t) - half)
-        mesh = strip(points, 0, coordinates_m=np.stack([places, t], -1))
+        mesh = strip(points, 0, coordinates_m=np.stack([arc_lengths, t], -1))
         return covered(mesh, t.shape, self._cover)
 
     @cached_property

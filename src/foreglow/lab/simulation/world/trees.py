@@ -130,9 +130,9 @@ def _leaves(rng: np.random.Generator, centres: Floats, half_length_m: float, out
     for; flat normals would sparkle from frame to frame.
     """
     num = len(centres)
-    along, other = rng.normal(size=(2, num, 3))
+    along, random = rng.normal(size=(2, num, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.cross(along, other)
+    across = np.cross(along, random)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     size = half_length_m * rng.uniform(0.5, 1.4, (num, 1))
     corners = [

@@ -91,5 +91,5 @@ def build_world(scene: Scene) -> World:
 
 def _driven_m(scene: Scene) -> Span:
     """From where to where we drive."""
-    places, _ = interpolated(scene.ego.timetable, np.linspace(0.0, scene.duration_s, 50))
-    return float(places.min()), float(places.max())
+    arc_lengths, _ = interpolated(scene.ego.timetable, np.linspace(0.0, scene.duration_s, 50))
+    return float(arc_lengths.min()), float(arc_lengths.max())

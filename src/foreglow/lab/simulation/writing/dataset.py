@@ -2,11 +2,11 @@
 
 The split lies in `OUT/CYCLE/SPLIT`, such as `DATA/night/train`, as PVDN's own do: `foreglow run` and `evaluate` take
 that folder, or `DATA` while it is the only split in there; commands that learn take `DATA`. Beside `images` and
-`labels` the split's folder has `scenes.jsonl` and `simulation`; `truth_files` says what is in them.
+`labels` the split's folder has `scenes.jsonl` and `simulation`; `foreglow.datasets.simulated.files` lists the files.
 
-Each scene is driven in a folder of its own, which gets its name once it is whole: `simulation/S00001` is there or it
-is not. PVDN's label files are made of the truth of all scenes at the end. So a run that was interrupted goes on where
-it was, and neither that nor the number of processes changes a byte.
+Each scene is driven in a temporary folder, which gets its name when it is complete: `simulation/S00001` is there as a
+whole or not at all. PVDN's label files are made from the truth of all scenes at the end. So a run that was interrupted
+continues where it stopped, and neither that nor the number of processes changes a byte.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -23,34 +23,32 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel, validated
+from foreglow.datasets.images import png
 from foreglow.datasets.json_files import read_json
-from foreglow.datasets.pvdn_schema import Cycle, Name
-from foreglow.datasets.pvdn_writer import png
-from foreglow.files import write_atomic
-from foreglow.lab.simulation.labels.production import ProductionConfig
-from foreglow.lab.simulation.scenes.scene import Scene
-from foreglow.lab.simulation.truth import DriveFrame
-from foreglow.lab.simulation.world.road import Road
-from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth
-from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
-from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetDataError, StreetMap
-from foreglow.lab.simulation.writing.truth_files import (
+from foreglow.datasets.pvdn.schema import Cycle, Name
+from foreglow.datasets.simulated.files import (
     MAX_FRAMES,
     InfoFile,
-    Making,
-    SceneFile,
-    SceneWriter,
+    TruthWriter,
     finished_sequences,
+    has_truth,
     sequence_folder,
     sequence_name,
     write_info,
-    write_scenes,
 )
-from foreglow.lab.simulation.writing.truth_records import FrameTruth
+from foreglow.files import write_atomic
+from foreglow.lab.simulation.drive_frame import DriveFrame
+from foreglow.lab.simulation.labels.production import ProductionConfig
+from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth
+from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
+from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, road_file, write_scenes
+from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetDataError, StreetMap
 from foreglow.parallel import Local, Parent, Workers
 
 SIMULATOR_VERSION = 1
-"""To be raised whenever the same scene gives other bytes: finished scenes of another version are not mixed in."""
+"""Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
 
 GENERATOR = f"foreglow {version('foreglow')}, simulator {SIMULATOR_VERSION}"
 
@@ -58,7 +56,7 @@ LIDAR_STREAM = 902
 """Random stream of a scene's scanner, `np.random.default_rng([scene.seed, LIDAR_STREAM])`."""
 
 MAX_JITTER_NS = 1_000_000
-"""A frame's time may be this far from its place over the frame rate, which is the time that readers will see."""
+"""Largest difference of a frame's time from its number over the frame rate, which is the time that readers will see."""
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
 """Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
@@ -68,13 +66,13 @@ Progress: TypeAlias = Callable[[int, int, int], None]
 
 
 class DatasetConfig(FrozenModel):
-    """What is made of the scenes.
+    """How scenes become a data set.
 
     Attributes:
         cycle: Exposure of every image; it becomes that of the scenes' sensors.
         split: Name of the split.
-        seed: That the scenes were drawn with, for the record.
-        generator: Name and version of what drives; part of it must change when the same scene gives other bytes.
+        seed: The seed with which the scenes were drawn, for the record.
+        generator: Name and version of the simulator; part of it must change when the same scene gives other bytes.
         lidar: The scanner of the depth images.
         street: How wrong the street messages are.
         production: Parameters of the modelled production system, for the record.
@@ -113,12 +111,12 @@ def _cycle(name: str) -> Cycle:
 
 @dataclass(frozen=True, slots=True)
 class DatasetSummary:
-    """What came of it.
+    """What a data set contains.
 
     Attributes:
         root: The split's folder.
-        num_kept: How many of its sequences were there before.
-        labels: What is labelled.
+        num_kept: Sequences that an earlier run had finished.
+        labels: Numbers of images and labels.
     """
 
     root: Path
@@ -141,11 +139,11 @@ def simulate_dataset(
 
     Args:
         out: Folder of the data set; made if need be.
-        scenes: At least one; all with the same frame rate and label rule.
-        drive: Drives a scene and yields what it knows of each frame; called once a scene, in any order.
+        scenes: At least one scene; all with the same frame rate and label rule.
+        drive: Drives a scene and yields its frames; called once for each scene, in any order.
         config: Cycle, split and the rest.
-        workers: Who drives, each with a renderer of its own; None drives in this process.
-        progress: Told of every frame, from this process.
+        workers: The processes that drive, each with a renderer of its own; None drives in this process.
+        progress: Called after every frame, in this process.
 
     Raises:
         ValueError: If the scenes do not fit together, the folder holds something else or scenes that were made
@@ -166,9 +164,9 @@ def simulate_dataset(
     for file in files:
         if file.sequence in kept:
             report(file.sequence, file.scene.num_frames, file.scene.num_frames)
-    wanted = {sequence_name(file.sequence): file for file in files if file.sequence not in kept}
+    missing = {sequence_name(file.sequence): file for file in files if file.sequence not in kept}
     work = functools.partial(_make_scene, root, drive)
-    for _ in (workers or Local()).each(work, wanted, report, paths=(root,)):
+    for _ in (workers or Local()).each(work, missing, report, paths=(root,)):
         pass
     for leftover in root.rglob(".*.tmp"):  # of a run that was killed
         leftover.unlink(missing_ok=True)
@@ -176,7 +174,7 @@ def simulate_dataset(
 
 
 def _no_progress(sequence: int, num_done: int, num_frames: int) -> None:
-    """Shows nothing."""
+    """A progress callback that shows nothing."""
 
 
 def _scene_files(scenes: Sequence[Scene], config: DatasetConfig) -> list[SceneFile]:
@@ -206,7 +204,7 @@ def _exposed(scene: Scene, cycle: Cycle) -> Scene:
 
 def _info(files: list[SceneFile], config: DatasetConfig) -> InfoFile:
     return InfoFile(
-        made_with=files[0].made_with,
+        made_with=files[0].made_with.model_dump(mode="json"),
         seed=config.seed,
         cycle=config.cycle.value,
         split=config.split,
@@ -217,8 +215,8 @@ def _info(files: list[SceneFile], config: DatasetConfig) -> InfoFile:
 
 
 def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
-    """Numbers of the scenes that are finished; checks that the folder may be written to at all."""
-    if not (root / "simulation" / "info.json").exists():
+    """Numbers of the finished scenes; checks that the folder may be written to at all."""
+    if not has_truth(root):
         for name in ("images", "labels"):
             if any(found.is_file() for found in (root / name).rglob("*")):
                 raise ValueError(f"{root}: expected a new folder or a simulated split, this is another data set")
@@ -233,7 +231,7 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
             raise ValueError(
                 f"{folder / 'scene.json'}: {field}; choose another folder, or remove {folder} to make it anew"
             )
-    return frozenset(one for one in finished if (root / "images" / sequence_name(one)).is_dir())
+    return frozenset(number for number in finished if (root / "images" / sequence_name(number)).is_dir())
 
 
 def _difference(wanted: Any, there: Any, field: str = "") -> str | None:
@@ -274,33 +272,34 @@ def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent
     scene, name = file.scene, sequence_name(file.sequence)
     street = StreetMap(Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM]))
     lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
-    writer = SceneWriter(folder, file)
+    writer = TruthWriter(folder)
     start_ns, num_done = 0, 0
     for known in drive(scene):
         if num_done == 0:
-            start_ns = known.frame.timestamp_ns
+            start_ns = known.timestamp_ns
         _check_frame(known, num_done, scene, start_ns, name)
         image_id = file.sequence * MAX_FRAMES + num_done
         write_atomic(folder / "images" / f"{image_id:06d}.png", png(known.frame.image))
         depth = lidar_depth(known.depth_m, known.camera, lidar_rng, file.made_with.lidar)
-        writer.add(FrameTruth.of(image_id, known, street.message(known.ego_s_m)), known.camera, depth)
+        numbered = replace(known, image_id=image_id, street=street.message(known.ego_s_m))
+        writer.add(numbered, known.camera, depth)
         num_done += 1
         parent.tell(file.sequence, num_done, scene.num_frames)
         if parent.is_stopped:
             raise KeyboardInterrupt
     if num_done != scene.num_frames:
         raise ValueError(f"{name}: drive: expected {scene.num_frames} frames, got {num_done}")
-    writer.close()
+    writer.close(file.model_dump_json(indent=1), road_file(scene))
 
 
-def _check_frame(known: DriveFrame, place: int, scene: Scene, start_ns: int, name: str) -> None:
-    """What would make the files contradict each other."""
-    where = f"{name}: drive: frame {place}"
-    if place >= scene.num_frames:
+def _check_frame(known: DriveFrame, number: int, scene: Scene, start_ns: int, name: str) -> None:
+    """Refuses a frame that would make the files contradict each other."""
+    where = f"{name}: drive: frame {number}"
+    if number >= scene.num_frames:
         raise ValueError(f"{where}: expected {scene.num_frames} frames, got more")
-    expected_ns = start_ns + round(place * 1e9 / scene.rate_hz)
-    if abs(known.frame.timestamp_ns - expected_ns) > MAX_JITTER_NS:
-        raise ValueError(f"{where}: timestamp_ns: expected about {expected_ns}, got {known.frame.timestamp_ns}")
+    expected_ns = start_ns + round(number * 1e9 / scene.rate_hz)
+    if abs(known.timestamp_ns - expected_ns) > MAX_JITTER_NS:
+        raise ValueError(f"{where}: timestamp_ns: expected about {expected_ns}, got {known.timestamp_ns}")
     size_px, image_px = (known.camera.width_px, known.camera.height_px), (known.frame.width_px, known.frame.height_px)
     if image_px != size_px:
         raise ValueError(f"{where}: image: expected the camera's {size_px} px, got {image_px} px")

@@ -1,21 +1,16 @@
-"""A sparse, noisy depth image such as a LiDAR beside the camera gives, from the exact one.
-
-Stored as in KITTI: 16 bits, metres times 256, 0 where nothing came back. Unlike in KITTI, the number is the distance
-along the viewing ray, not along the camera's axis.
-"""
+"""A sparse, noisy depth image such as a LiDAR beside the camera gives, from the exact one."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from foreglow.config import FrozenModel
-from foreglow.geometry import Camera, Floats
-
-DEPTH_STEPS_PER_M = 256.0
+from foreglow.datasets.simulated.files import encoded_depth
+from foreglow.geometry import Camera
 
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
@@ -49,9 +44,9 @@ class LidarConfig(FrozenModel):
 def lidar_depth(
     depth_m: NDArray[np.floating], camera: Camera, rng: np.random.Generator, config: LidarConfig | None = None
 ) -> NDArray[np.uint16]:
-    """What the scanner sees of an exact depth image, shape (height, width), uint16, metres x 256; 0 is nothing.
+    """What the scanner sees of an exact depth image, shape (height, width), uint16, as `encoded_depth` stores it.
 
-    A shot has the depth of the pixel that it falls into; where several fall into one, the nearest stays.
+    A shot has the depth of the pixel that it falls into; of several in one pixel the nearest counts.
 
     Args:
         depth_m: Shape (height, width) as the camera has it, distance along each pixel's ray; NaN where there is none.
@@ -99,18 +94,3 @@ def scan_pixels(camera: Camera, config: LidarConfig) -> NDArray[np.intp]:
     pixels = np.floor(camera.project(shots)).astype(np.intp)
     is_inside = ((pixels >= 0) & (pixels < [camera.width_px, camera.height_px])).all(-1)
     return np.asarray(pixels[is_inside])
-
-
-def encoded_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
-    """Metres as they are stored: times 256, uint16; not finite is 0.
-
-    >>> encoded_depth([1.0, np.nan, 255.999]).tolist()
-    [256, 0, 65535]
-    """
-    steps = np.rint(np.asarray(depth_m, np.float64) * DEPTH_STEPS_PER_M)
-    return np.where(np.isfinite(steps), np.clip(steps, 0, 65535), 0).astype(np.uint16)
-
-
-def decoded_depth_m(stored: NDArray[np.uint16]) -> Floats:
-    """Metres from what is stored; NaN where there is nothing."""
-    return np.where(stored > 0, stored / DEPTH_STEPS_PER_M, np.nan)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.datasets.json_files import write_json
-from foreglow.datasets.pvdn_schema import (
+from foreglow.datasets.pvdn.schema import (
     DriverBehaviour,
     EnvironmentLighting,
     ImageAnnotation,
@@ -26,13 +26,13 @@ from foreglow.datasets.pvdn_schema import (
     View,
     Weather,
 )
-from foreglow.datasets.pvdn_writer import CAMERA_CONFIGURATIONS, CATEGORIES, image_record, write_label_files
+from foreglow.datasets.pvdn.writer import CAMERA_CONFIGURATIONS, CATEGORIES, image_record, write_label_files
+from foreglow.datasets.simulated import Artifact, FrameTruth, SequenceTruth, VehicleTruth, read_truth
+from foreglow.datasets.simulated.files import InfoFile
 from foreglow.geometry import Camera
 from foreglow.lab.simulation.scenes.scene import Scene
-from foreglow.lab.simulation.truth import Artifact, VehicleTruth
 from foreglow.lab.simulation.world.road import Road, interpolated
-from foreglow.lab.simulation.writing.truth_files import InfoFile, SequenceTruth, read_truth
-from foreglow.lab.simulation.writing.truth_records import FrameTruth
+from foreglow.lab.simulation.writing.scene_files import scene_of
 
 BEND_PER_M = 1e-3
 """A road bends where its radius is below 1 km."""
@@ -104,7 +104,7 @@ def write_labels(root: Path, info: InfoFile) -> LabelCounts:
     images_file = ImageAnnotationsFile(
         info={
             "description": "Simulated night drives in the layout of PVDN; see simulation/info.json",
-            "version": info.made_with.generator,
+            "version": info.made_with["generator"],
             "seed": info.seed,
             "rate_hz": info.rate_hz,
             "label_rule": info.label_rule,
@@ -152,9 +152,9 @@ def keypoints_of(frame: FrameTruth, camera: Camera) -> KeypointsFile:
 
 def sequence_of(truth: SequenceTruth) -> Sequence:
     """The entry of `sequences.json`; the attributes are what the scene's specification suggests."""
-    scene = truth.scene
-    places_m = _driven_m(scene)
-    style, is_dome = street_style(truth.road, places_m), is_crest(truth.road, places_m)
+    scene = scene_of(truth)
+    road, driven_m = Road(scene.road), _driven_m(scene)
+    style, is_dome = street_style(road, driven_m), is_crest(road, driven_m)
     is_short = is_dome or style is not StreetStyle.STRAIGHT_STREET
     return Sequence.plain(
         truth.sequence_id,

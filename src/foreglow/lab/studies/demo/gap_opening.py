@@ -41,5 +41,5 @@ def gap_opened_s(dataset: PVDN, story: Story, gaps_rad: Mapping[int, Floats]) ->
         if not its:
             break
         right, left = min(gap[0] for gap in its), max(gap[1] for gap in its)
-        opened_s = dataset.labels.place_of[image_id] / dataset.rate_hz
+        opened_s = dataset.time_s(image_id)
     return opened_s

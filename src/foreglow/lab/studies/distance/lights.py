@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foreglow.datasets.simulated import Artifact, SequenceTruth, VehicleTruth
 from foreglow.geometry import Camera, Pose, rotation
 from foreglow.lab.evaluation.boxes.matching import smallest_box
-from foreglow.lab.simulation.truth import Artifact, VehicleTruth
-from foreglow.lab.simulation.writing.truth_files import SequenceTruth
 from foreglow.types import Boxes, Frame
 
 NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
@@ -79,7 +78,7 @@ def ranged_lights(
                     kind=artifact.kind,
                     truth_m=artifact.depth_m,
                     vehicle_range_m=vehicle.range_m,
-                    scenario=truth.scene.name,
+                    scenario=truth.scenario,
                     error_class=known.street.error_class,
                     place=place,
                     box_xyxy_px=tuple(boxes_xyxy_px[place].tolist()),

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import PVDN, SplitName, split_in
+from foreglow.datasets.simulated import read_truth
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
 from foreglow.geometry import Floats
-from foreglow.lab.simulation import read_truth
 from foreglow.lab.studies.distance.lights import RangedLight, ranged_lights, tilted
 from foreglow.pipeline import Pipeline
 from foreglow.tracking import make_tracker

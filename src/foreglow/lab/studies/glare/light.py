@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats, Pose, rotation
+from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import EgoSpec, Scene
-from foreglow.lab.simulation.truth import DriveFrame, VehicleTruth
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.occurrence.run import is_coming
 from foreglow.photometry import Headlamp, Headlamps, read_headlamps

@@ -14,8 +14,9 @@ from foreglow.beam import Gap, GapWriter, PaperPolicy
 from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
+from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats
-from foreglow.lab.simulation import Drive, DriveFrame, Scene, VehicleTruth, with_beam
+from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam
 from foreglow.lab.simulation.labels.production import ProductionSystem
 from foreglow.lab.studies.occurrence.run import is_coming
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps

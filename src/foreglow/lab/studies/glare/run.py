@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
+from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_text, write_atomic, write_json_results
 from foreglow.lab.simulation import Scene, without_traffic
 from foreglow.lab.simulation.writing.dataset import Progress
-from foreglow.lab.simulation.writing.truth_files import read_scenes, sequence_name
+from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.glare.drive import GlareDrive
 from foreglow.lab.studies.glare.drive_file import read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.driving import Drives, settings_of

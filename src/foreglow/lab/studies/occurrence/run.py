@@ -13,9 +13,8 @@ from foreglow.beam import Occurrence
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN
+from foreglow.datasets.simulated import FrameTruth, VehicleTruth, read_truth
 from foreglow.geometry import Pose
-from foreglow.lab.simulation import DriveFrame, VehicleTruth, read_truth
-from foreglow.lab.simulation.writing.truth_records import FrameTruth
 from foreglow.lab.studies.occurrence.metrics import Sighting
 from foreglow.photometry import read_headlamps
 from foreglow.pipeline import Pipeline
@@ -44,10 +43,9 @@ class Moment(NamedTuple):
     vehicles: tuple[VehicleTruth, ...]
 
     @classmethod
-    def of(cls, known: DriveFrame | FrameTruth) -> Moment:
+    def of(cls, known: FrameTruth) -> Moment:
         """That of a frame as it is driven, or as it was written down."""
-        timestamp_ns = known.timestamp_ns if isinstance(known, FrameTruth) else known.frame.timestamp_ns
-        return cls(timestamp_ns / 1e9, known.ego_pose, known.vehicles)
+        return cls(known.timestamp_ns / 1e9, known.ego_pose, known.vehicles)
 
 
 class Expectations:
@@ -143,5 +141,5 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
     for sequence in truth:
         if sequence.directory in expected:
             moments = [Moment.of(one) for one in sequence.frames]
-            found += expected[sequence.directory].sightings(moments, sequence.scene.rate_hz)
+            found += expected[sequence.directory].sightings(moments, truth.info.rate_hz)
     return tuple(found)

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from foreglow.datasets.simulated import Artifact
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.simulation.labels.artifacts import apply_rule, scaled_rule
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.simulation.truth import Artifact
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Factors on both thresholds; candidates allow for 1 / `CANDIDATE_FACTOR` and more."""

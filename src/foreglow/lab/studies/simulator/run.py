@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import PVDN, read_image, to_grey
+from foreglow.datasets.simulated import SequenceTruth, read_truth
 from foreglow.lab.evaluation.label_statistics import (
     Comparison,
     LabelStatistics,
@@ -21,7 +22,7 @@ from foreglow.lab.evaluation.label_statistics import (
 )
 from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
 from foreglow.lab.simulation.labels.categories import is_oncoming
-from foreglow.lab.simulation.writing.truth_files import SequenceTruth, read_truth
+from foreglow.lab.simulation.writing.scene_files import scene_of
 from foreglow.lab.studies.simulator.image_statistics import ImageStatistics, PixelComparison, image_statistics
 from foreglow.lab.studies.simulator.image_statistics import compare as compare_images
 from foreglow.lab.studies.simulator.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
@@ -85,7 +86,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
     own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
     own_pixels = image_statistics(_images_with_lamp(dataset, truth))
     drives = [peaks_of_drive(drive) for drive in truth]
-    rule = next(iter(truth)).scene.labels
+    rule = scene_of(next(iter(truth))).labels
     scale = next(iter(truth)).camera.width_px / REFERENCE_WIDTH_PX
     label_rows = None if real_labels is None else compare_labels(_real_statistics(real_labels), own_labels)
     pixel_rows = None
@@ -108,7 +109,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
 
 def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
     """What the images of a drive offer to another rule: candidates of oncoming vehicles."""
-    oncoming = {number for number, vehicle in enumerate(drive.scene.vehicles) if is_oncoming(vehicle)}
+    oncoming = {number for number, vehicle in enumerate(scene_of(drive).vehicles) if is_oncoming(vehicle)}
     frames = []
     for frame in drive.frames:
         vehicles = [vehicle for vehicle in frame.vehicles if vehicle.vehicle_id in oncoming]

@@ -1,4 +1,4 @@
-"""The label files of one PVDN split, read and checked against each other once."""
+"""The label files of a PVDN split, read and checked against each other once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from foreglow.datasets.json_files import read_json
-from foreglow.datasets.pvdn_schema import ImageAnnotationsFile, ImageCategory, ImageRecord, Sequence, SequencesFile
+from foreglow.datasets.pvdn.schema import ImageAnnotationsFile, ImageCategory, ImageRecord, Sequence, SequencesFile
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,7 +19,7 @@ class PVDNLabels:
         images_file: The second file as it is.
         images: Image by its id, in the file's order.
         sequence_of: The sequence of each image, by the image's id.
-        place_of: Place of each image in its sequence, from 0, by the image's id.
+        number_of: Number of each image in its sequence, from 0, by the image's id.
         categories: Categories of each annotated image, by the image's id, in the file's order.
     """
 
@@ -27,18 +27,18 @@ class PVDNLabels:
     images_file: ImageAnnotationsFile
     images: dict[int, ImageRecord]
     sequence_of: dict[int, Sequence]
-    place_of: dict[int, int]
+    number_of: dict[int, int]
     categories: dict[int, tuple[ImageCategory, ...]]
 
 
 def read_labels(split: Path) -> PVDNLabels:
-    """The labels of the split folder `split`; the keypoints of each image are left for later.
+    """The labels of the split folder `split`, without the keypoints of each image.
 
     Raises:
         FileNotFoundError: If one of the two files is missing.
-        ValueError: If a file is broken, or they contradict each other or the keypoint files: an id that is twice
-            there, an image without sequence or sequence without image, a keypoint file without its image, a
-            reference to nothing.
+        ValueError: If a file is broken, or they contradict each other or the keypoint files: an id that occurs twice,
+            an image without sequence or sequence without image, a keypoint file without its image, a reference to
+            nothing.
     """
     folder = split / "labels"
     sequences_path, images_path = folder / "sequences.json", folder / "image_annotations.json"
@@ -46,12 +46,12 @@ def read_labels(split: Path) -> PVDNLabels:
     images_file = read_json(images_path, ImageAnnotationsFile)
 
     images: dict[int, ImageRecord] = {}
-    for place, image in enumerate(images_file.images):
+    for index, image in enumerate(images_file.images):
         if image.id in images:
-            raise ValueError(f"{images_path}: images.{place}.id: expected each image once, {image.id} is there twice")
+            raise ValueError(f"{images_path}: images.{index}.id: expected each image once, {image.id} is there twice")
         if image.camera_configuration >= len(images_file.camera_configurations):
             raise ValueError(
-                f"{images_path}: images.{place}.camera_configuration: expected a place in a list of "
+                f"{images_path}: images.{index}.camera_configuration: expected an index in a list of "
                 f"{len(images_file.camera_configurations)}, got {image.camera_configuration}"
             )
         images[image.id] = image
@@ -62,44 +62,44 @@ def read_labels(split: Path) -> PVDNLabels:
             raise ValueError(f"{sequences_path}: image_ids: expected image {image_id} of {images_path} in a sequence")
 
     categories: dict[int, tuple[ImageCategory, ...]] = {}
-    for place, annotation in enumerate(images_file.annotations):
+    for index, annotation in enumerate(images_file.annotations):
         if annotation.image_id not in images:
             raise ValueError(
-                f"{images_path}: annotations.{place}.image_id: expected an id of images, got {annotation.image_id}"
+                f"{images_path}: annotations.{index}.image_id: expected an id of images, got {annotation.image_id}"
             )
         categories[annotation.image_id] = (*categories.get(annotation.image_id, ()), annotation.category)
 
     _check_keypoint_files(folder / "keypoints", images)
-    place_of = {
-        image_id: place
+    number_of = {
+        image_id: number
         for sequence in sequences_file.sequences
-        for place, image_id in enumerate(sorted(sequence.image_ids))
+        for number, image_id in enumerate(sorted(sequence.image_ids))
     }
-    return PVDNLabels(sequences_file, images_file, images, sequence_of, place_of, categories)
+    return PVDNLabels(sequences_file, images_file, images, sequence_of, number_of, categories)
 
 
 def _sequence_of(sequences: Iterable[Sequence], images: dict[int, ImageRecord], path: Path) -> dict[int, Sequence]:
-    """The sequence of each image; checks that both are one to one."""
+    """The sequence of each image; checks that each image has one sequence, and each sequence its own id and folder."""
     sequence_of: dict[int, Sequence] = {}
     ids: set[int] = set()
     directories: set[str] = set()
-    for place, sequence in enumerate(sequences):
+    for index, sequence in enumerate(sequences):
+        where = f"{path}: sequences.{index}"
         if sequence.id in ids:
-            raise ValueError(f"{path}: sequences.{place}.id: expected each sequence once, {sequence.id} is there twice")
+            raise ValueError(f"{where}.id: expected each sequence once, {sequence.id} is there twice")
         if sequence.directory in directories:
-            raise ValueError(
-                f"{path}: sequences.{place}.dir: expected each folder once, {sequence.directory} is there twice"
-            )
+            raise ValueError(f"{where}.dir: expected each folder once, {sequence.directory} is there twice")
         ids.add(sequence.id)
         directories.add(sequence.directory)
         for image_id in sequence.image_ids:
-            field = f"{path}: sequences.{place}.image_ids"
             if image_id not in images:
-                raise ValueError(f"{field}: expected images of image_annotations.json, {image_id} is not there")
+                raise ValueError(
+                    f"{where}.image_ids: expected images of image_annotations.json, {image_id} is not there"
+                )
             if image_id in sequence_of:
                 other = sequence_of[image_id].directory
                 raise ValueError(
-                    f"{field}: expected each image in one sequence once, {image_id} is in {other} and "
+                    f"{where}.image_ids: expected each image in one sequence once, {image_id} is in {other} and "
                     f"{sequence.directory}"
                 )
             sequence_of[image_id] = sequence

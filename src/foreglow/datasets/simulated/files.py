@@ -1,50 +1,44 @@
-"""What a simulated data set knows beside its images: written while a scene is driven, read by every evaluation.
+"""The truth of a simulated data set, in files beside its images: written while it is driven, read by every evaluation.
 
 Beside PVDN's `images` and `labels`, a simulated split has
 
-    scenes.jsonl                      every scene's specification, a line each
-    simulation/info.json              who made it, how, and what the numbers mean
-    simulation/S00001/scene.json      the scene of this sequence, and what it was made with
+    scenes.jsonl                      specification of every scene, one a line; the simulator reads it
+    simulation/info.json              how the data set was made, and what the numbers mean
+    simulation/S00001/scene.json      specification of this sequence's scene, and what it was made with
     simulation/S00001/camera.toml     calibration, as `foreglow.calibration` reads it
     simulation/S00001/road.json       the main road's centre line each metre, in the world
     simulation/S00001/frames.jsonl    a `FrameTruth` a line
     simulation/S00001/depth/000000.png  LiDAR-like depth of the first image; the number is the frame's in the drive
 
     truth = read_truth("DATA/night/train")
-    for sequence in truth:
-        for frame in sequence.frames:
-            points_vehicle = sequence.road_ahead(frame.image_id)
+    for drive in truth:
+        for frame in drive.frames:
+            ranges_m = [vehicle.range_m for vehicle in frame.vehicles]
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from foreglow.calibration import calibration_to_toml, read_calibration
 from foreglow.config import FrozenModel
-from foreglow.datasets.images import read_image
-from foreglow.datasets.json_files import parse_json, read_json
-from foreglow.datasets.pvdn_schema import Id
-from foreglow.datasets.pvdn_writer import png
+from foreglow.datasets.images import png, read_image
+from foreglow.datasets.json_files import Record, read_json, read_json_lines
+from foreglow.datasets.simulated.truth import FrameTruth
 from foreglow.files import write_atomic
 from foreglow.geometry import Camera, Floats
-from foreglow.lab.simulation.scenes.scene import Scene
-from foreglow.lab.simulation.world.road import Road
-from foreglow.lab.simulation.writing.lidar import LidarConfig, decoded_depth_m
-from foreglow.lab.simulation.writing.street_data import StreetDataError, road_ahead
-from foreglow.lab.simulation.writing.truth_records import FrameRecord, FrameTruth
 
 MAX_FRAMES = 10_000
-"""Images of a sequence; image ids are the sequence's number times this, plus the frame's number in the drive."""
+"""Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""
+
+DEPTH_STEPS_PER_M = 256.0
 
 CONVENTIONS = {
     "world": "x east, y north, z up, metres",
@@ -66,34 +60,12 @@ CONVENTIONS = {
 """What the numbers in the files mean, for readers in other languages; goes into `info.json`."""
 
 
-class Making(FrozenModel):
-    """What a scene's files depend on, beside the scene itself.
-
-    Attributes:
-        generator: Name and version of the program; part of it must change when the same scene gives other bytes.
-        lidar: The scanner of the depth images.
-        street: How wrong the street messages are.
-    """
-
-    generator: str
-    lidar: LidarConfig = LidarConfig()
-    street: StreetDataError = StreetDataError()
-
-
-class SceneFile(FrozenModel):
-    """`scene.json`."""
-
-    sequence: Id
-    made_with: Making
-    scene: Scene
-
-
 class InfoFile(FrozenModel):
     """`simulation/info.json`.
 
     Attributes:
-        made_with: What every scene was made with.
-        seed: That the scenes were drawn with; None if they were not drawn.
+        made_with: Generator, scanner and errors of the street messages, which every scene was made with.
+        seed: The seed with which the scenes were drawn; None if they were not drawn.
         cycle: Exposure cycle.
         split: Name of the split.
         rate_hz: Frames a second of every sequence.
@@ -102,7 +74,7 @@ class InfoFile(FrozenModel):
         conventions: What the numbers mean.
     """
 
-    made_with: Making
+    made_with: dict[str, Any]
     seed: int | None
     cycle: str
     split: str
@@ -112,25 +84,42 @@ class InfoFile(FrozenModel):
     conventions: dict[str, str] = CONVENTIONS
 
 
-class _RoadFile(FrozenModel):
+class RoadFile(FrozenModel):
+    """`road.json`: the main road.
+
+    Attributes:
+        lane_width_m: Width of either lane.
+        s_m: Arc lengths along the centre line.
+        points_world_m: The centre line there.
+    """
+
     lane_width_m: float
     s_m: tuple[float, ...]
     points_world_m: tuple[tuple[float, float, float], ...] = Field(repr=False)
 
 
-class SceneWriter:
-    """Writes what is known of one drive into a folder, frame by frame; `close` completes it."""
+class _SceneName(Record):
+    name: str
 
-    def __init__(self, folder: Path, file: SceneFile) -> None:
+
+class _SceneFile(Record):
+    """The part of `scene.json` that needs no simulator."""
+
+    scene: _SceneName
+
+
+class TruthWriter:
+    """Writes what is known about one drive into a folder, frame by frame; `close` completes it."""
+
+    def __init__(self, folder: Path) -> None:
         """Makes `folder/depth`; `folder` must exist."""
         self.folder = folder
-        self._file = file
         self._camera_toml: str | None = None
-        self._lines: list[str] = []
+        self._lines: list[bytes] = []
         (folder / "depth").mkdir(exist_ok=True)
 
     def add(self, frame: FrameTruth, camera: Camera, depth: NDArray[np.uint16]) -> None:
-        """Adds a frame: its calibration, which must stay, and its stored depth image.
+        """Adds a frame: its calibration, which must not change, and its depth image as `encoded_depth` gives it.
 
         Raises:
             ValueError: If the calibration changes, or a number that must be finite is not.
@@ -141,9 +130,9 @@ class SceneWriter:
             raise ValueError(f"image {frame.image_id}: camera: expected the drive's calibration to stay, it changed")
         self._camera_toml = toml
         write_atomic(self.folder / "depth" / f"{len(self._lines):06d}.png", png(depth))
-        self._lines.append(FrameRecord.of(frame).model_dump_json() + "\n")
+        self._lines.append(frame.to_line())
 
-    def close(self) -> None:
+    def close(self, scene_json: str, road: RoadFile) -> None:
         """Writes the other files, `scene.json` last.
 
         Raises:
@@ -153,26 +142,26 @@ class SceneWriter:
         if self._camera_toml is None:
             raise ValueError(f"{self.folder}: frames: expected at least one, the drive had none")
         write_atomic(self.folder / "camera.toml", self._camera_toml.encode())
-        write_atomic(self.folder / "frames.jsonl", "".join(self._lines).encode())
-        write_atomic(self.folder / "road.json", _road_file(self._file.scene).model_dump_json().encode())
-        write_atomic(self.folder / "scene.json", self._file.model_dump_json(indent=1).encode())
+        write_atomic(self.folder / "frames.jsonl", b"".join(self._lines))
+        write_atomic(self.folder / "road.json", road.model_dump_json().encode())
+        write_atomic(self.folder / "scene.json", scene_json.encode())
 
 
 @dataclass(frozen=True)
 class SequenceTruth:
-    """What is known of one sequence.
+    """What is known about one sequence.
 
     Attributes:
         root: Its folder, `SPLIT/simulation/S00001`.
         sequence_id: Its number, as in `sequences.json`.
-        scene: The specification that it was driven from.
+        scenario: Name of its scene, such as `crest`.
         camera: Calibration of all its images.
         frames: Its images in the order of time.
     """
 
     root: Path
     sequence_id: int
-    scene: Scene
+    scenario: str
     camera: Camera
     frames: tuple[FrameTruth, ...]
 
@@ -181,14 +170,9 @@ class SequenceTruth:
         """Name of its folder of images, such as S00001."""
         return self.root.name
 
-    @cached_property
-    def road(self) -> Road:
-        """The main road."""
-        return Road(self.scene.road)
-
     def frame(self, image_id: int) -> FrameTruth:
-        """The image `image_id`; ValueError if it is of another sequence."""
-        return self.frames[self._place(image_id)]
+        """The image `image_id`; ValueError if it belongs to another sequence."""
+        return self.frames[self._frame_number(image_id)]
 
     def depth_m(self, image_id: int) -> Floats:
         """LiDAR-like depth of image `image_id`, shape (height, width), metres along the viewing ray; NaN where none.
@@ -197,7 +181,7 @@ class SequenceTruth:
             FileNotFoundError: If the depth image is missing.
             ValueError: If there is no such image, or its depth image is broken or not of the camera's size.
         """
-        path = self.root / "depth" / f"{self._place(image_id):06d}.png"
+        path = self.root / "depth" / f"{self._frame_number(image_id):06d}.png"
         stored = read_image(path)
         if stored.shape != (self.camera.height_px, self.camera.width_px):
             raise ValueError(
@@ -208,32 +192,27 @@ class SequenceTruth:
             raise ValueError(f"{path}: expected an image of 16 bits, got {stored.dtype}")
         return decoded_depth_m(stored.astype(np.uint16, copy=False))
 
-    def road_ahead(self, image_id: int, length_m: float = 400.0, left_m: float = 0.0) -> Floats:
-        """The true road ahead of us in image `image_id`: shape (N, 3), each metre; see `street_data.road_ahead`."""
-        frame = self.frame(image_id)
-        return road_ahead(self.road, frame.ego_s_m, frame.ego_pose, length_m, left_m)
-
-    def _place(self, image_id: int) -> int:
-        place = image_id - self.sequence_id * MAX_FRAMES
-        if not 0 <= place < len(self.frames):
+    def _frame_number(self, image_id: int) -> int:
+        number = image_id - self.sequence_id * MAX_FRAMES
+        if not 0 <= number < len(self.frames):
             raise ValueError(f"{self.root}: image_id: expected an image of this sequence, got {image_id}")
-        return place
+        return number
 
 
 class SimulatedTruth:
-    """What is known of a simulated split; iterating reads its sequences one after the other.
+    """What is known about a simulated split; iterating reads its sequences one after the other.
 
     Attributes:
         root: The split's folder.
-        info: Who made it, how, and what the numbers mean.
+        info: How the split was made, and what the numbers mean.
         sequence_ids: The finished sequences, in order.
     """
 
     def __init__(self, root: Path) -> None:
-        """Reads `info.json` and looks which sequences are there."""
+        """Reads `info.json` and lists the sequences."""
         self.root = root
-        self.info: InfoFile = read_json(root / "simulation" / "info.json", InfoFile)
-        self.sequence_ids: tuple[int, ...] = finished_sequences(root)
+        self.info = read_json(root / "simulation" / "info.json", InfoFile)
+        self.sequence_ids = finished_sequences(root)
 
     def __len__(self) -> int:
         return len(self.sequence_ids)
@@ -242,7 +221,7 @@ class SimulatedTruth:
         return (self.sequence(sequence_id) for sequence_id in self.sequence_ids)
 
     def sequence(self, sequence_id: int) -> SequenceTruth:
-        """The sequence with this number in `sequences.json`; all but its depth images is read now.
+        """The sequence with this number in `sequences.json`; reads all of it but the depth images.
 
         Raises:
             FileNotFoundError: If one of its files is missing.
@@ -251,28 +230,32 @@ class SimulatedTruth:
         if sequence_id not in self.sequence_ids:
             raise ValueError(f"{self.root}: sequence: expected one of {self.sequence_ids}, got {sequence_id}")
         folder = sequence_folder(self.root, sequence_id)
-        file = read_json(folder / "scene.json", SceneFile)
         return SequenceTruth(
             root=folder,
             sequence_id=sequence_id,
-            scene=file.scene,
+            scenario=read_json(folder / "scene.json", _SceneFile).scene.name,
             camera=read_calibration(folder / "camera.toml"),
             frames=tuple(_read_frames(folder / "frames.jsonl", sequence_id)),
         )
 
     def sequence_of(self, image_id: int) -> SequenceTruth:
-        """The sequence of image `image_id`; reads all of it, so ask once."""
+        """The sequence of image `image_id`; it is read anew at each call."""
         return self.sequence(image_id // MAX_FRAMES)
 
 
 def read_truth(root: Path | str) -> SimulatedTruth:
-    """What is known of the simulated split in the folder `root`, such as `DATA/night/train`.
+    """What is known about the simulated split in the folder `root`, such as `DATA/night/train`.
 
     Raises:
-        FileNotFoundError: If there is none.
+        FileNotFoundError: If the split is not simulated.
         ValueError: If its `info.json` is broken.
     """
     return SimulatedTruth(Path(root))
+
+
+def has_truth(root: Path) -> bool:
+    """Whether the split in the folder `root` is simulated."""
+    return _info_path(root).exists()
 
 
 def sequence_name(sequence_id: int) -> str:
@@ -281,12 +264,12 @@ def sequence_name(sequence_id: int) -> str:
 
 
 def sequence_folder(root: Path, sequence_id: int) -> Path:
-    """Where the truth of a sequence lies."""
+    """The folder with the truth of a sequence."""
     return root / "simulation" / sequence_name(sequence_id)
 
 
 def finished_sequences(root: Path) -> tuple[int, ...]:
-    """Numbers of the sequences whose truth is there, in order."""
+    """Numbers of the sequences whose truth is complete, in order."""
     folders = (root / "simulation").glob("S[0-9]*")
     return tuple(sorted(int(folder.name[1:]) for folder in folders if folder.name[1:].isdigit()))
 
@@ -297,62 +280,32 @@ def write_info(root: Path, info: InfoFile) -> None:
     Raises:
         OSError: If that fails.
     """
-    write_atomic(root / "simulation" / "info.json", info.model_dump_json(indent=1).encode())
+    write_atomic(_info_path(root), info.model_dump_json(indent=1).encode())
 
 
-def write_scenes(root: Path, files: list[SceneFile]) -> None:
-    """Writes `scenes.jsonl`: number and specification of each scene, a line each.
+def encoded_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
+    """Metres as a depth image stores them, like KITTI's: times 256, uint16; 0 for what is not finite.
 
-    Raises:
-        OSError: If that fails.
+    Unlike in KITTI, a depth is the distance along the viewing ray, not along the camera's axis.
+
+    >>> encoded_depth([1.0, np.nan, 255.999]).tolist()
+    [256, 0, 65535]
     """
-    lines = [json.dumps({"sequence": one.sequence, "scene": one.scene.model_dump(mode="json")}) for one in files]
-    write_atomic(root / "scenes.jsonl", ("\n".join(lines) + "\n").encode())
+    steps = np.rint(np.asarray(depth_m, np.float64) * DEPTH_STEPS_PER_M)
+    return np.where(np.isfinite(steps), np.clip(steps, 0, 65535), 0).astype(np.uint16)
 
 
-class _SceneLine(FrozenModel):
-    """A line of `scenes.jsonl`."""
-
-    sequence: Id
-    scene: Scene
+def decoded_depth_m(stored: NDArray[np.uint16]) -> Floats:
+    """Metres from a depth image; NaN where there is nothing."""
+    return np.where(stored > 0, stored / DEPTH_STEPS_PER_M, np.nan)
 
 
-def read_scenes(path: Path) -> tuple[tuple[int, Scene], ...]:
-    """Numbers and specifications of the scenes in a `scenes.jsonl`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it holds no scene or a line is broken; the message names path, line and field.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; expected the scenes.jsonl of a simulated split")
-    lines = [
-        parse_json(line, _SceneLine, f"{path}: line {place + 1}")
-        for place, line in enumerate(path.read_bytes().splitlines())
-    ]
-    if not lines:
-        raise ValueError(f"{path}: expected at least one scene, found none")
-    return tuple((line.sequence, line.scene) for line in lines)
+def _info_path(root: Path) -> Path:
+    return root / "simulation" / "info.json"
 
 
 def _read_frames(path: Path, sequence_id: int) -> Iterator[FrameTruth]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    for place, line in enumerate(path.read_bytes().splitlines()):
-        origin = f"{path}: line {place + 1}"
-        record = parse_json(line, FrameRecord, origin)
-        if record.image_id != sequence_id * MAX_FRAMES + place:
-            expected = sequence_id * MAX_FRAMES + place
-            raise ValueError(f"{origin}: image_id: expected {expected}, got {record.image_id}")
-        yield record.frame()
-
-
-def _road_file(scene: Scene) -> _RoadFile:
-    """The centre line, each metre."""
-    road = Road(scene.road)
-    places_m = np.arange(0.0, road.length_m + 0.5)
-    return _RoadFile(
-        lane_width_m=scene.road.lane_width_m,
-        s_m=tuple(places_m.tolist()),
-        points_world_m=tuple((x, y, z) for x, y, z in road.points(places_m).round(4).tolist()),
-    )
+    for expected_id, (origin, frame) in enumerate(read_json_lines(path, FrameTruth), start=sequence_id * MAX_FRAMES):
+        if frame.image_id != expected_id:
+            raise ValueError(f"{origin}: image_id: expected {expected_id}, got {frame.image_id}")
+        yield frame

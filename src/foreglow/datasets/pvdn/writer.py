@@ -9,11 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
-
-from foreglow.datasets.json_files import Record, read_json, write_json
-from foreglow.datasets.pvdn import PVDN
-from foreglow.datasets.pvdn_schema import (
+from foreglow.datasets.images import png
+from foreglow.datasets.json_files import read_json, write_json
+from foreglow.datasets.pvdn.reader import PVDN
+from foreglow.datasets.pvdn.schema import (
     BoxLabels,
     CameraConfiguration,
     Category,
@@ -28,25 +27,27 @@ from foreglow.datasets.pvdn_schema import (
     Vehicle,
 )
 from foreglow.files import write_atomic
-from foreglow.types import Frame, Image
+from foreglow.types import Frame
 
 CAMERA_CONFIGURATIONS = tuple(CameraConfiguration(camera="Cam01", cycle=cycle) for cycle in Cycle)
 """The two configurations of PVDN's camera: 0 day, 1 night."""
 
-CATEGORIES = tuple(Category(supercategory="image", id=int(one), name=one.name.lower()) for one in ImageCategory)
+CATEGORIES = tuple(
+    Category(supercategory="image", id=int(category), name=category.name.lower()) for category in ImageCategory
+)
 """The image categories, named as in `ImageCategory`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledImage:
-    """One frame with its labels, to be written.
+    """A frame with its labels, to be written.
 
     Attributes:
         frame: The image; `Frame.frame` becomes the image's id.
         vehicles: The oncoming vehicles, with their light artifacts.
         categories: The image's categories.
         boxes: Generated boxes; None writes no file.
-        camera_configuration: Place in the writer's list of camera configurations.
+        camera_configuration: Index in the writer's list of camera configurations.
     """
 
     frame: Frame
@@ -57,10 +58,10 @@ class LabelledImage:
 
 
 class PVDNWriter(AbstractContextManager["PVDNWriter"]):
-    """Writes one split, sequence by sequence; images as PNG, in constant memory.
+    """Writes a split, sequence by sequence; images as PNG, in constant memory.
 
     Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
-    until then the folder is no PVDN split. The reader takes an image's time from its sequence's start and 18 Hz, or
+    until then the folder is not a PVDN split. The reader takes an image's time from its sequence's start and 18 Hz, or
     `rate_hz` in `info`.
 
     >>> import numpy as np, tempfile
@@ -85,7 +86,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         Args:
             root: The split's folder, such as `out/night/val`; made if absent, must hold no split yet.
             info: Describes the data set: description, url, version, year, contributor, date_created, changed.
-            camera_configurations: What `LabelledImage.camera_configuration` counts.
+            camera_configurations: The list that `LabelledImage.camera_configuration` points into.
             categories: Names of the image categories.
 
         Raises:
@@ -106,11 +107,11 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
 
         Args:
             sequence: The attributes; its `image_ids` must be empty, or those of `images` in any order.
-            images: At least one image, at most one for an id in the whole split; read one at a time.
+            images: At least one image; an id may occur once in the whole split. They are read one at a time.
 
         Raises:
-            ValueError: If an id or a folder comes twice, a camera configuration does not exist, or the ids differ
-                from the sequence's; nothing of the sequence is left behind.
+            ValueError: If an id or a folder occurs twice, a camera configuration does not exist, or the ids differ
+                from the sequence's. Nothing of the sequence is left behind then.
             OSError: If a file cannot be written; likewise.
         """
         for known in self._sequences:
@@ -128,8 +129,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                 self._write(labelled, folder / record.file_name, written)
                 next_id = len(self._annotations) + len(annotations)
                 annotations += [
-                    ImageAnnotation(id=next_id + place, category=category, image_id=record.id)
-                    for place, category in enumerate(labelled.categories)
+                    ImageAnnotation(id=next_id + number, category=category, image_id=record.id)
+                    for number, category in enumerate(labelled.categories)
                 ]
             stored = self._stored(sequence, tuple(added))
         except BaseException:
@@ -169,16 +170,16 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             raise ValueError(f"{self.root}: image id: expected each once, {frame.frame} is there twice")
         if not 0 <= labelled.camera_configuration < len(self._camera_configurations):
             raise ValueError(
-                f"{self.root}: camera_configuration: expected a place in a list of "
+                f"{self.root}: camera_configuration: expected an index in a list of "
                 f"{len(self._camera_configurations)}, got {labelled.camera_configuration}"
             )
         size_px = frame.width_px, frame.height_px
         return image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)
 
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
-        """Writes the image and its label files; `written` learns of each before it is there."""
+        """Writes the image and its label files; each path is added to `written` before the file is there."""
         image_id = labelled.frame.frame
-        records: list[tuple[str, Record]] = [
+        records: list[tuple[str, KeypointsFile | BoxLabels]] = [
             ("keypoints", KeypointsFile(image_id=image_id, annotations=labelled.vehicles))
         ]
         if labelled.boxes is not None:
@@ -234,7 +235,7 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
 
 
 def image_record(image_id: int, size_px: tuple[int, int], timestamp_ns: int, camera_configuration: int) -> ImageRecord:
-    """What the labels say of an image of `size_px` (width, height); its file is the id in six digits, as PNG."""
+    """The labels' record of an image of `size_px` (width, height); its file is the id in six digits, as PNG."""
     return ImageRecord(
         id=image_id,
         file_name=f"{image_id:06d}.png",
@@ -255,12 +256,6 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
     """
     write_json(root / "labels" / "image_annotations.json", images_file)
     write_json(root / "labels" / "sequences.json", sequences_file)
-
-
-def png(image: Image) -> bytes:
-    """`image` as a PNG file, without loss."""
-    _, data = cv2.imencode(".png", image)
-    return bytes(data)
 
 
 def _make_folders(root: Path) -> None:

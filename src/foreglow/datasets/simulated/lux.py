@@ -1,22 +1,22 @@
-"""The light of our headlamps at other drivers' eyes as a simulated drive was recorded."""
+"""The light of our headlamps at other drivers' eyes while a drive was simulated."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from foreglow.lab.simulation.writing.truth_files import MAX_FRAMES, SequenceTruth, read_truth
+from foreglow.datasets.simulated.files import MAX_FRAMES, SequenceTruth, read_truth
 from foreglow.types import Frame
 
 
 class RecordedLux:
-    """Says for a frame of a simulated split how much of our light was at each other driver's eye.
+    """The light of ours that reached each other driver's eye, for a frame of a simulated split.
 
-    That is the light that shone while the drive was simulated, not what a beam that is commanded now would give.
+    It is the light of the beam with which the drive was simulated, whatever the beam is commanded to do now.
     """
 
     def __init__(self, split: Path) -> None:
-        """Looks which sequences are there; each is read when its first frame comes.
+        """Lists the sequences; each is read when its first frame comes.
 
         Raises:
             FileNotFoundError: If the split is not simulated.
@@ -26,7 +26,7 @@ class RecordedLux:
         self._latest: SequenceTruth | None = None
 
     def __call__(self, frame: Frame) -> Mapping[str, float]:
-        """Lux by kind and number of the vehicle, such as `car 0`; empty where nothing is known of the sequence.
+        """Lux by kind and number of the vehicle, such as `car 0`; empty where nothing is known about the sequence.
 
         Raises:
             ValueError: If the truth is broken; the message names path, line and field.
@@ -37,4 +37,4 @@ class RecordedLux:
         if self._latest is None or self._latest.sequence_id != sequence_id:
             self._latest = self._truth.sequence(sequence_id)
         vehicles = self._latest.frame(frame.frame).vehicles
-        return {f"{one.kind} {one.vehicle_id}": one.eye_lx.get("ego", 0.0) for one in vehicles}
+        return {f"{vehicle.kind} {vehicle.vehicle_id}": vehicle.eye_lx.get("ego", 0.0) for vehicle in vehicles}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import shipped_drive
-from foreglow.lab.simulation import read_truth
-from foreglow.lab.simulation.writing.lux import RecordedLux
+from foreglow.datasets.simulated import read_truth
+from foreglow.datasets.simulated.lux import RecordedLux
 from foreglow.types import Frame
 
 IMAGE = np.zeros((2, 2), np.uint8)

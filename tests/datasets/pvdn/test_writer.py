@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets import PVDN, ImageCategory, Instance, LabelledImage, PVDNWriter, Sequence, Vehicle, Weather
-from foreglow.datasets.pvdn_schema import BoxLabels
+from foreglow.datasets.pvdn.schema import BoxLabels
 from foreglow.types import Frame
 
 
@@ -94,7 +94,7 @@ def test_bad_use_is_refused(tmp_path: Path) -> None:
         writer.add_sequence(Sequence.plain(1), [LabelledImage(_frame(4))])
         with pytest.raises(ValueError, match=r"1 \(S00001\) is there already"):
             writer.add_sequence(Sequence.plain(1), [LabelledImage(_frame(5))])
-        with pytest.raises(ValueError, match="camera_configuration: expected a place in a list of 2, got 2"):
+        with pytest.raises(ValueError, match="camera_configuration: expected an index in a list of 2, got 2"):
             writer.add_sequence(Sequence.plain(2), [LabelledImage(_frame(5), camera_configuration=2)])
         with pytest.raises(ValueError, match="expected at least one image"):
             writer.add_sequence(Sequence.plain(2), [])

@@ -1,4 +1,4 @@
-"""The PVDN data set (Provident Vehicle Detection at Night): frames with keypoints of oncoming vehicles."""
+"""Reading PVDN (Provident Vehicle Detection at Night): frames with keypoints of oncoming vehicles."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.images import read_image
 from foreglow.datasets.json_files import read_json
-from foreglow.datasets.pvdn_labels import PVDNLabels, read_labels
-from foreglow.datasets.pvdn_schema import (
+from foreglow.datasets.pvdn.labels import PVDNLabels, read_labels
+from foreglow.datasets.pvdn.schema import (
     BoxLabels,
     CameraConfiguration,
     Cycle,
@@ -30,7 +30,8 @@ from foreglow.datasets.pvdn_schema import (
     Vehicle,
     Weather,
 )
-from foreglow.datasets.simulated_vehicle import SimulatedVehicle
+from foreglow.datasets.pvdn.splits import find_split
+from foreglow.datasets.simulated.vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError, checked_on_error, read_each
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame
@@ -44,7 +45,7 @@ MAX_RATE_HZ = 1000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Which images of a split are wanted; each None leaves its field open, and all given ones must hold.
+    """Which images of a split are wanted: those that fulfil all fields that are not None.
 
     Attributes:
         scenes: Sequences, by id or folder name.
@@ -66,13 +67,13 @@ class Selection:
 
 
 class PVDN:
-    """One split of PVDN, such as `PVDN/day/val`, or one of its sequences, such as `PVDN/day/val/images/S00121`.
+    """A split of PVDN, such as `PVDN/day/val`, or one of its sequences, such as `PVDN/day/val/images/S00121`.
 
-    Labels are read and checked when it is made; images, keypoints and boxes when they are asked for. Iterating
+    Labels are read and checked at construction; images, keypoints and boxes when they are asked for. Iterating
     yields frames in the order of sequence and image id, where `Frame.frame` is the image's id and `Frame.sequence`
     the sequence's folder.
 
-    Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's place in its
+    Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's number in its
     sequence, counted over all its images sorted by id, divided by the frame rate. That is 18 Hz, unless the `info` of
     `image_annotations.json` has a `rate_hz`, as simulated sets do. The fields `timestamp` and `date_captured` of the
     files are not used, since their units are not documented. Different sequences share no time axis: reset the
@@ -86,7 +87,7 @@ class PVDN:
         labels: The label files as they are.
         cycle: The exposure cycle that the folder is in; None outside `day` and `night`.
         frame_ids: Ids of the selected images, in order.
-        skipped: One line for each image that the latest iteration left out so far.
+        skipped: A line for each image that the latest iteration left out so far.
     """
 
     def __init__(
@@ -100,20 +101,20 @@ class PVDN:
         """Reads the labels.
 
         Args:
-            root: The split's or the sequence's folder, or one above (by one or two levels) that holds this split only.
-            select: Which images; None for all.
-            on_error: What an image that is missing, broken or of the wrong size does; labels must be right always.
+            root: The split's or the sequence's folder, or a folder that has this split only, one or two levels below.
+            select: The wanted images; None for all.
+            on_error: What an image that is missing, broken or of the wrong size does; labels must always be right.
             cache: Where decoded images are kept for the next pass; None decodes each time.
 
         Raises:
             FileNotFoundError: If the folder or a label file is missing.
-            ValueError: If a label file is broken, they contradict each other, or a selected scene does not exist.
+            ValueError: If a label file is broken, they contradict each other, a selected scene does not exist, or there
+                are several splits.
         """
         folder = Path(root)
         if not folder.is_dir():
             raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")
-        scene = None if is_split(folder) else split_of_sequence(folder)
-        self.root = scene or only_split_below(folder) or folder
+        self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
         self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
         above = self.root.resolve().parent.name
@@ -122,7 +123,6 @@ class PVDN:
         self._on_error = checked_on_error(on_error)
         self._read = read_image if cache is None else cache.read_image
         self._vehicle = SimulatedVehicle(self.root)
-        self._directory = None if scene is None else folder.resolve().name
         self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
 
     @property
@@ -144,10 +144,10 @@ class PVDN:
 
     def only(self, directory: str) -> PVDN:
         """The selected images of one sequence, by its folder; the labels are shared."""
-        one = copy.copy(self)
-        one.frame_ids = tuple(each for each in self.frame_ids if self.sequence(each).directory == directory)
-        one.skipped = []
-        return one
+        part = copy.copy(self)
+        part.frame_ids = tuple(id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory)
+        part.skipped = []
+        return part
 
     @property
     def num_frames(self) -> int:
@@ -183,8 +183,8 @@ class PVDN:
                 f"got {image.shape[1]}x{image.shape[0]} px"
             )
         sequence = self.sequence(image_id)
-        place = self.labels.place_of[image_id]
-        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(place * 1e9 / self.rate_hz)
+        number = self.labels.number_of[image_id]
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(number * 1e9 / self.rate_hz)
         frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
         return equip(frame, self._vehicle)
 
@@ -199,7 +199,7 @@ class PVDN:
         return self._keypoints_file(image_id).annotations
 
     def doubtful(self, image_id: int) -> tuple[Instance, ...]:
-        """Light in image `image_id` that is neither an instance nor a fault to find; only simulated sets have any.
+        """Light in image `image_id` that counts neither as an instance nor as a false alarm; simulated sets have some.
 
         Raises:
             FileNotFoundError: If the keypoint file is missing.
@@ -214,7 +214,8 @@ class PVDN:
             FileNotFoundError: If the keypoint file is missing.
             ValueError: If there is no such id, or the file is broken.
         """
-        positions = [one.position_px for vehicle in self.annotations(image_id) for one in vehicle.instances]
+        vehicles = self.annotations(image_id)
+        positions = [instance.position_px for vehicle in vehicles for instance in vehicle.instances]
         return np.array(positions, np.int32).reshape(-1, 2)
 
     def boxes(self, image_id: int) -> BoxLabels | None:
@@ -228,18 +229,22 @@ class PVDN:
         return read_json(path, BoxLabels) if path.exists() else None
 
     def image(self, image_id: int) -> ImageRecord:
-        """What the labels say of image `image_id`; ValueError if there is no such id."""
+        """The labels' record of image `image_id`; ValueError if there is no such id."""
         if image_id not in self.labels.images:
             raise ValueError(f"{self.root}: image_id: expected an image of this split, got {image_id}")
         return self.labels.images[image_id]
 
     def image_path(self, image_id: int) -> Path:
-        """Where the image `image_id` lies."""
+        """The file of image `image_id`."""
         return self.root / "images" / self.sequence(image_id).directory / self.image(image_id).file_name
 
     def sequence(self, image_id: int) -> Sequence:
         """The sequence of image `image_id`."""
         return self.labels.sequence_of[self.image(image_id).id]
+
+    def time_s(self, image_id: int) -> float:
+        """Seconds from the first image of its sequence to image `image_id`; KeyError if there is no such id."""
+        return self.labels.number_of[image_id] / self.rate_hz
 
     def camera_configuration(self, image_id: int) -> CameraConfiguration:
         """Camera and exposure of image `image_id` by the labels, which the folder may contradict."""
@@ -280,18 +285,18 @@ class PVDN:
         """Ids of the images that `select` and the sequence's folder, if one was given, let through."""
         sequences = self.labels.sequences_file.sequences
         if self._directory is not None:
-            sequences = tuple(one for one in sequences if one.directory == self._directory)
+            sequences = tuple(sequence for sequence in sequences if sequence.directory == self._directory)
             if not sequences:
                 path = self.root / "labels" / "sequences.json"
                 raise ValueError(f"{path}: sequences: expected one with dir {self._directory}, found none")
         if select.scenes is not None:
-            known = {key for one in sequences for key in (one.id, one.directory)}
+            known = {key for sequence in sequences for key in (sequence.id, sequence.directory)}
             for scene in select.scenes:
                 if scene not in known:
                     raise ValueError(f"{self.root}: scenes: expected ids or folders of sequences, got {scene!r}")
-        for sequence in sorted(sequences, key=lambda one: one.id):
+        for sequence in sorted(sequences, key=lambda sequence: sequence.id):
             if _is_wanted(sequence, select):
-                yield from (one for one in sorted(sequence.image_ids) if self._is_wanted_image(one, select))
+                yield from (id_ for id_ in sorted(sequence.image_ids) if self._is_wanted_image(id_, select))
 
     def _is_wanted_image(self, image_id: int, select: Selection) -> bool:
         if select.cycle is not None and self.cycle_of(image_id) != select.cycle:
@@ -303,35 +308,6 @@ class PVDN:
     def _has_keypoints(self, image_id: int) -> bool:
         path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
         return path.exists() and len(self.keypoints_px(image_id)) > 0
-
-
-def is_split(folder: Path) -> bool:
-    """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or the `images` and `labels` to be one."""
-    return (folder / "labels" / "sequences.json").exists() or (
-        (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
-    )
-
-
-def only_split_below(folder: Path) -> Path | None:
-    """The split one or two levels below `folder`, such as `DIR/night/train`, if there is exactly one; else None."""
-    splits = splits_below(folder)
-    return splits[0] if len(splits) == 1 else None
-
-
-def splits_below(folder: Path) -> list[Path]:
-    """The splits one or two levels below `folder`, by name; none where it is a split itself."""
-    if is_split(folder):
-        return []
-    found = [labels.parents[1] for depth in ("*", "*/*") for labels in folder.glob(f"{depth}/labels/sequences.json")]
-    return sorted(found)
-
-
-def split_of_sequence(folder: Path) -> Path | None:
-    """The split that `folder` is a sequence of, or None."""
-    if folder.resolve().parent.name != "images":
-        return None
-    split = folder.resolve().parents[1]
-    return split if is_split(split) else None
 
 
 def _rate_hz(info: dict[str, Any], root: Path) -> float:

@@ -12,13 +12,7 @@ from hypothesis import strategies as st
 
 from foreglow.datasets import PVDN, Cycle, FrameCache, ImageCategory, Selection, Weather, write_pvdn
 from foreglow.datasets.json_files import parse_json
-from foreglow.datasets.pvdn_schema import (
-    BoxLabels,
-    CategoryConfig,
-    ImageAnnotationsFile,
-    KeypointsFile,
-    SequencesFile,
-)
+from foreglow.datasets.pvdn.schema import BoxLabels, CategoryConfig, ImageAnnotationsFile, KeypointsFile, SequencesFile
 from tests.datasets.tiny_pvdn import SIZE_PX, documents, edit, make_pvdn, tiny_image, write
 
 
@@ -66,7 +60,7 @@ def test_a_folder_above_the_only_split(split: Path) -> None:
     for folder in (split.parent, split.parents[1]):
         assert PVDN(folder).root == split
     make_pvdn(split.parents[1], "day")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(ValueError, match=r"expected one split of PVDN, such as .*day/val"):
         PVDN(split.parents[1])
 
 
@@ -203,7 +197,7 @@ def _delete_key(name: str, *keys: str | int) -> Callable[[Path], None]:
         (_edit(IMAGES, "images", 0, "id", value=12), "images.3.id: expected each image once, 12 is there twice"),
         (
             _edit(IMAGES, "images", 0, "camera_configuration", value=1),
-            "camera_configuration: expected a place in a list",
+            "camera_configuration: expected an index in a list",
         ),
         (_edit(IMAGES, "annotations", 0, "category", value=8), "annotations.0.category: expected 0, 1, .*got 8"),
         (_edit(IMAGES, "annotations", 0, "image_id", value=99), "annotations.0.image_id: expected an id of images"),
@@ -220,7 +214,7 @@ def _delete_key(name: str, *keys: str | int) -> Callable[[Path], None]:
         (_edit(KEYPOINTS, "annotations", 0, "instances", 0, "direct", value=1), "instances.0.direct: .*got 1"),
         (
             _edit("labels/bounding_boxes/000011.json", "labels", value=[1.0]),
-            "000011.json: document: labels: expected one a box, got 1 for 2 boxes",
+            "000011.json: document: labels: expected 2, one for each box, got 1",
         ),
         (_edit(IMAGES, "images", 2, "height", value=73), "000011.png: image size: expected 96x73 px .* got 96x72 px"),
     ],

@@ -1,6 +1,6 @@
-"""What PVDN's label files hold, field by field, with the spelling of the files; nothing is derived here.
+"""The records of PVDN's label files, field by field; nothing is derived here.
 
-Every record keeps keys that it does not know, and a record that was read is written with the very keys it came with.
+Every record keeps keys that it does not know, and a record that was read is written with the same keys.
 Source: Ohnemus et al., Provident Vehicle Detection at Night: The PVDN Dataset, arXiv 2012.15376, and the reader
 published with it.
 """
@@ -10,9 +10,31 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from foreglow.datasets.json_files import Record
+
+_NAMES_ON_DISK = {
+    "directory": "dir",
+    "driver_id": "proband_id",
+    "driver_behaviour": "proband_behaviour",
+    "is_dome": "dome",
+    "position_px": "pos",
+    "is_direct": "direct",
+    "is_rear": "rear",
+    "boxes_xyxy_px": "bounding_boxes",
+    "start_time_ms": "start_time",
+    "end_time_ms": "end_time",
+    "height_px": "height",
+    "width_px": "width",
+}
+
+
+class PVDNRecord(Record):
+    """A part of a label file; some fields have clearer names in Python than on disk, and both names are accepted."""
+
+    model_config = ConfigDict(populate_by_name=True, alias_generator=lambda name: _NAMES_ON_DISK.get(name, name))
+
 
 Id: TypeAlias = Annotated[int, Field(ge=0, le=2**53)]
 """An identifier; 2^53 is the largest that every JSON reader keeps exactly."""
@@ -135,15 +157,15 @@ class CategoryConfig(Record):
     low_beam_trigger: ImageCategory = ImageCategory.FIRST_TRIGGER_LOW_BEAM
 
 
-class Sequence(Record):
-    """One scene in one exposure cycle: an entry of `sequences.json`.
+class Sequence(PVDNRecord):
+    """A scene in one exposure cycle: an entry of `sequences.json`.
 
     Attributes:
         id: Number of the sequence, unique in its split.
         directory: Folder below `images`, such as S00121 (on disk: dir).
         start_time_ms: Relative time of the first image, milliseconds (on disk: start_time).
         end_time_ms: Relative time of the last image, milliseconds (on disk: end_time).
-        num_images: How many images the sequence has by the data set's own count.
+        num_images: Number of images by the data set's own count.
         image_ids: The images, in any order; in time they follow their ids.
         driver_id: Who drove (on disk: proband_id).
         sector: Section of the test route.
@@ -198,14 +220,14 @@ class Sequence(Record):
         return cls(id=sequence_id, **(ordinary | fields))
 
 
-class CameraConfiguration(Record):
-    """A camera and its exposure; images refer to it by its place in the list."""
+class CameraConfiguration(PVDNRecord):
+    """A camera and its exposure; images refer to it by its index in the list."""
 
     camera: str
     cycle: Cycle
 
 
-class Category(Record):
+class Category(PVDNRecord):
     """A name for an image category."""
 
     id: int
@@ -213,18 +235,18 @@ class Category(Record):
     supercategory: str | None = None
 
 
-class ImageRecord(Record):
-    """One image: an entry of `images` in `image_annotations.json`.
+class ImageRecord(PVDNRecord):
+    """An image: an entry of `images` in `image_annotations.json`.
 
     Attributes:
         id: Number of the image, unique in its split; frames carry it as `Frame.frame`.
         file_name: Name below the sequence's folder.
         height_px: Rows (on disk: height).
         width_px: Columns (on disk: width).
-        camera_configuration: Place in the list of camera configurations.
-        date_captured: As the files have it; its form is not documented.
-        timestamp: As the files have it; its unit is not documented, so it is not used.
-        licence: Place in the list of licences.
+        camera_configuration: Index in the list of camera configurations.
+        date_captured: As in the file; its form is not documented.
+        timestamp: As in the file; its unit is not documented, so it is not used.
+        licence: Index in the list of licences.
     """
 
     id: Id
@@ -237,16 +259,16 @@ class ImageRecord(Record):
     licence: int | None = None
 
 
-class ImageAnnotation(Record):
-    """The category of one image: an entry of `annotations` in `image_annotations.json`."""
+class ImageAnnotation(PVDNRecord):
+    """The category of an image: an entry of `annotations` in `image_annotations.json`."""
 
     id: Id
     category: ImageCategory
     image_id: Id
 
 
-class Instance(Record):
-    """One light artifact of a vehicle (the paper also says blur): a lamp or the light that it throws.
+class Instance(PVDNRecord):
+    """A light artifact of a vehicle (the paper also says blur): a lamp or the light that it throws.
 
     Attributes:
         position_px: Column and row in full-frame pixels (on disk: pos).
@@ -261,8 +283,8 @@ class Instance(Record):
     is_rear: bool = False
 
 
-class Vehicle(Record):
-    """One oncoming vehicle in one image, and its light artifacts.
+class Vehicle(PVDNRecord):
+    """An oncoming vehicle in an image, and its light artifacts.
 
     Attributes:
         position_px: Column and row in full-frame pixels (on disk: pos).
@@ -277,8 +299,8 @@ class Vehicle(Record):
     is_direct: bool = False
 
 
-class BoxLabels(Record):
-    """The generated boxes of one image: `bounding_boxes/<id>.json`.
+class BoxLabels(PVDNRecord):
+    """The generated boxes of an image: `bounding_boxes/<id>.json`.
 
     Attributes:
         boxes_xyxy_px: x1, y1, x2, y2, half-open, full-frame pixels (on disk: bounding_boxes).
@@ -291,17 +313,17 @@ class BoxLabels(Record):
     @model_validator(mode="after")
     def _check(self) -> BoxLabels:
         if len(self.boxes_xyxy_px) != len(self.labels):
-            raise ValueError(f"labels: expected one a box, got {len(self.labels)} for {len(self.boxes_xyxy_px)} boxes")
+            raise ValueError(f"labels: expected {len(self.boxes_xyxy_px)}, one for each box, got {len(self.labels)}")
         return self
 
 
-class SequencesFile(Record):
+class SequencesFile(PVDNRecord):
     """`labels/sequences.json`."""
 
     sequences: tuple[Sequence, ...]
 
 
-class ImageAnnotationsFile(Record):
+class ImageAnnotationsFile(PVDNRecord):
     """`labels/image_annotations.json`."""
 
     info: dict[str, Any]
@@ -312,13 +334,13 @@ class ImageAnnotationsFile(Record):
     annotations: tuple[ImageAnnotation, ...]
 
 
-class KeypointsFile(Record):
+class KeypointsFile(PVDNRecord):
     """`labels/keypoints/<id>.json`.
 
     Attributes:
         image_id: The image.
         annotations: The oncoming vehicles.
-        doubtful: Light that is neither an instance nor a fault to find; only simulated sets know of any.
+        doubtful: Light that counts neither as an instance nor as a false alarm; only simulated sets have any.
     """
 
     image_id: Id

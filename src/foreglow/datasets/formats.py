@@ -1,0 +1,90 @@
+"""The formats that frames come in, and the choice among them by path.
+
+A new format is a folder of this package and a line in `FORMATS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from foreglow.datasets.bags import Recording, is_recording
+from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, is_images
+from foreglow.datasets.pvdn import PVDN, is_pvdn
+from foreglow.datasets.source import FrameSource, OnError
+from foreglow.datasets.video import Video
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenOptions:
+    """The options of `open_source`; a format takes those that apply to it."""
+
+    on_error: OnError
+    rate_hz: float
+    cache: FrameCache | None
+    topic: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class DataFormat:
+    """A format of frames.
+
+    Attributes:
+        is_at: Whether an existing path has this format.
+        opened: The source of frames at such a path.
+        has_topics: Whether it takes a topic.
+    """
+
+    is_at: Callable[[Path], bool]
+    opened: Callable[[Path, OpenOptions], FrameSource]
+    has_topics: bool = False
+
+
+FORMATS: dict[str, DataFormat] = {
+    "recording": DataFormat(
+        is_recording, lambda path, given: Recording(path, topic=given.topic, on_error=given.on_error), has_topics=True
+    ),
+    "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error, cache=given.cache)),
+    "images": DataFormat(
+        is_images,
+        lambda path, given: ImageFolder(path, rate_hz=given.rate_hz, on_error=given.on_error, cache=given.cache),
+    ),
+    "video": DataFormat(Path.exists, lambda path, given: Video(path, on_error=given.on_error)),
+}
+"""The formats by name; a path has the first one that recognises it."""
+
+
+def open_source(
+    path: Path | str,
+    *,
+    on_error: OnError = "stop",
+    rate_hz: float = DEFAULT_RATE_HZ,
+    cache: FrameCache | None = None,
+    topic: str | None = None,
+) -> FrameSource:
+    """The frames at `path`.
+
+    A folder is a PVDN split (it has `labels/sequences.json`) or holds exactly one (such as `DIR/night/train`), is one
+    PVDN sequence (`SPLIT/images/NAME`), is a ROS 2 bag (it has `metadata.yaml`), or holds images. A file is an image by
+    its ending (`IMAGE_SUFFIXES`), a recording likewise (`.mcap`, `.bag`, `.db3`), and a video otherwise.
+
+    Args:
+        path: A file or folder.
+        on_error: What a bad frame does.
+        rate_hz: Frames a second of images that carry no time; PVDN, videos and recordings have their own.
+        cache: Where decoded images are kept for the next pass; videos and recordings are not cached.
+        topic: Image topic of a recording; None for its first.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`, or a label file is missing.
+        ValueError: If what is there cannot be used.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    chosen = next(each for each in FORMATS.values() if each.is_at(path))
+    if topic is not None and not chosen.has_topics:
+        raise ValueError(f"{path}: expected a recording, as a topic was named ({topic}), is none")
+    return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, cache=cache, topic=topic))

@@ -1,0 +1,82 @@
+"""Where the splits of a data set in PVDN's layout lie: `DATA/train`, or `DATA/CYCLE/train`, and so on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+SplitName: TypeAlias = Literal["train", "val", "test"]
+SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")
+
+
+def split_folder(data: Path | str, name: SplitName) -> Path:
+    """The folder of split `name` of the data set at `data`: `DATA/NAME`, or `DATA/CYCLE/NAME` of its only cycle.
+
+    Raises:
+        FileNotFoundError: If there is no such folder or no such split.
+        ValueError: If there are several, such as those of `day` and `night`.
+    """
+    root = Path(data)
+    if not root.is_dir():
+        raise FileNotFoundError(f"{root}: no such folder, expected a data set with train, val and test")
+    found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
+    if not found:
+        raise FileNotFoundError(f"{root}: expected the split {name} in it, or in one of its folders, found none")
+    if len(found) > 1:
+        cycles = ", ".join(str(path.parent) for path in found)
+        raise ValueError(f"{root}: expected a single split {name}, found several; name one of {cycles}")
+    return found[0]
+
+
+def split_in(data: Path | str, name: SplitName) -> Path:
+    """The split to measure on: `data` where it is one itself, else its split `name` as `split_folder` finds it.
+
+    Raises:
+        FileNotFoundError: If there is no such folder or no such split.
+        ValueError: If there are several.
+    """
+    return Path(data) if is_split(Path(data)) else split_folder(data, name)
+
+
+def is_split(folder: Path) -> bool:
+    """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or the `images` and `labels` to be one."""
+    return (folder / "labels" / "sequences.json").exists() or (
+        (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
+    )
+
+
+def is_pvdn(path: Path) -> bool:
+    """Whether `path` is a split, one of its sequences, or a folder with splits one or two levels below."""
+    return path.is_dir() and bool(is_split(path) or _splits_below(path) or _split_of_sequence(path))
+
+
+def find_split(folder: Path) -> tuple[Path, str | None]:
+    """The split that `folder` stands for, and the name of the sequence where `folder` is a sequence.
+
+    That is the folder itself, the split of a sequence, or the only split one or two levels below, such as
+    `DIR/night/train`; the folder itself, too, if there is none.
+
+    Raises:
+        ValueError: If there are several splits below.
+    """
+    if is_split(folder):
+        return folder, None
+    split = _split_of_sequence(folder)
+    if split is not None:
+        return split, folder.resolve().name
+    below = _splits_below(folder)
+    if len(below) > 1:
+        raise ValueError(f"{folder}: expected one split of PVDN, such as {below[0]}")
+    return (below or [folder])[0], None
+
+
+def _splits_below(folder: Path) -> list[Path]:
+    found = [labels.parents[1] for depth in ("*", "*/*") for labels in folder.glob(f"{depth}/labels/sequences.json")]
+    return sorted(found)
+
+
+def _split_of_sequence(folder: Path) -> Path | None:
+    if folder.resolve().parent.name != "images":
+        return None
+    split = folder.resolve().parents[1]
+    return split if is_split(split) else None

@@ -1,0 +1,21 @@
+"""Simulated drives: PVDN's format with the truth beside it, read and written; nothing here needs the simulator.
+
+`truth` has the types of the truth, `files` writes and reads them (its docstring lists the files), `vehicle` is the part
+of it that a car knows, too, and `lux` the light of our headlamps at other drivers' eyes.
+"""
+
+from foreglow.datasets.simulated.files import SequenceTruth, SimulatedTruth, has_truth, read_truth
+from foreglow.datasets.simulated.truth import KINDS, Artifact, FrameTruth, Kind, LampTruth, VehicleTruth
+
+__all__ = [
+    "KINDS",
+    "Artifact",
+    "FrameTruth",
+    "Kind",
+    "LampTruth",
+    "SequenceTruth",
+    "SimulatedTruth",
+    "VehicleTruth",
+    "has_truth",
+    "read_truth",
+]

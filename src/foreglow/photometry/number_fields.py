@@ -1,0 +1,59 @@
+"""The numbers in a photometric file, read one field after another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from foreglow.geometry import Floats
+
+
+class NumberFields:
+    """The numbers of a photometric file in order; error messages name the path, the line and the field."""
+
+    def __init__(self, path: Path, words: Sequence[tuple[int, str]]) -> None:
+        """Takes the words of the file that have to be numbers, each with the number of its line."""
+        self._path = path
+        self._words = words
+        self._next = 0
+
+    def seek(self, index: int) -> None:
+        """Continues with the word at `index`, counted from 0."""
+        self._next = index
+
+    def take(self, num: int, field: str) -> Floats:
+        """The next `num` numbers, which are the file's `field`; a comma counts as a decimal point.
+
+        Raises:
+            ValueError: If the file ends before, or a word is not a finite number.
+        """
+        words = self._words[self._next : self._next + num]
+        if len(words) < num:
+            wanted = "a number" if num == 1 else f"{num} numbers"
+            raise ValueError(f"{self._path}: {field}: expected {wanted}, the file ends after {len(words)}")
+        self._next += num
+        values = np.empty(num)
+        for index, (line, word) in enumerate(words):
+            try:
+                values[index] = float(word.replace(",", "."))
+            except ValueError:
+                values[index] = np.nan
+            if not np.isfinite(values[index]):
+                raise ValueError(f"{self._path}: line {line}: {field}: expected a number, got {word!r}")
+        return values
+
+    def whole(self, field: str, at_least: int) -> int:
+        """The next number, which has to be a whole number of at least `at_least`.
+
+        Raises:
+            ValueError: If it is not.
+        """
+        value = float(self.take(1, field)[0])
+        if value < at_least or not value.is_integer():
+            line, _ = self._words[self._next - 1]
+            raise ValueError(
+                f"{self._path}: line {line}: {field}: expected a whole number of at least {at_least}, got {value:g}"
+            )
+        return int(value)

@@ -1,0 +1,368 @@
+"""`frames.jsonl`: what was found in each frame of a run, one JSON object a line.
+
+`FrameLine` says what a line holds, and is the type of both what `frame_to_line` makes and what `line_to_result` takes.
+A line is written as a plain dict, by `json` and not by pydantic: that writes some numbers otherwise (`2e-5` instead of
+`2e-05`), and the same run has to give the same bytes in every version.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NotRequired, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, RootModel
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
+
+from foreglow.datasets.json_files import parse_json
+from foreglow.geometry import Floats
+from foreglow.runs.json_lines import checked, read_lines
+from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
+
+Box: TypeAlias = Annotated[list[float], Field(min_length=4, max_length=4)]
+"""`[x1, y1, x2, y2]`, half-open, in full-frame pixels."""
+
+StateName: TypeAlias = Literal["tentative", "confirmed", "coasting"]
+ModeName: TypeAlias = Literal["low", "glare_free", "full"]
+Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Count: TypeAlias = Annotated[int, Field(ge=0)]
+Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]
+
+
+@checked
+class TrackEntry(TypedDict):
+    """A track in a line.
+
+    Attributes:
+        id: Its number.
+        state: Name of a `TrackState`.
+        box_xyxy_px: To a thousandth of a pixel.
+        confidence: As in `Tracks`, as are the counts.
+        num_hits: Frames with a detection.
+        num_misses: Frames without one since the last.
+        age_s: To a microsecond.
+        range_m: To a millimetre; None where unknown.
+        range_sigma_m: Its standard deviation; None for infinity.
+        detection: Index of its detection among the proposals; -1 without one.
+        direct: Probability that it is a lamp itself; None where unknown.
+    """
+
+    id: int
+    state: StateName
+    box_xyxy_px: Box
+    confidence: Probability
+    num_hits: Annotated[int, Field(ge=1)]
+    num_misses: Count
+    age_s: Annotated[float, Field(ge=0)]
+    range_m: float | None
+    range_sigma_m: Annotated[float, Field(gt=0)] | None
+    detection: Annotated[int, Field(ge=-1)]
+    direct: NotRequired[Probability | None]
+
+
+@checked
+class GapEntry(TypedDict):
+    """A dark gap of a beam.
+
+    Attributes:
+        right_deg: Azimuth of its right border in the vehicle's frame, to the left, to a thousandth of a degree.
+        left_deg: That of its left border.
+        range_m: From the vehicle to what it is for, to a millimetre; None where unknown.
+    """
+
+    right_deg: float
+    left_deg: float
+    range_m: float | None
+
+
+@checked
+class BeamEntry(TypedDict):
+    """The beam command in a line.
+
+    Attributes:
+        mode: Name of a `BeamMode`.
+        gaps: From right to left.
+        faults: Why there is low beam although high beam was wanted.
+        levels: Of the left lamp and of the right one, LED by LED in thousandths of full.
+    """
+
+    mode: ModeName
+    gaps: list[GapEntry]
+    faults: list[str]
+    levels: Annotated[list[list[Thousandths]], Field(min_length=2, max_length=2)]
+
+
+@checked
+class FrameLine(TypedDict):
+    """A line of `frames.jsonl`; it depends on the frames and the configuration alone and not on any clock.
+
+    The lists about boxes are in the order of the proposals. A stage that did not run has None instead of its list.
+    Boxes of another program can be read from lines with `frame`, `proposals_xyxy_px` and perhaps `scores`.
+
+    Attributes:
+        frame: Number of the frame, as in `Frame.frame`.
+        sequence: Name of its sequence; empty where there is none.
+        timestamp_ns: Time of exposure in nanoseconds.
+        proposals_xyxy_px: All boxes that were proposed.
+        scores: Their scores, each the exact value of the float32 that was compared with the threshold.
+        direct: Probability that a box holds a lamp itself; None for a box where the model does not say.
+        detections_xyxy_px: The accepted boxes alone.
+        ranges_m: From the camera along the viewing ray, to a millimetre; None for a box where nothing is known.
+        range_sigmas_m: Standard deviations of the ranges; None for infinity.
+        tracks: In the order of ids.
+        beam: The beam command.
+    """
+
+    frame: int
+    sequence: NotRequired[str]
+    timestamp_ns: NotRequired[int]
+    proposals_xyxy_px: list[Box]
+    scores: NotRequired[list[float] | None]
+    direct: NotRequired[list[float | None] | None]
+    detections_xyxy_px: NotRequired[list[Box] | None]
+    ranges_m: NotRequired[list[float | None] | None]
+    range_sigmas_m: NotRequired[list[float | None] | None]
+    tracks: NotRequired[list[TrackEntry] | None]
+    beam: NotRequired[BeamEntry | None]
+
+
+FrameLineModel = RootModel[FrameLine]
+
+_STATE_NAMES: dict[int, StateName] = {
+    TrackState.TENTATIVE: "tentative",
+    TrackState.CONFIRMED: "confirmed",
+    TrackState.COASTING: "coasting",
+}
+_MODE_NAMES: dict[int, ModeName] = {
+    BeamMode.LOW: "low",
+    BeamMode.GLARE_FREE: "glare_free",
+    BeamMode.FULL: "full",
+}
+
+
+def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
+    """The line about one frame."""
+    detections, ranges, tracks = result.detections, result.ranges, result.tracks
+    return {
+        "frame": result.frame,
+        "sequence": frame.sequence,
+        "timestamp_ns": result.timestamp_ns,
+        "proposals_xyxy_px": result.proposals.boxes_xyxy_px.tolist(),
+        "scores": None if detections is None else detections.scores.tolist(),
+        "direct": None if detections is None else _without_nan(detections.direct_probabilities),
+        "detections_xyxy_px": None if detections is None else detections.accepted_boxes_xyxy_px.tolist(),
+        "ranges_m": None if ranges is None else _to_millimetres(ranges.ranges_m),
+        "range_sigmas_m": None if ranges is None else _to_millimetres(ranges.sigmas_m),
+        "tracks": None if tracks is None else _track_entries(tracks),
+        "beam": None if result.beam is None else beam_entry(result.beam),
+    }
+
+
+def line_to_result(line: FrameLine, score_threshold: float) -> FrameResult:
+    """The result that a line is about, without run-times.
+
+    Args:
+        line: The line.
+        score_threshold: That of the run, which accepted boxes with a higher score.
+
+    Raises:
+        ValueError: If the line has no time, or parts of it contradict each other.
+    """
+    if "timestamp_ns" not in line:
+        raise ValueError("timestamp_ns: field is missing")
+    proposals = Proposals(_whole_pixels(line["proposals_xyxy_px"]))
+    scores, ranges_m, sigmas_m = line.get("scores"), line.get("ranges_m"), line.get("range_sigmas_m")
+    tracks, beam = line.get("tracks"), line.get("beam")
+    detections: Detections | None = None
+    ranges: Ranges | None = None
+    if scores is not None:
+        direct = np.array(line.get("direct") or (), np.float32)
+        detections = Detections(proposals, np.array(scores, np.float32), score_threshold, direct)
+        if ranges_m is not None and sigmas_m is not None:
+            ranges = Ranges(detections, _numbers(ranges_m), _numbers(sigmas_m, unknown=math.inf))
+    return FrameResult(
+        line["frame"],
+        line["timestamp_ns"],
+        proposals,
+        detections,
+        ranges=ranges,
+        tracks=None if tracks is None else _tracks(tracks),
+        beam=None if beam is None else _beam_command(beam, line["timestamp_ns"]),
+    )
+
+
+def _track_entries(tracks: Tracks) -> list[TrackEntry]:
+    columns = (
+        tracks.ids.tolist(),
+        tracks.states.tolist(),
+        tracks.boxes_xyxy_px.tolist(),
+        tracks.confidences.tolist(),
+        tracks.num_hits.tolist(),
+        tracks.num_misses.tolist(),
+        tracks.ages_s.tolist(),
+        _to_millimetres(tracks.ranges_m),
+        _to_millimetres(tracks.sigmas_m),
+        tracks.detections.tolist(),
+        _without_nan(tracks.direct_probabilities),
+    )
+    return [
+        {
+            "id": number,
+            "state": _STATE_NAMES[state],
+            "box_xyxy_px": [round(edge, 3) for edge in box],
+            "confidence": confidence,
+            "num_hits": num_hits,
+            "num_misses": num_misses,
+            "age_s": round(age_s, 6),
+            "range_m": range_m,
+            "range_sigma_m": sigma_m,
+            "detection": detection,
+            "direct": direct,
+        }
+        for (
+            number, state, box, confidence, num_hits, num_misses, age_s, range_m, sigma_m, detection, direct,
+        ) in zip(*columns, strict=True)
+    ]  # fmt: skip
+
+
+def _tracks(entries: list[TrackEntry]) -> Tracks:
+    def column(name: str, dtype: type) -> NDArray[Any]:
+        return np.array([entry.get(name) for entry in entries], dtype)
+
+    return Tracks(
+        ids=column("id", np.int64),
+        states=np.array([TrackState[entry["state"].upper()] for entry in entries], np.int64),
+        boxes_xyxy_px=column("box_xyxy_px", np.float64).reshape(-1, 4),
+        confidences=column("confidence", np.float64),
+        num_hits=column("num_hits", np.int64),
+        num_misses=column("num_misses", np.int64),
+        ages_s=column("age_s", np.float64),
+        ranges_m=column("range_m", np.float64),
+        sigmas_m=_numbers([entry["range_sigma_m"] for entry in entries], unknown=math.inf),
+        detections=column("detection", np.int64),
+        direct_probabilities=column("direct", np.float64),
+    )
+
+
+def beam_entry(command: BeamCommand) -> BeamEntry:
+    """The beam command as a line has it."""
+    ranges_m = _to_millimetres(command.gap_ranges_m)
+    return {
+        "mode": _MODE_NAMES[command.mode],
+        "gaps": [
+            {"right_deg": round(right, 3), "left_deg": round(left, 3), "range_m": range_m}
+            for (right, left), range_m in zip(np.degrees(command.gaps_rad).tolist(), ranges_m, strict=True)
+        ],
+        "faults": list(command.faults),
+        "levels": np.rint(1000.0 * command.levels).astype(int).tolist(),
+    }
+
+
+def _beam_command(entry: BeamEntry, timestamp_ns: int) -> BeamCommand:
+    return BeamCommand(
+        timestamp_ns=timestamp_ns,
+        mode=BeamMode[entry["mode"].upper()],
+        levels=np.array(entry["levels"], np.float64) / 1000.0,
+        gaps_rad=_gaps_rad(entry),
+        gap_ranges_m=_numbers([gap["range_m"] for gap in entry["gaps"]]),
+        faults=tuple(entry["faults"]),
+    )
+
+
+def _gaps_rad(entry: BeamEntry) -> Floats:
+    """Shape (G, 2), as `BeamCommand.gaps_rad`."""
+    return np.radians([(gap["right_deg"], gap["left_deg"]) for gap in entry["gaps"]]).reshape(-1, 2)
+
+
+def _without_nan(values: NDArray[np.floating]) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
+
+
+def _to_millimetres(values_m: NDArray[np.float64]) -> list[float | None]:
+    """Rounded; None for NaN and infinity, which JSON does not have."""
+    return [round(value, 3) if math.isfinite(value) else None for value in values_m.tolist()]
+
+
+def _numbers(values: list[float | None], unknown: float = math.nan) -> Floats:
+    """Shape (N,), float64, with `unknown` instead of None."""
+    return np.array([unknown if value is None else value for value in values], np.float64)
+
+
+def _whole_pixels(boxes: list[Box]) -> NDArray[np.int32]:
+    """Shape (N, 4).
+
+    Raises:
+        ValueError: If an edge is not a whole number.
+    """
+    edges = np.array(boxes, np.float64).reshape(-1, 4)
+    with np.errstate(invalid="ignore"):  # an edge that int32 cannot hold
+        whole = edges.astype(np.int32)
+    if (whole != edges).any():
+        raise ValueError(f"proposals_xyxy_px: expected whole pixels, got {edges[(whole != edges).any(axis=1)][0]}")
+    return whole
+
+
+def has_tracks(path: Path | str) -> bool:
+    """Whether the file at `path` is the `frames.jsonl` of a run with a tracker, by its first line.
+
+    Raises:
+        ValueError: If that line is broken.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".jsonl" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.readline().strip()
+    return bool(first) and parse_json(first, FrameLineModel, f"{path}: line 1").root.get("tracks") is not None
+
+
+def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
+    """By image id, the tracks in the `frames.jsonl` at `path`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
+    """
+    return read_lines(Path(path), FrameLineModel, lambda line: _tracks(_entries_of(line)))
+
+
+def read_results(path: Path | str, score_threshold: float) -> Mapping[int, FrameResult]:
+    """By image id, the results of a run with a tracker from the `frames.jsonl` at `path`, without run-times.
+
+    Args:
+        path: The file.
+        score_threshold: That of the run, which accepted boxes with a higher score.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
+    """
+
+    def convert(line: FrameLine) -> FrameResult:
+        _entries_of(line)
+        return line_to_result(line, score_threshold)
+
+    return read_lines(Path(path), FrameLineModel, convert)
+
+
+def _entries_of(line: FrameLine) -> list[TrackEntry]:
+    entries = line.get("tracks")
+    if entries is None:
+        raise ValueError("tracks: expected a list, got nothing: the run had no model or no tracker")
+    return entries
+
+
+def read_gaps(path: Path | str) -> Mapping[int, Floats]:
+    """By image id, the dark gaps in the `frames.jsonl` at `path`: shape (G, 2), as `BeamCommand.gaps_rad`.
+
+    Frames without a beam are left out.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form; the message names the line and the field.
+    """
+    beams = read_lines(Path(path), FrameLineModel, lambda line: line.get("beam"))
+    return {frame: _gaps_rad(beam) for frame, beam in beams.items() if beam is not None}

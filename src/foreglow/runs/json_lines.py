@@ -1,0 +1,94 @@
+"""Files of lines, each the JSON of one frame: written while a run goes on, and read back."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ConfigDict, RootModel, with_config
+
+from foreglow.datasets.json_files import parse_json
+from foreglow.files import naming
+from foreglow.types import Frame, FrameResult
+
+Line = TypeVar("Line", bound=Mapping[str, Any])
+T = TypeVar("T")
+
+checked = with_config(ConfigDict(strict=True, allow_inf_nan=False))
+"""Decorates the type of a line or of an object in it: numbers are finite and nothing is converted. Keys that the type
+does not have are passed over, so that older and newer files can be read."""
+
+_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+
+
+class LineSink:
+    """A result sink that writes one line for every frame."""
+
+    def __init__(self, path: Path, to_line: Callable[[Frame, FrameResult], Mapping[str, Any]]) -> None:
+        """Opens the file.
+
+        Args:
+            path: The file.
+            to_line: Makes the object of a line.
+
+        Raises:
+            OSError: If the file cannot be written; the message names the path.
+        """
+        self._path = path
+        self._to_line = to_line
+        with naming(path):
+            self._file = path.open("w", encoding="utf-8", newline="\n")
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Adds a line.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        line = _encode(self._to_line(frame, result))
+        with naming(self._path):
+            self._file.write(line + "\n")
+
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        with naming(self._path):
+            self._file.close()
+
+    def discard(self) -> None:
+        """Closes the file, even if what it holds cannot be completed."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line], T]) -> dict[int, T]:
+    """By frame, what `convert` makes of its line in the file at `path`; empty lines are passed over.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If a line does not fit the model, cannot be converted, or is about the same frame as another; the
+            message names the line.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, expected one that a run wrote")
+    values: dict[int, T] = {}
+    with path.open("rb") as file:
+        for number, text in enumerate(file, start=1):
+            if not text.strip():
+                continue
+            origin = f"{path}: line {number}"
+            line = parse_json(text, model, origin).root
+            frame = line["frame"]
+            if frame in values:
+                raise ValueError(f"{origin}: frame: expected each frame once, {frame} is there twice")
+            try:
+                values[frame] = convert(line)
+            except ValueError as error:
+                raise ValueError(f"{origin}: {error}") from error
+    return values

@@ -1,0 +1,169 @@
+"""Counts and run-times of a run, gathered frame by frame."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections import Counter, defaultdict, deque
+from collections.abc import Collection, Sequence
+from importlib import metadata
+
+import numpy as np
+
+from foreglow.config import PipelineConfig
+from foreglow.provenance import checkout_state, processor_name
+from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Tracks
+
+NUM_TIMES = 20_000
+"""Number of frames whose run-times are kept, always the latest: a live run may last for days."""
+
+
+class Tally:
+    """Counts and run-times of a run or of a part of it; `extend` joins the tallies of parts."""
+
+    def __init__(self) -> None:
+        self.num_frames = 0
+        self._num_proposals = 0
+        self._num_accepted = 0
+        self._num_ranged = 0
+        self._num_tracks: int | None = None
+        self._sequence = ""
+        self._counted: set[int] = set()
+        self._beam: BeamTally | None = None
+        self._sizes_px: dict[tuple[int, int], None] = {}
+        self._stage_ms: defaultdict[str, deque[float]] = defaultdict(functools.partial(deque, (), NUM_TIMES))
+
+    def add(self, frame: Frame, result: FrameResult) -> None:
+        """Counts one frame."""
+        self.num_frames += 1
+        self._num_proposals += len(result.proposals)
+        if result.detections is not None:
+            self._num_accepted += int(result.detections.is_accepted.sum())
+        if result.ranges is not None:
+            self._num_ranged += int(np.isfinite(result.ranges.ranges_m).sum())
+        if result.tracks is not None:
+            self._count_tracks(frame.sequence, result.tracks)
+        if result.beam is not None:
+            self._beam = self._beam or BeamTally()
+            self._beam.add(result.beam)
+        self._sizes_px[frame.width_px, frame.height_px] = None
+        for name, value in result.stage_ms.items():
+            self._stage_ms[name].append(value)
+        self._stage_ms["total"].append(sum(result.stage_ms.values()))
+
+    def extend(self, later: Tally) -> None:
+        """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
+        self.num_frames += later.num_frames
+        self._num_proposals += later._num_proposals
+        self._num_accepted += later._num_accepted
+        self._num_ranged += later._num_ranged
+        if later._num_tracks is not None:
+            self._num_tracks = (self._num_tracks or 0) + later._num_tracks
+        if later._beam is not None:
+            self._beam = self._beam or BeamTally()
+            self._beam.extend(later._beam)
+        self._sizes_px |= later._sizes_px
+        for name, values in later._stage_ms.items():
+            self._stage_ms[name] += values
+
+    def summary(
+        self,
+        source: str,
+        skipped: Sequence[str],
+        config: PipelineConfig,
+        *,
+        is_complete: bool,
+        dispatch: str | None,
+        processor: str | None = None,
+    ) -> RunSummary:
+        """The summary of all frames so far, with the version of Foreglow and the machine.
+
+        Args:
+            source: Where the frames came from.
+            skipped: One line for each file that was skipped.
+            config: Configuration of the pipeline.
+            is_complete: Whether all frames were run.
+            dispatch: As `Pipeline.dispatch`.
+            processor: Name of the processor that it ran on; None for that of this machine.
+        """
+        is_classified = config.classifier.model is not None
+        is_ranging = is_classified and config.distance.estimator != "none"
+        commit, has_local_changes = checkout_state()
+        return RunSummary(
+            source=source,
+            is_complete=is_complete,
+            is_classified=is_classified,
+            num_frames=self.num_frames,
+            num_proposals=self._num_proposals,
+            num_scored=self._num_proposals if is_classified else None,
+            num_accepted=self._num_accepted if is_classified else None,
+            num_ranged=self._num_ranged if is_ranging else None,
+            num_tracks=self._num_tracks,
+            beam=None if self._beam is None else self._beam.summary(),
+            num_skipped=len(skipped),
+            skipped=tuple(skipped),
+            frame_sizes_px=tuple(self._sizes_px),
+            run_time_ms={name: run_time(values) for name, values in self._stage_ms.items()} or {"total": run_time([])},
+            version=metadata.version("foreglow"),
+            commit=commit,
+            has_local_changes=has_local_changes,
+            processor=processor or processor_name(),
+            dispatch=dispatch,
+        )
+
+    def _count_tracks(self, sequence: str, tracks: Tracks) -> None:
+        """Counts the tracks that are plausible for the first time; forgets those that have ended."""
+        if sequence != self._sequence:
+            self._sequence = sequence
+            self._counted.clear()
+        plausible = set(tracks.ids[tracks.is_plausible].tolist())
+        self._num_tracks = (self._num_tracks or 0) + len(plausible - self._counted)
+        self._counted = (self._counted | plausible) & set(tracks.ids.tolist())
+
+
+class BeamTally:
+    """Counts modes, faults and gaps, command by command."""
+
+    def __init__(self) -> None:
+        self._modes: Counter[int] = Counter()
+        self._faults: Counter[str] = Counter()
+        self._sum_gaps_rad = 0.0
+        self._num_gaps = 0
+
+    def add(self, command: BeamCommand) -> None:
+        """Counts one command."""
+        self._modes[command.mode] += 1
+        self._faults.update(command.faults)
+        self._num_gaps += len(command.gaps_rad)
+        self._sum_gaps_rad += float(np.diff(command.gaps_rad).sum())
+
+    def extend(self, later: BeamTally) -> None:
+        """Adds the counts of `later`."""
+        self._modes.update(later._modes)
+        self._faults.update(later._faults)
+        self._num_gaps += later._num_gaps
+        self._sum_gaps_rad += later._sum_gaps_rad
+
+    def summary(self) -> BeamSummary:
+        """The summary of all commands so far."""
+        mean_gap_deg = round(math.degrees(self._sum_gaps_rad / self._num_gaps), 3) if self._num_gaps else None
+        return BeamSummary(
+            num_low=self._modes[BeamMode.LOW],
+            num_glare_free=self._modes[BeamMode.GLARE_FREE],
+            num_full=self._modes[BeamMode.FULL],
+            mean_gap_deg=mean_gap_deg,
+            faults=dict(self._faults.most_common()),
+        )
+
+
+def run_time(values_ms: Collection[float]) -> RunTime:
+    """Median, p95 and p99 (linear between ranks), in milliseconds to 0.1 us; None for no values.
+
+    >>> run_time([1.0, 2.0, 3.0])
+    {'median': 2.0, 'p95': 2.9, 'p99': 2.98}
+    """
+    if not values_ms:
+        return dict.fromkeys(("median", "p95", "p99"))
+    median, p95, p99 = np.percentile(list(values_ms), (50, 95, 99)).round(4).tolist()
+    return {"median": median, "p95": p95, "p99": p99}

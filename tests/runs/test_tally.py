@@ -1,0 +1,131 @@
+"""Counts, run-times and provenance of a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow import provenance
+from foreglow.config import PipelineConfig, preset
+from foreglow.files import json_text
+from foreglow.runs import tally as tallies
+from foreglow.runs.summary import RunSummary
+from foreglow.runs.tally import Tally, run_time
+from foreglow.types import BeamCommand, BeamMode, Ranges, TrackState
+from tests.stand_ins import night_frames, result_of, tracks_of
+
+STATES = [TrackState.CONFIRMED, TrackState.TENTATIVE]
+
+
+def summary_of(tally: Tally, config: PipelineConfig | None = None) -> RunSummary:
+    return tally.summary("here", [], config or preset("foreglow"), is_complete=True, dispatch=None)
+
+
+def test_run_time_of_a_hundred_values() -> None:
+    assert run_time([float(k) for k in range(101)]) == {"median": 50.0, "p95": 95.0, "p99": 99.0}
+
+
+def test_scored_boxes_are_counted() -> None:
+    frame = night_frames(1)[0]
+    tally = Tally()
+    tally.add(frame, result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1]))
+    tally.add(frame, result_of(frame, [], []))
+    counted = summary_of(tally)
+    assert (counted.num_ranged, counted.num_tracks) == (0, None)
+    assert (counted.num_frames, counted.num_proposals, counted.num_scored, counted.num_accepted) == (2, 2, 2, 1)
+    assert counted.run_time_ms["total"] == {"median": 0.25, "p95": 0.25, "p99": 0.25}
+
+
+def test_ranges_and_tracks_are_counted() -> None:
+    frames = night_frames(2)
+    tally = Tally()
+    for frame, followed in zip(frames, (tracks_of([[0, 0, 4, 4], [8, 8, 9, 9]], STATES), tracks_of([])), strict=True):
+        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], [0.9, 0.1])
+        assert result.detections is not None
+        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
+        tally.add(frame, dataclasses.replace(result, ranges=ranges, tracks=followed))
+    tally.add(night_frames(1, "S00002")[0], dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]])))
+    counted = summary_of(tally)
+    assert (counted.num_ranged, counted.num_tracks) == (2, 2)  # the tentative track does not count
+    without = summary_of(tally, preset("foreglow").detector_only)
+    assert without.num_ranged is None
+
+
+def test_beam_commands_are_counted() -> None:
+    frame = night_frames(1)[0]
+    bright, gaps_rad = np.ones((2, 4)), np.radians([[-3.0, -1.0], [0.0, 4.0]])
+    commands = [
+        BeamCommand(0, BeamMode.FULL, bright),
+        BeamCommand(0, BeamMode.GLARE_FREE, bright, gaps_rad, np.array([50.0, np.nan])),
+        BeamCommand.low(0, 4, "too_slow"),
+        BeamCommand.low(0, 4, "image_black", "too_slow"),
+    ]
+    tally = Tally()
+    assert summary_of(tally).beam is None
+    for command in commands:
+        tally.add(frame, dataclasses.replace(result_of(frame, []), beam=command))
+    counted = summary_of(tally).beam
+    assert counted is not None
+    assert (counted.num_low, counted.num_glare_free, counted.num_full) == (2, 1, 1)
+    assert counted.mean_gap_deg == 3.0
+    assert list(counted.faults.items()) == [("too_slow", 2), ("image_black", 1)]
+
+
+def test_commit_of_this_checkout() -> None:
+    commit, has_local_changes = provenance.checkout_state()
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        assert (commit, has_local_changes) == (None, None)
+        return
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    assert commit == subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def test_no_commit_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    assert provenance.checkout_state() == (None, None)
+
+
+def test_tallies_of_parts_are_that_of_the_whole() -> None:
+    rng = np.random.default_rng(3)
+    whole, first, second = Tally(), Tally(), Tally()
+    for index, frame in enumerate([*night_frames(3, "S00001"), *night_frames(3, "S00002")]):
+        result = result_of(frame, [[0, 0, 4, 4], [8, 8, 12, 12]], rng.random(2).tolist())
+        gaps_rad = np.radians([[-3.0, -1.0], [0.0, 4.0 + index]])
+        levels = np.ones((2, 4))
+        beam = (
+            BeamCommand.low(0, 4, f"fault_{index % 2}")
+            if index % 3
+            else BeamCommand(0, BeamMode.GLARE_FREE, levels, gaps_rad, np.array([50.0, np.nan]))
+        )
+        assert result.detections is not None
+        ranges = Ranges(result.detections, np.array([30.0, np.nan]), np.array([3.0, np.inf]))
+        result = dataclasses.replace(
+            result, ranges=ranges, tracks=tracks_of([[0, 0, 4, 4]], ids=[index // 2]), beam=beam
+        )
+        result = dataclasses.replace(result, stage_ms={"proposals": float(rng.random())})
+        for tally in (whole, second if index >= 3 else first):
+            tally.add(frame, result)
+    joined = Tally()
+    for part in (first, second):
+        joined.extend(part)
+    expected, found = (summary_of(tally) for tally in (whole, joined))
+    assert found == expected
+    assert json_text(found) == json_text(expected)  # also the order of faults
+    assert expected.num_tracks == 4
+
+
+def test_a_tally_of_days_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tallies, "NUM_TIMES", 10)
+    tally = Tally()
+    frame = night_frames(1)[0]
+    for number in range(200):
+        result = result_of(frame, [[0, 0, 4, 4]], [0.9])
+        tally.add(frame, dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]], ids=[number // 4])))
+    assert len(tally._counted) == 1
+    assert {len(values) for values in tally._stage_ms.values()} == {10}
+    assert summary_of(tally).num_tracks == 50

@@ -1,0 +1,141 @@
+"""Pages name only what exists: links and anchors, files, modules and their names; the example of the README runs."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import foreglow
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "foreglow"
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((SOURCE / "models").glob("*.md")),
+]
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)(#[^)\s]+)?\)")
+NAME = re.compile(r"(?<![\w./-])foreglow(?:\.[A-Za-z_]\w*)+")
+FILE = re.compile(r"(?<![\w./-])(?:src/foreglow|native|tests|benchmarks|docs)/[\w./-]*\w")
+OF_FILES = {"onnx", "toml", "md", "dbc", "html"}
+
+
+def short(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def anchors(page: Path) -> Iterator[str]:
+    """The anchors of the headings, as GitHub names them."""
+    seen: dict[str, int] = {}
+    for line in FENCE.sub("", page.read_text(encoding="utf-8")).splitlines():
+        if line.startswith("#"):
+            text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line.lstrip("#").strip())
+            slug = re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
+            yield f"#{slug}" + (f"-{seen[slug]}" if slug in seen else "")
+            seen[slug] = seen.get(slug, 0) + 1
+
+
+def test_links_lead_somewhere() -> None:
+    broken = []
+    for page in PAGES:
+        for target, anchor in LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+            path = (page.parent / target).resolve() if target else page
+            if not path.exists() or (anchor and anchor not in anchors(path)):
+                broken.append(f"{short(page)}: {target}{anchor}")
+    assert not broken
+
+
+@cache
+def names_of(module: Path) -> frozenset[str]:
+    """The names at the top of a module: what is defined, assigned or imported there."""
+    names = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+            names.add(node.name)
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            names |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+    return frozenset(names)
+
+
+@cache
+def schemas() -> frozenset[str]:
+    """Names such as `foreglow.Frame` that the package writes as text: types of recorded messages."""
+    texts = (path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py"))
+    return frozenset(name for text in texts for name in re.findall(r'"(foreglow\.\w+)"', text))
+
+
+def exists(name: str) -> bool:
+    """Whether `foreglow.a.b.c` is a module, or a name in one; of what is in a class only the class is looked for."""
+    place, parts = SOURCE, name.split(".")[1:]
+    for k, part in enumerate(parts):
+        if (place / part).is_dir():
+            place /= part
+        elif (place / f"{part}.py").is_file():
+            rest = parts[k + 1 :]
+            return not rest or rest[0] in names_of(place / f"{part}.py")
+        elif place == SOURCE:
+            return part in foreglow.__all__ or name in schemas()
+        else:
+            return part in names_of(place / "__init__.py")
+    return True
+
+
+def imported(text: str) -> Iterator[str]:
+    """What the Python examples import from the package, as `foreglow.module.name`."""
+    for example in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        for node in ast.walk(ast.parse(example)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "foreglow":
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_names_and_files_exist() -> None:
+    missing = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        if page.name != "CHANGELOG.md" and not page.name.startswith("0013"):  # both also have names of before
+            names = {name for name in NAME.findall(text) if name.split(".")[1] not in OF_FILES} | set(imported(text))
+            missing += [f"{short(page)}: {name}" for name in names if not exists(name)]
+        missing += [f"{short(page)}: {file}" for file in FILE.findall(text) if not (ROOT / file).exists()]
+    assert not missing
+
+
+def test_what_is_not_there_is_noticed() -> None:
+    assert exists("foreglow.Pipeline")
+    assert exists("foreglow.lab.evaluation.bootstrap.paired_bootstrap")
+    assert exists("foreglow.Health")
+    assert not exists("foreglow.Nothing")
+    assert not exists("foreglow.nothing.at_all")
+    assert not exists("foreglow.lab.evaluation.bootstrap.nothing")
+    assert list(imported("```python\nfrom foreglow.beam import Guard\n```\n")) == ["foreglow.beam.Guard"]
+    assert "#a-page-of-its-own" not in anchors(ROOT / "docs" / "index.md")
+
+
+def test_the_map_is_complete() -> None:
+    text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    rooms = [path.relative_to(SOURCE.parent) for path in (*SOURCE.iterdir(), *(SOURCE / "lab").iterdir())]
+    names = {".".join(path.with_suffix("").parts) for path in rooms if re.fullmatch(r"[a-z]\w*(\.py)?", path.name)}
+    assert not {name for name in names - {"foreglow.lab"} if f"`{name}`" not in text}
+
+
+def test_the_readme_is_short_and_says_how_to_test() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 80
+    assert max(map(len, lines)) <= 100
+    assert {"`make demo`", "`make test`"} <= set(re.findall(r"`make \w+`", "\n".join(lines)))
+
+
+def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    exec(compile(example, "README.md", "exec"), {})
+    assert re.search(
+        r"^2\.44 s: light \d+, \d+ m away$", capsys.readouterr().out, re.MULTILINE
+    )  # as `foreglow demo` says
