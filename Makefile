@@ -46,7 +46,7 @@ check: $(VENV)/.dev
 # The documentation as a site in build/site; a broken link or anchor is an error. To search in it, serve it:
 # python3 -m http.server --directory build/site
 docs: $(VENV)/.docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.detector

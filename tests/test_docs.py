@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import ast
 import re
+import shlex
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 import foreglow
+from foreglow.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "foreglow"
@@ -108,6 +112,33 @@ def test_names_and_files_exist() -> None:
     assert not missing
 
 
+def commands(text: str) -> Iterator[str]:
+    """The command lines that begin with `foreglow`, of shell examples and in the running text."""
+    for example in re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        yield from re.findall(r"^foreglow .*$", example.replace("\\\n", " "), re.MULTILINE)
+    yield from (" ".join(span.split()) for span in re.findall(r"`(foreglow [a-z][^`]*)`", FENCE.sub("", text)))
+
+
+def unknown(line: str) -> list[str]:
+    """What the command line names that the program does not know: commands and options, not their values."""
+    command: Any = typer.main.get_command(app)
+    words = shlex.split(line, comments=True)[1:]
+    while words and hasattr(command, "commands"):
+        name = words.pop(0)
+        if name not in command.commands:
+            return [name] if re.fullmatch(r"[a-z][a-z0-9-]*", name) else []
+        command = command.commands[name]
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    used = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    return [word for word in used if word.startswith("--") and word.split("=")[0] not in known]
+
+
+def test_commands_and_their_options_exist() -> None:
+    lines = {(page, line) for page in PAGES for line in commands(page.read_text(encoding="utf-8"))}
+    assert len(lines) > 50
+    assert not [f"{short(page)}: {line}: {unknown(line)}" for page, line in sorted(lines) if unknown(line)]
+
+
 def test_what_is_not_there_is_noticed() -> None:
     assert exists("foreglow.Pipeline")
     assert exists("foreglow.lab.evaluation.bootstrap.paired_bootstrap")
@@ -116,6 +147,8 @@ def test_what_is_not_there_is_noticed() -> None:
     assert not exists("foreglow.nothing.at_all")
     assert not exists("foreglow.lab.evaluation.bootstrap.nothing")
     assert list(imported("```python\nfrom foreglow.beam import Guard\n```\n")) == ["foreglow.beam.Guard"]
+    assert unknown("foreglow nothing") == ["nothing"]
+    assert unknown("foreglow run SOURCE --nothing 1  # --neither") == ["--nothing"]
     assert "#a-page-of-its-own" not in anchors(ROOT / "docs" / "index.md")
 
 

@@ -63,8 +63,6 @@ KNOWN = {
     # The tables of one experiment serve all pages.
     ("lab.reports.html", "lab.studies.detector.tables"),
     ("lab.reports.run_page", "lab.studies.detector.tables"),
-    # A run's summary takes its times from the clock that measures them.
-    ("runs.summary", "runtime.stepper"),
     # The closed loop is a source of the live command.
     ("runtime.live.opening", "lab.simulation"),
     ("runtime.live.sources", "lab.simulation"),

@@ -51,19 +51,19 @@ class OwnJson(Protocol):
     """A value whose JSON differs from its fields: it adds properties, leaves fields out, or arranges them anew."""
 
     def to_json(self) -> Any:
-        """What to write instead; `to_json` below is applied to it in turn, so NaN and arrays may be left in it."""
+        """The value to write instead. It may hold NaN, arrays and dataclasses: `to_json` is applied to it in turn."""
         ...
 
 
 def to_json(value: Any) -> Any:
-    """`value` as JSON has it: objects, lists, texts, numbers, truth values and null.
+    """Converts `value` to plain values that `json` can write: dicts, lists, texts, numbers, truth values and None.
 
-    Dataclasses become objects of their fields, pydantic models of theirs; arrays and tuples become lists, numpy's
-    scalars Python's, enumerations their values and paths texts. NaN and infinity become null. A value with a method
-    `to_json` is written as that says.
+    Dataclasses and pydantic models become dicts of their fields, arrays and tuples become lists, numpy's scalars become
+    Python's, enumerations become their values, and paths become texts. NaN and infinity become None. A value with a
+    method `to_json` is replaced by what it returns.
 
     Raises:
-        ValueError: If a value within it is of a type that has no JSON; it is a `PydanticSerializationError`.
+        ValueError: If a value in it has a type that cannot be written as JSON.
 
     >>> to_json({"ranges_m": np.array([1.5, np.nan]), "path": Path("a/b")})
     {'ranges_m': [1.5, None], 'path': 'a/b'}
@@ -86,13 +86,13 @@ def to_json(value: Any) -> Any:
 
 
 def fields_to_json(value: Any, *properties: str) -> dict[str, Any]:
-    """The fields of a dataclass by name as JSON has them, then these properties of it; for a method `to_json`."""
+    """The fields of a dataclass and then these properties of it, by name; for a method `to_json` to return."""
     names = (*(field.name for field in dataclasses.fields(value)), *properties)
     return {name: to_json(getattr(value, name)) for name in names}
 
 
 def write_json_results(path: Path, results: Any, indent: int = 1) -> None:
-    """Writes `results` to `path` as `to_json` has them, whole or not at all.
+    """Writes `results` to `path` in the form of `to_json`, whole or not at all.
 
     Raises:
         OSError: If it cannot be written.
@@ -101,17 +101,17 @@ def write_json_results(path: Path, results: Any, indent: int = 1) -> None:
 
 
 def json_text(value: Any, indent: int = 1) -> str:
-    """The text of a JSON file that holds `value` as `to_json` has it; it ends in a new line."""
+    """The text of a JSON file that holds `value` in the form of `to_json`; it ends with a new line."""
     return json.dumps(to_json(value), indent=indent, allow_nan=False) + "\n"
 
 
 @contextlib.contextmanager
 def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
-    """Puts `path` into an OSError that does not say which file it is about, such as one of a full disk.
+    """Adds `path` to an OSError that does not name its file, such as that of a full disk.
 
     Args:
         path: The file that the user knows.
-        in_place_of: A temporary file of ours; an error about it becomes one about `path`.
+        in_place_of: A temporary file of ours; an error that names it will name `path` instead.
     """
     try:
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
 
 
-def write_run(path: Path, made: list[tuple[Frame, FrameResult]]) -> Path:
-    """Writes a folder as a run does."""
+def write_run(path: Path, made: list[tuple[Frame, FrameResult]], **changes: object) -> Path:
+    """Writes a folder as a run does, but for changes in its summary."""
     tally = Tally()
     with OutputFolder(path) as folder:
         for sink in folder.line_sinks():
@@ -27,6 +28,8 @@ def write_run(path: Path, made: list[tuple[Frame, FrameResult]]) -> Path:
         for frame, result in made:
             tally.add(frame, result)
         folder.publish(REFERENCE, tally.summary("images", [], REFERENCE, is_complete=True, dispatch=None))
+    summary = path / "summary.json"
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | changes))
     return path
 
 
@@ -81,13 +84,25 @@ def test_what_is_no_run(tmp_path: Path) -> None:
 def test_where_a_run_had_its_frames(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"summary\.json: no such file"):
         source_of_run(tmp_path)
-    path = write_run(tmp_path / "run", []) / "summary.json"
-    text = path.read_text()
-    path.write_text(text.replace('"images"', f'"{tmp_path}"'))
-    assert source_of_run(path.parent) == tmp_path
-    path.write_text(text.replace('"images"', '"/nowhere/at/all"'))
+    assert source_of_run(write_run(tmp_path, [], source=str(tmp_path))) == tmp_path
     with pytest.raises(FileNotFoundError, match=r"source: expected the run's frames, there is nothing at /nowhere"):
-        source_of_run(path.parent)
-    path.write_text(text.replace('"images"', "3"))
+        source_of_run(write_run(tmp_path, [], source="/nowhere/at/all"))
     with pytest.raises(ValueError, match=r"summary\.json: source: expected a valid string"):
-        source_of_run(path.parent)
+        source_of_run(write_run(tmp_path, [], source=3))
+
+
+def test_a_run_of_version_0_1_0() -> None:
+    """Folders of earlier versions stay readable: this one of `foreglow live` was shortened to three frames."""
+    folder = Path(__file__).parent / "run_of_0_1_0"
+    run = read_run(folder)
+    assert (run.summary.version, run.summary.dispatch) == ("0.1.0", "avx512")
+    assert run.summary.live is not None
+    assert run.summary.live.faults[0].fault == "camera_slow"
+    (results,) = run.sequences.values()
+    lines = (folder / "frames.jsonl").read_text().splitlines()
+    for result, line in zip(results, lines, strict=True):
+        frame = Frame(night_image(), result.timestamp_ns, result.frame, "S00001")
+        assert json.dumps(frame_to_line(frame, result), separators=(",", ":")) == line
+        assert "capture" in result.stage_ms
+    modes = {result.beam.mode for result in results if result.beam is not None}
+    assert modes == {BeamMode.FULL, BeamMode.GLARE_FREE}

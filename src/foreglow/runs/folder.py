@@ -17,7 +17,7 @@ from foreglow.runs.summary import LiveSummary, RunSummary
 from foreglow.runs.times_file import frame_to_times
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
-"""The files that get a line for every frame, and what makes it."""
+"""The files that get a line for every frame, with the functions that make the line."""
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -111,7 +111,7 @@ class OutputFolder:
         return self._parts
 
     def join_parts(self, parts: Path, names: Sequence[str]) -> None:
-        """Writes the lines of the parts with these names, one part after another, as the results of `line_sinks`.
+        """Joins the files of the parts with these names, in this order, into the results that `line_sinks` would write.
 
         Raises:
             OSError: If that fails; the message names the path.

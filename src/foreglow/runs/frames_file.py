@@ -1,8 +1,8 @@
-"""`frames.jsonl`: what was found in each frame of a run, one JSON object a line.
+"""`frames.jsonl`: the results of each frame of a run, one JSON object a line.
 
-`FrameLine` says what a line holds, and is the type of both what `frame_to_line` makes and what `line_to_result` takes.
-A line is written as a plain dict, by `json` and not by pydantic: that writes some numbers otherwise (`2e-5` instead of
-`2e-05`), and the same run has to give the same bytes in every version.
+`FrameLine` is the type of a line: `frame_to_line` makes it, `line_to_result` takes it, and pydantic checks it when a
+file is read. A line is a plain dict and is written by `json`, not by pydantic, which would write some numbers in
+another way (`2e-5` instead of `2e-05`): the same run has to give the same bytes in every version.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NotRequired, TypeAlias
+from typing import Annotated, Any, Literal, NotRequired, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,20 +34,10 @@ Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]
 
 @checked
 class TrackEntry(TypedDict):
-    """A track in a line.
+    """A track in a line, with the fields of `Tracks`.
 
-    Attributes:
-        id: Its number.
-        state: Name of a `TrackState`.
-        box_xyxy_px: To a thousandth of a pixel.
-        confidence: As in `Tracks`, as are the counts.
-        num_hits: Frames with a detection.
-        num_misses: Frames without one since the last.
-        age_s: To a microsecond.
-        range_m: To a millimetre; None where unknown.
-        range_sigma_m: Its standard deviation; None for infinity.
-        detection: Index of its detection among the proposals; -1 without one.
-        direct: Probability that it is a lamp itself; None where unknown.
+    The box is rounded to 0.001 pixels, the age to a microsecond, range and sigma to a millimetre. Range, sigma and the
+    probability `direct` of a lamp itself are None where unknown. `detection` is an index among the proposals, or -1.
     """
 
     id: int
@@ -65,13 +55,7 @@ class TrackEntry(TypedDict):
 
 @checked
 class GapEntry(TypedDict):
-    """A dark gap of a beam.
-
-    Attributes:
-        right_deg: Azimuth of its right border in the vehicle's frame, to the left, to a thousandth of a degree.
-        left_deg: That of its left border.
-        range_m: From the vehicle to what it is for, to a millimetre; None where unknown.
-    """
+    """A dark gap of a beam: azimuths to 0.001 degrees, range to a millimetre or None, otherwise as in `BeamCommand`."""
 
     right_deg: float
     left_deg: float
@@ -80,14 +64,7 @@ class GapEntry(TypedDict):
 
 @checked
 class BeamEntry(TypedDict):
-    """The beam command in a line.
-
-    Attributes:
-        mode: Name of a `BeamMode`.
-        gaps: From right to left.
-        faults: Why there is low beam although high beam was wanted.
-        levels: Of the left lamp and of the right one, LED by LED in thousandths of full.
-    """
+    """The beam command in a line, as `BeamCommand`; `levels` are those of each LED in thousandths of full."""
 
     mode: ModeName
     gaps: list[GapEntry]
@@ -99,8 +76,8 @@ class BeamEntry(TypedDict):
 class FrameLine(TypedDict):
     """A line of `frames.jsonl`; it depends on the frames and the configuration alone and not on any clock.
 
-    The lists about boxes are in the order of the proposals. A stage that did not run has None instead of its list.
-    Boxes of another program can be read from lines with `frame`, `proposals_xyxy_px` and perhaps `scores`.
+    Lists that have a value for each box are in the order of the proposals. If a stage did not run, its fields are None.
+    Another program may write just `frame`, `proposals_xyxy_px` and perhaps `scores`: its boxes can be evaluated.
 
     Attributes:
         frame: Number of the frame, as in `Frame.frame`.
@@ -108,9 +85,9 @@ class FrameLine(TypedDict):
         timestamp_ns: Time of exposure in nanoseconds.
         proposals_xyxy_px: All boxes that were proposed.
         scores: Their scores, each the exact value of the float32 that was compared with the threshold.
-        direct: Probability that a box holds a lamp itself; None for a box where the model does not say.
+        direct: Probability that each box holds a lamp itself; None if the model gives none.
         detections_xyxy_px: The accepted boxes alone.
-        ranges_m: From the camera along the viewing ray, to a millimetre; None for a box where nothing is known.
+        ranges_m: Range of each box from the camera along the viewing ray, rounded to a millimetre; None where unknown.
         range_sigmas_m: Standard deviations of the ranges; None for infinity.
         tracks: In the order of ids.
         beam: The beam command.
@@ -131,16 +108,8 @@ class FrameLine(TypedDict):
 
 FrameLineModel = RootModel[FrameLine]
 
-_STATE_NAMES: dict[int, StateName] = {
-    TrackState.TENTATIVE: "tentative",
-    TrackState.CONFIRMED: "confirmed",
-    TrackState.COASTING: "coasting",
-}
-_MODE_NAMES: dict[int, ModeName] = {
-    BeamMode.LOW: "low",
-    BeamMode.GLARE_FREE: "glare_free",
-    BeamMode.FULL: "full",
-}
+_STATE_NAMES = {state: cast(StateName, state.name.lower()) for state in TrackState}
+_MODE_NAMES = {mode: cast(ModeName, mode.name.lower()) for mode in BeamMode}
 
 
 def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:

@@ -1,4 +1,4 @@
-"""Files of lines, each the JSON of one frame: written while a run goes on, and read back."""
+"""Files with one line of JSON for each frame, which are written while a run goes on."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Line = TypeVar("Line", bound=Mapping[str, Any])
 T = TypeVar("T")
 
 checked = with_config(ConfigDict(strict=True, allow_inf_nan=False))
-"""Decorates the type of a line or of an object in it: numbers are finite and nothing is converted. Keys that the type
-does not have are passed over, so that older and newer files can be read."""
+"""Decorator for the type of a line or of an object in it: values must have exactly these types, and numbers must be
+finite. Keys that the type does not have are ignored, so that files of other versions can be read."""
 
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
@@ -62,13 +62,13 @@ class LineSink:
             self._file.close()
 
     def discard(self) -> None:
-        """Closes the file, even if what it holds cannot be completed."""
+        """Closes the file, even if it cannot be completed."""
         with contextlib.suppress(OSError):
             self._file.close()
 
 
 def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line], T]) -> dict[int, T]:
-    """By frame, what `convert` makes of its line in the file at `path`; empty lines are passed over.
+    """Reads the file at `path` and gives, by frame, the value that `convert` makes of its line; skips empty lines.
 
     Raises:
         FileNotFoundError: If there is no such file.

@@ -21,7 +21,7 @@ RunTime: TypeAlias = dict[str, float | None]
 
 
 class _Strict:
-    """What is read into the fields has their types: no text where a number belongs, no NaN."""
+    """Its subclasses are read strictly: values must have the types of the fields, and NaN is refused."""
 
     __slots__ = ()
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, allow_inf_nan=False)
@@ -102,7 +102,7 @@ class FaultEvent(_Strict):
         fault: Its name.
         from_ns: When it was noticed, by the frames' clock.
         until_ns: When it was over; None while it lasts.
-        detail: What is known of it, for people.
+        detail: Its cause, as far as it is known, for people to read.
     """
 
     fault: str
@@ -118,7 +118,7 @@ class LivePart(_Strict):
     Attributes:
         num_dropped: Frames that were skipped because a newer one had come.
         num_late: Frames whose command came later than a frame's time after the image.
-        num_unrecorded: Results that sinks did not get, of all sinks together.
+        num_unrecorded: Results that sinks did not get, added up over all sinks.
         sink_errors: Why sinks failed.
         fault_counts: How often each fault began.
         faults: The latest events.
@@ -137,14 +137,14 @@ class LiveSummary(LivePart):
     """What a live run did.
 
     Attributes:
-        run: As of a run off line; its run-times also have `capture`, `queue` and `send`, and `total` is from exposure
-            until the command was sent.
+        run: The same as for an off-line run; its run-times also have `capture`, `queue` and `send`, and `total` is the
+            time from exposure until the command was sent.
     """
 
     run: RunSummary
 
     def to_json(self) -> dict[str, Any]:
-        """As `SummaryFile` has it: the fields of `run`, and all others under `live`."""
+        """The form of `SummaryFile`: the fields of `run`, and all others under `live`."""
         live = fields_to_json(self)
         return {**live.pop("run"), "live": live}
 
@@ -154,7 +154,7 @@ class SummaryFile(RunSummary):
     """A `summary.json`.
 
     Attributes:
-        live: Of a live run alone.
+        live: The part that only live runs have.
     """
 
     live: LivePart | None = None

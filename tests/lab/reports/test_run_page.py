@@ -66,7 +66,7 @@ def check_self_contained(page: Page, path: Path) -> None:
 
 def test_a_made_up_run(tmp_path: Path) -> None:
     made = [made_up(1, "A"), made_up(2, "A", ("camera_dark",)), made_up(3, "B <b>")]
-    path = write_report(write_run(tmp_path / "run", made, source="no & longer"))
+    path = write_report(write_run(tmp_path / "run", made, source="no & longer", version="1.0"))
     assert path == tmp_path / "run" / "report.html"
     page = Page(path)
     check_self_contained(page, path)
@@ -92,7 +92,8 @@ def test_a_live_run(tmp_path: Path) -> None:
         {"fault": "camera_gone", "from_ns": 2_050_000_000, "until_ns": 2_550_000_000, "detail": "no frame <for> 0.2 s"},
         {"fault": "bus_failed", "from_ns": 3_050_000_000, "until_ns": None, "detail": ""},
     ]
-    live = {"num_dropped": 7, "num_late": 2, "fault_counts": {"camera_gone": 1, "bus_failed": 1}, "faults": events}
+    counts = {"num_dropped": 7, "num_late": 2, "num_unrecorded": 0, "sink_errors": []}
+    live = {**counts, "fault_counts": {"camera_gone": 1, "bus_failed": 1}, "faults": events}
     page = Page(write_report(write_run(tmp_path, [made_up(1)], live=live)))
     cells = [one.strip() for one in page.texts]
     row = cells.index("camera gone")
