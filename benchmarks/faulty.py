@@ -24,11 +24,11 @@ Step: TypeAlias = Frame | Exception | float
 """What a scripted camera does next: bring a frame, raise, or wait so many seconds."""
 
 STAGES = {
-    "proposals": ("_proposer", "propose"),
-    "classifier": ("_classifier", "classify"),
-    "distance": ("_estimator", "estimate"),
-    "tracking": ("_tracker", "update"),
-    "beam": ("_beam", "command"),
+    "proposals": ("proposer", "propose"),
+    "classifier": ("classifier", "classify"),
+    "distance": ("estimator", "estimate"),
+    "tracking": ("tracker", "update"),
+    "beam": ("beam", "command"),
 }
 
 
@@ -115,7 +115,8 @@ class Lamps:
 def spoil(pipeline: Pipeline, stage: str, what: Callable[[int], Any]) -> None:
     """Does `what` with the time of each frame before a stage looks at it."""
     part, method = STAGES[stage]
-    target = getattr(pipeline, part)
+    stages = pipeline._stages
+    target = getattr(stages, part)
     known = getattr(target, method)
     step = pipeline.step
     now_ns = [0]
@@ -129,7 +130,7 @@ def spoil(pipeline: Pipeline, stage: str, what: Callable[[int], Any]) -> None:
         return known(*arguments, **context)
 
     pipeline.step = stepping  # type: ignore[method-assign, assignment]
-    setattr(pipeline, part, Spoiled(target, method, spoiled))
+    setattr(stages, part, Spoiled(target, method, spoiled))
 
 
 class Spoiled:

@@ -1,13 +1,17 @@
-"""`foreglow.propose`: one call from an array to boxes."""
+"""The package's own names: `foreglow.propose`, and all types of a result."""
 
 from __future__ import annotations
 
+import dataclasses
+import typing
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 
 import foreglow
+from foreglow import proposals
 from tests.stand_ins import night_image
 
 GREY = night_image(0, 480, 640)
@@ -56,3 +60,56 @@ def test_unfit_arrays_are_refused(image: Any, complaint: str) -> None:
 def test_unknown_preset_is_refused() -> None:
     with pytest.raises(ValueError, match="expected one of paper, baseline"):
         foreglow.propose(GREY, preset="best")
+
+
+def test_each_thread_keeps_its_proposer(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+
+    def make(config: Any) -> Any:
+        made.append(known(config))
+        return made[-1]
+
+    known = proposals.make_proposer
+    monkeypatch.setattr(proposals, "make_proposer", make)
+    foreglow._proposer.cache_clear()
+    for _ in range(3):
+        foreglow.propose(GREY)
+    assert len(made) == 1
+    foreglow.propose(GREY, preset="paper")
+    assert len(made) == 2
+    with ThreadPoolExecutor(1) as other:
+        other.submit(foreglow.propose, GREY).result()
+    assert len(made) == 3
+    foreglow._proposer.cache_clear()
+
+
+def test_threads_do_not_disturb_one_another() -> None:
+    images = [night_image(seed, 480, 640) for seed in range(24)]
+    expected = [foreglow.propose(image).tolist() for image in images]
+    with ThreadPoolExecutor(8) as threads:
+        found = threads.map(foreglow.propose, images * 4)
+        assert [boxes.tolist() for boxes in found] == expected * 4
+
+
+def types_in(annotation: Any) -> set[type]:
+    """Our classes in an annotation."""
+    found = {each for part in typing.get_args(annotation) for each in types_in(part)}
+    is_ours = isinstance(annotation, type) and annotation.__module__.startswith("foreglow.types")
+    return found | ({annotation} if is_ours else set())
+
+
+def test_all_types_of_a_result_are_public() -> None:
+    waiting, known = [foreglow.FrameResult, foreglow.Frame], set()
+    while waiting:
+        kind = waiting.pop()
+        known.add(kind)
+        if dataclasses.is_dataclass(kind):
+            waiting += {each for hint in typing.get_type_hints(kind).values() for each in types_in(hint)} - known
+    assert {foreglow.Ranges, foreglow.Tracks, foreglow.BeamCommand, foreglow.BeamMode, foreglow.RoadAhead} <= known
+    assert all(getattr(foreglow, kind.__name__) is kind for kind in known)
+    assert foreglow.TrackState.CONFIRMED == 1
+
+
+def test_the_simulator_is_where_it_was() -> None:
+    assert foreglow.simulation.simulate is foreglow.simulate
+    assert foreglow.simulate(foreglow.simulation.Scene(seed=3)).name.endswith("/3")

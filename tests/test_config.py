@@ -114,7 +114,7 @@ def test_empty_file_is_the_base() -> None:
         ("[proposals]\nbackend = 'gpu'", "proposals.backend: .*'native' or 'reference', got 'gpu'"),
         ("[proposals]\nkapa = 1", "proposals.kapa: unknown, expected one of kappa, window_px, "),
         ("[tracker]\nmin_iou = 1.0", "tracker.min_iou: Input should be less than 1, got 1.0"),
-        ("[tracker]\nmethod = 'best'", "tracker.method: .*'published' or 'none', got 'best'"),
+        ("[tracker]\nmethod = 3", "tracker.method: Input should be a valid string, got 3"),
         ("[tracker]\nconfirmation = 'm_of_n'\nnum_looks = 4", "min_hits: expected at most num_looks, 4, got 5"),
         ("[tracker]\nreject_evidence = 3.5", "reject_evidence: expected at most confirm_evidence, 1.5, got 3.5"),
         ("[tracker]\nrange_gate = nan", "tracker.range_gate: .*got nan"),

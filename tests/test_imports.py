@@ -18,7 +18,7 @@ SOURCE = Path(foreglow.__file__).parent
 
 VALUES = {"types", "geometry", "config", "photometry", "rays", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
-BASES = {"files", "provenance", "parallel"}
+BASES = {"files", "provenance", "parallel", "plugins", "stopwatch"}
 CAR = VALUES | STAGES | BASES | {"calibration", "maps", "_native", "pipeline", "datasets", "runs", "runtime", "display"}
 LAB = {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports", "lab.studies"}
 
@@ -26,6 +26,8 @@ ALLOWED: dict[str, set[str]] = {
     "files": set(),
     "provenance": set(),
     "parallel": set(),
+    "plugins": set(),
+    "stopwatch": set(),
     "models": set(),
     "_native": set(),
     "geometry": set(),
@@ -36,14 +38,14 @@ ALLOWED: dict[str, set[str]] = {
     "street": {"types", "geometry", "config"},
     "calibration": {"types", "geometry", "config", "files"},
     "maps": {"types", "geometry", "street", "files"},
-    **{stage: VALUES | {"models", "_native"} for stage in STAGES},
-    "pipeline": VALUES | STAGES,
+    **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
+    "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files"},
     "runs": VALUES | {"calibration", "files", "provenance", "datasets"},
     "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "datasets", "runs", "runtime"},
     "lab": set(),
-    "lab.simulation": VALUES | BASES | {"calibration", "maps", "datasets", "display"},
+    "lab.simulation": VALUES | BASES | {"calibration", "maps", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
     "lab.learning": CAR | {"lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"lab.simulation", "lab.evaluation", "lab.learning"},
@@ -57,15 +59,9 @@ KNOWN = {
     # What a person looks at borrows from what makes models and pages.
     ("display.live_status", "lab.reports.tables"),
     ("display.progress", "lab.learning.training"),
-    # A simulated drive's truth is read where it is written.
-    ("lab.evaluation.boxes.lights", "lab.simulation"),
-    ("lab.evaluation.tracks.encounters", "lab.simulation"),
     # The tables of one experiment serve all pages.
     ("lab.reports.html", "lab.studies.detector.tables"),
     ("lab.reports.run_page", "lab.studies.detector.tables"),
-    # The closed loop is a source of the live command.
-    ("runtime.live.opening", "lab.simulation"),
-    ("runtime.live.sources", "lab.simulation"),
     # The one circle: workers are made in the file that says what workers are.
     ("parallel.cluster", "parallel.pool"),
     ("parallel.cluster", "parallel.workers"),

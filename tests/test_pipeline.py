@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from foreglow.config import DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
-from foreglow.pipeline import Pipeline
+from foreglow.pipeline import Pipeline, Stages
 from foreglow.proposals import BACKENDS
+from foreglow.stopwatch import Stopwatch
 from foreglow.types import Frame, FrameResult
 from tests.stand_ins import REFERENCE, night_frames, night_image
 
@@ -91,6 +93,31 @@ def test_stages_can_be_switched_off() -> None:
     result = Pipeline(config).step(shipped_frames(60, 1)[0])
     assert (result.ranges, result.tracks) == (None, None)
     assert list(result.stage_ms) == ["proposals", "classifier"]
+
+
+def test_a_stage_is_made_when_it_is_asked_for() -> None:
+    config = preset("foreglow").changed("classifier", model=Path("absent.onnx"))
+    stages = Stages(config)
+    assert stages.tracker is stages.tracker is not None
+    assert stages.beam is None
+    with pytest.raises(FileNotFoundError, match=r"absent\.onnx"):
+        _ = stages.classifier
+    with pytest.raises(FileNotFoundError, match=r"absent\.onnx"):
+        Pipeline(config)
+
+
+def test_a_stopwatch_times_one_part_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks_ns = iter([5_000_000, 7_000_000, 10_000_000, 20_000_000])
+    monkeypatch.setattr("foreglow.stopwatch.time.perf_counter_ns", lambda: next(ticks_ns))
+    stopwatch = Stopwatch()
+    stopwatch.begin("first")
+    stopwatch.begin("second")
+    assert stopwatch.part == "second"
+    assert stopwatch.times_ms == {"first": 2.0}
+    stopwatch.end()
+    stopwatch.end()  # there is no part to end
+    assert stopwatch.part is None
+    assert stopwatch.times_ms == {"first": 2.0, "second": 3.0}
 
 
 def test_plain_array_of_another_kind_is_refused() -> None:

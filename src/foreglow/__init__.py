@@ -9,30 +9,62 @@ The names below are what a user needs; each is imported when it is first used, s
 
 from __future__ import annotations
 
+import functools
 import importlib
+import threading
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from foreglow.beam import BeamPolicy
     from foreglow.config import PipelineConfig, preset, read_config
     from foreglow.datasets import PVDN, open_source
+    from foreglow.distance import RangeEstimator
+    from foreglow.geometry import Camera
+    from foreglow.lab import simulation
     from foreglow.lab.evaluation import BoxQuality, evaluate_boxes, evaluate_split
+    from foreglow.lab.simulation import simulate
     from foreglow.pipeline import Pipeline
-    from foreglow.types import Detections, Frame, FrameResult, Proposals
+    from foreglow.proposals import Proposer
+    from foreglow.tracking import Tracker
+    from foreglow.types import (
+        BeamCommand,
+        BeamMode,
+        Detections,
+        EgoMotion,
+        Frame,
+        FrameResult,
+        Proposals,
+        Ranges,
+        RoadAhead,
+        Tracks,
+        TrackState,
+    )
 
     __version__: str
 
 __all__ = [
     "PVDN",
+    "BeamCommand",
+    "BeamMode",
+    "BeamPolicy",
     "BoxQuality",
+    "Camera",
     "Detections",
+    "EgoMotion",
     "Frame",
     "FrameResult",
     "Pipeline",
     "PipelineConfig",
     "Proposals",
+    "RangeEstimator",
+    "Ranges",
+    "RoadAhead",
+    "TrackState",
+    "Tracker",
+    "Tracks",
     "__version__",
     "evaluate_boxes",
     "evaluate_split",
@@ -40,23 +72,25 @@ __all__ = [
     "preset",
     "propose",
     "read_config",
+    "simulate",
+    "simulation",
 ]
 
-_HOMES = {
-    "BoxQuality": "foreglow.lab.evaluation",
-    "Detections": "foreglow.types",
-    "Frame": "foreglow.types",
-    "FrameResult": "foreglow.types",
-    "Pipeline": "foreglow.pipeline",
-    "PipelineConfig": "foreglow.config",
-    "PVDN": "foreglow.datasets",
-    "Proposals": "foreglow.types",
-    "evaluate_boxes": "foreglow.lab.evaluation",
-    "evaluate_split": "foreglow.lab.evaluation",
-    "open_source": "foreglow.datasets",
-    "preset": "foreglow.config",
-    "read_config": "foreglow.config",
+_NAMES = {
+    "beam": "BeamPolicy",
+    "config": "PipelineConfig preset read_config",
+    "datasets": "PVDN open_source",
+    "distance": "RangeEstimator",
+    "geometry": "Camera",
+    "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",
+    "lab.simulation": "simulate",
+    "pipeline": "Pipeline",
+    "tracking": "Tracker",
+    "types": "BeamCommand BeamMode Detections EgoMotion Frame FrameResult Proposals Ranges RoadAhead Tracks TrackState",
 }
+"""The public names by the module that they are imported from."""
+
+_HOMES = {name: f"foreglow.{module}" for module, names in _NAMES.items() for name in names.split()}
 
 
 def propose(image: NDArray[Any], preset: str = "foreglow") -> NDArray[np.int32]:
@@ -76,17 +110,26 @@ def propose(image: NDArray[Any], preset: str = "foreglow") -> NDArray[np.int32]:
     >>> propose(np.zeros((96, 128), np.uint8)).shape
     (0, 4)
     """
-    from foreglow import config
     from foreglow.datasets import to_grey
+
+    return _proposer(preset, threading.get_ident()).propose(to_grey(image)).boxes_xyxy_px
+
+
+@functools.lru_cache(maxsize=16)
+def _proposer(preset: str, thread: int) -> Proposer:  # noqa: ARG001 - each thread has its own
+    """The proposer of a preset, kept from call to call with its scratch memory."""
+    from foreglow import config
     from foreglow.proposals import make_proposer
 
-    return make_proposer(config.preset(preset).proposals).propose(to_grey(image)).boxes_xyxy_px
+    return make_proposer(config.preset(preset).proposals)
 
 
 def __getattr__(name: str) -> Any:
     """Imports `name` from where it lives (PEP 562)."""
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("foreglow")
+    if name == "simulation":  # where the package was in 0.1.0
+        return importlib.import_module("foreglow.lab.simulation")
     if name not in _HOMES:
         raise AttributeError(f"module 'foreglow' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

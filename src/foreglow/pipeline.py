@@ -2,20 +2,90 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.beam import BeamStage
+from foreglow.beam import BeamPolicy, BeamStage
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig, preset
-from foreglow.distance import make_estimator
-from foreglow.proposals import NativeProposer, make_proposer
-from foreglow.tracking import make_tracker
+from foreglow.distance import RangeEstimator, make_estimator
+from foreglow.plugins import built, checked, name_of
+from foreglow.proposals import NativeProposer, Proposer, make_proposer
+from foreglow.stopwatch import Stopwatch
+from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
+
+
+class Stages:
+    """The stages that a configuration names, each made when it is first asked for; None where it is switched off.
+
+    Attributes:
+        config: The configuration; plug-ins that were given have their names in it.
+    """
+
+    def __init__(
+        self,
+        config: PipelineConfig,
+        *,
+        estimator: RangeEstimator | type[RangeEstimator] | None = None,
+        tracker: Tracker | type[Tracker] | None = None,
+        policy: BeamPolicy | type[BeamPolicy] | None = None,
+    ) -> None:
+        """Takes the configuration, and plug-ins that stand in place of what it names: an object or a class each.
+
+        Raises:
+            ValueError: If a policy is given, and there is no model or no tracker to make its tracks.
+        """
+        if estimator is not None:
+            config = config.changed("distance", estimator=name_of(estimator))
+        if tracker is not None:
+            config = config.changed("tracker", method=name_of(tracker))
+        if policy is not None:
+            config = config.commanding(policy=name_of(policy))
+        self.config = config
+        self._plugins = estimator, tracker, policy
+
+    @cached_property
+    def proposer(self) -> Proposer:
+        """The first stage."""
+        return make_proposer(self.config.proposals)
+
+    @cached_property
+    def classifier(self) -> OnnxClassifier | None:
+        """The second stage; None without a model."""
+        return OnnxClassifier(self.config.classifier) if self.config.classifier.model is not None else None
+
+    @cached_property
+    def estimator(self) -> RangeEstimator | None:
+        """The third stage."""
+        config = self.config.distance
+        return built(self._plugins[0], make_estimator, config) if config.estimator != "none" else None
+
+    @cached_property
+    def tracker(self) -> Tracker | None:
+        """The fourth stage."""
+        config = self.config.tracker
+        return built(self._plugins[1], make_tracker, config) if config.method != "none" else None
+
+    @cached_property
+    def beam(self) -> BeamStage | None:
+        """The fifth stage: the policy, and the guard after it."""
+        config = self.config
+        return BeamStage(config.beam, config.guard, self._plugins[2]) if config.beam.policy != "none" else None
+
+    def build(self) -> None:
+        """Makes all stages now, so that what is wrong with one is known before the first frame."""
+        _ = self.proposer, self.classifier, self.estimator, self.tracker, self.beam
+
+    def reset(self) -> None:
+        """Has the stages forget what earlier frames left behind, as at the start of a sequence."""
+        for stage in (self.classifier, self.estimator, self.tracker, self.beam):
+            if stage is not None:
+                stage.reset()
 
 
 class Pipeline:
@@ -26,33 +96,42 @@ class Pipeline:
     Not thread-safe: use one pipeline a thread.
     """
 
-    def __init__(self, config: PipelineConfig | None = None) -> None:
+    def __init__(
+        self,
+        config: PipelineConfig | None = None,
+        *,
+        estimator: RangeEstimator | type[RangeEstimator] | None = None,
+        tracker: Tracker | type[Tracker] | None = None,
+        policy: BeamPolicy | type[BeamPolicy] | None = None,
+    ) -> None:
         """Builds the stages; without a configuration, those of the preset `foreglow`.
+
+        Args:
+            config: What each stage is, and its parameters.
+            estimator: An estimator of your own in place of the one that `config` names: an object or a class.
+            tracker: A tracker of your own, likewise.
+            policy: A beam policy of your own, likewise; the guard checks its commands like any other's.
 
         Raises:
             FileNotFoundError: If the configured model does not exist.
-            ValueError: If the model or the lamps' description cannot be used; the message names path, field and
-                expectation.
+            ValueError: If the model, the lamps' description or a plug-in cannot be used; the message names path or
+                field, and what was expected.
         """
-        self.config = config or preset("foreglow")
-        self._proposer = make_proposer(self.config.proposals)
-        model, distance, tracker = self.config.classifier.model, self.config.distance, self.config.tracker
-        self._classifier = OnnxClassifier(self.config.classifier) if model is not None else None
-        self._estimator = make_estimator(distance) if distance.estimator != "none" else None
-        self._tracker = make_tracker(tracker) if tracker.method != "none" else None
-        self._beam = BeamStage(self.config.beam, self.config.guard) if self.config.beam.policy != "none" else None
-
-        self._clock = _StageClock()
+        self._stages = Stages(config or preset("foreglow"), estimator=estimator, tracker=tracker, policy=policy)
+        self.config = self._stages.config
+        self._stages.build()
+        self._stopwatch = Stopwatch()
 
     @property
     def stage(self) -> str | None:
         """The stage under way, also after it raised; None between frames. For those who watch from another thread."""
-        return self._clock.stage
+        return self._stopwatch.part
 
     @property
     def dispatch(self) -> str | None:
         """The instruction set that the native core uses: `baseline`, `avx2` or `avx512`; None with another back end."""
-        return self._proposer.dispatch if isinstance(self._proposer, NativeProposer) else None
+        proposer = self._stages.proposer
+        return proposer.dispatch if isinstance(proposer, NativeProposer) else None
 
     def step(
         self, frame: Frame | NDArray[Any], *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()
@@ -68,31 +147,33 @@ class Pipeline:
                 low beam, from which light comes back slowly.
 
         Raises:
-            ValueError: If a plain image is not grey uint8 or uint16.
+            ValueError: If a plain image is not grey uint8 or uint16, or a plug-in returns something of another kind.
         """
         if isinstance(frame, np.ndarray):
             frame = Frame(frame, timestamp_ns=0)
-        clock = self._clock = _StageClock()
-        clock.begin("proposals")
-        proposals = self._proposer.propose(frame.image)
+        stages = self._stages
+        stopwatch = self._stopwatch = Stopwatch()
+        stopwatch.begin("proposals")
+        proposals = stages.proposer.propose(frame.image)
         detections: Detections | None = None
         ranges: Ranges | None = None
         tracks: Tracks | None = None
         beam: BeamCommand | None = None
-        if self._classifier is not None:
-            clock.begin("classifier")
-            detections = self._classifier.classify(frame, proposals)
-            if self._estimator is not None and frame.camera is not None:
-                clock.begin("distance")
-                ranges = self._estimator.estimate(frame, detections)
-            if self._tracker is not None:
-                clock.begin("tracking")
-                tracks = self._tracker.update(frame, detections, ranges)
-                if self._beam is not None:
-                    clock.begin("beam")
-                    beam = self._beam.command(frame, tracks, time_ns=now_ns and now_ns(), faults=faults)
-        clock.end()
-        return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, clock.stage_ms, ranges, tracks, beam)
+        if stages.classifier is not None:
+            stopwatch.begin("classifier")
+            detections = stages.classifier.classify(frame, proposals)
+            if stages.estimator is not None and frame.camera is not None:
+                stopwatch.begin("distance")
+                ranges = checked("distance.estimator", stages.estimator.estimate(frame, detections), Ranges)
+            if stages.tracker is not None:
+                stopwatch.begin("tracking")
+                tracks = checked("tracker.method", stages.tracker.update(frame, detections, ranges), Tracks)
+                if stages.beam is not None:
+                    stopwatch.begin("beam")
+                    beam = stages.beam.command(frame, tracks, time_ns=now_ns and now_ns(), faults=faults)
+        stopwatch.end()
+        times_ms = stopwatch.times_ms
+        return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """The results of `frames`, one by one, in order."""
@@ -101,31 +182,4 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forgets what earlier frames left behind, as at the start of a sequence."""
-        for stage in (self._classifier, self._estimator, self._tracker, self._beam):
-            if stage is not None:
-                stage.reset()
-
-
-class _StageClock:
-    """Takes the time that each stage needs, milliseconds.
-
-    Attributes:
-        stage: The one that is under way; None before the first, and after the last.
-    """
-
-    def __init__(self) -> None:
-        self.stage_ms: dict[str, float] = {}
-        self.stage: str | None = None
-        self._begun_ns = 0
-
-    def begin(self, stage: str) -> None:
-        """The next stage begins, where the one before ends."""
-        self.end()
-        self.stage = stage
-
-    def end(self) -> None:
-        """The stage under way ends."""
-        now_ns = time.perf_counter_ns()
-        if self.stage is not None:
-            self.stage_ms[self.stage] = (now_ns - self._begun_ns) / 1e6
-        self.stage, self._begun_ns = None, now_ns
+        self._stages.reset()

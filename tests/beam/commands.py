@@ -7,9 +7,9 @@ import math
 import numpy as np
 from hypothesis import strategies as st
 
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
 
-NUM_LEDS = 84
 levels = st.integers(0, 255).map(lambda code: code / 255) | st.floats(0, 1)
 ranges_m = st.just(math.nan) | st.floats(0.1, 3000) | st.integers(1, 600).map(lambda code: 2.0 * code)
 azimuths_rad = st.floats(-1.5, 1.5) | st.integers(-520, 520).map(lambda code: math.radians(0.04 * code))

@@ -8,8 +8,8 @@ import numpy as np
 
 from foreglow.beam.messages import CanFrame, encode_gaps, encode_levels
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
-from tests.beam.commands import NUM_LEDS
 
 MS = 1_000_000
 PERIOD = 55 * MS

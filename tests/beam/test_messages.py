@@ -28,8 +28,9 @@ from foreglow.beam.messages import (
     encode_levels,
 )
 from foreglow.datasets.vehicle_logs.can_log import read_dbc
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
-from tests.beam.commands import NUM_LEDS, commands
+from tests.beam.commands import commands
 
 counters = st.integers(0, 255)
 quick = settings(derandomize=True, max_examples=60, deadline=None)
@@ -85,7 +86,7 @@ def test_each_led_has_its_byte() -> None:
     """The left lamp first, LED 0 first: as the numbers of the lamp description."""
     levels = (np.arange(2 * NUM_LEDS) / 255).reshape(2, NUM_LEDS)
     frames = encode_levels(BeamCommand(0, BeamMode.FULL, levels), 0)
-    assert b"".join(frame.data[6:] for frame in frames) == bytes(range(168))
+    assert b"".join(frame.data[6:] for frame in frames) == bytes(range(2 * NUM_LEDS))
     np.testing.assert_array_equal(decode_levels(frames).levels, levels)
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from foreglow.beam.messages import CanFrame, LinkFault, encode_levels
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
-from tests.beam.commands import NUM_LEDS
 from tests.beam.lamps import (
     DEADLINE,
     MS,

@@ -190,7 +190,7 @@ def test_other_lamps(tmp_path: Path, run: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--policy", "best"], "--policy: expected one of low, high, paper, foreglow, got 'best'"),
+        (["--policy", "best"], "--policy: expected one of low, high, paper, foreglow, or module:Name, got 'best'"),
         (["--lamps", "absent.toml"], "absent.toml: no such"),
         (["--can", "csv"], "--can: expected one of asc, blf, log, got 'csv'"),
         (["--compact"], "--compact: expected --can beside it"),

@@ -11,8 +11,9 @@ from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
 
 
-def test_a_fitted_model_runs(tmp_path: Path) -> None:
+def test_a_fitted_model_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
+    monkeypatch.setattr("foreglow.lab.learning.ranges.EPOCHS", 1)
     for split in ("train", "val"):
         shutil.copytree(shipped_drive(), tmp_path / "data" / split)
     model, settings, out = tmp_path / "ranges.toml", tmp_path / "settings.toml", tmp_path / "out"

@@ -133,13 +133,16 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ((), "expected --out DIR, --preview NAME or --print NAME"),
+        (("--scenes", "1"), "expected --out DIR, --preview NAME or --print NAME"),
         (("--preview", "nothing"), "scenario: expected one of curve"),
         (("--preview", "curve", "--size", "12"), "size: expected WIDTHxHEIGHT"),
         (("--preview", "curve", "--size", "8x8"), "camera.width_px"),
         (("--preview", "curve", "--cycle", "dusk"), "sensor.exposure"),
         (("--preview", "curve", "--quality", "best", "--out", "unused"), "quality: expected one of fast"),
-        (("--out", "unused", "--ego-beam", "laser"), "--ego-beam: expected one of low, high, matrix, got 'laser'"),
+        (
+            ("--scenes", "1", "--out", "unused", "--ego-beam", "laser"),
+            "--ego-beam: expected one of low, high, matrix, got 'laser'",
+        ),
         (("--out", "unused", "--split", "exam"), "split: expected one of train"),
         (("--scene", "nowhere.toml", "--out", "unused"), "nowhere.toml: no such"),
     ],

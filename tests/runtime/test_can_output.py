@@ -12,6 +12,7 @@ import pytest
 
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
+from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.can_output import LOG_SUFFIXES, CanBus, CanLogSink
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Proposals
 
@@ -24,7 +25,7 @@ IMAGE = np.zeros((2, 2), np.uint8)
 
 def command_at(time_ns: int, level: float = 1.0) -> BeamCommand:
     return BeamCommand(
-        time_ns, BeamMode.GLARE_FREE, np.full((2, 84), level), np.array([[-0.1, 0.05]]), np.array([77.0])
+        time_ns, BeamMode.GLARE_FREE, np.full((2, NUM_LEDS), level), np.array([[-0.1, 0.05]]), np.array([77.0])
     )
 
 

@@ -3,7 +3,8 @@
 from foreglow.beam.gaps import Gap
 from foreglow.beam.guard import Guard
 from foreglow.beam.occurrence import Occurrence, occurrence
-from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy
+from foreglow.beam.policies import POLICIES, make_policy, policy_class
+from foreglow.beam.policy import BeamPolicy, GapWriter, PaperPolicy
 from foreglow.beam.stage import BeamStage
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
     "PaperPolicy",
     "make_policy",
     "occurrence",
+    "policy_class",
 ]

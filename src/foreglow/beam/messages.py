@@ -11,16 +11,18 @@ import math
 import struct
 from binascii import crc_hqx
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from foreglow.geometry import Floats
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
 
 OWN_DBC = Path(__file__).with_name("foreglow_beam.dbc")
@@ -30,7 +32,6 @@ LEVELS_IDS = (0x3B0, 0x3B1, 0x3B2, 0x3B3)
 
 GAPS_ID = 0x3B4
 
-NUM_LEDS = 84
 NUM_LEDS_A_FRAME = 2 * NUM_LEDS // len(LEVELS_IDS)
 NUM_COUNTS = 256
 """The counter goes from 0 to 255 and then to 0."""
@@ -140,7 +141,7 @@ class LevelsMessage:
 
     Attributes:
         header: Its counter, time and mode.
-        levels: Shape (2, 84), float64 in steps of 1/255, never above what was encoded.
+        levels: Shape (2, `NUM_LEDS`), float64 in steps of 1/255, never above what was encoded.
     """
 
     header: Header
@@ -195,13 +196,13 @@ class CommandEncoder:
         self._has_levels = has_levels
 
     def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
-        """The four frames with the levels, if wanted, then the frame with the gaps.
+        """The frames of all `MESSAGES`, in order; those with the levels only if they are wanted.
 
         Raises:
             ValueError: As `encode_levels` and `encode_gaps`.
         """
-        levels = encode_levels(command, self.counter) if self._has_levels else ()
-        frames = (*levels, encode_gaps(command, self.counter, self._ramp_s))
+        wanted = [encode for name, encode in MESSAGES.items() if self._has_levels or name != "levels"]
+        frames = tuple(frame for encode in wanted for frame in encode(command, self.counter, self._ramp_s))
         self.counter = (self.counter + 1) % NUM_COUNTS
         return frames
 
@@ -210,7 +211,7 @@ def encode_levels(command: BeamCommand, counter: int) -> tuple[CanFrame, ...]:
     """The command's levels as four frames of 48 bytes; each level is rounded down to a step of 1/255.
 
     Raises:
-        ValueError: If the command is not for 84 LEDs per lamp, or the counter is outside 0..255.
+        ValueError: If the command is not for `NUM_LEDS` LEDs per lamp, or the counter is outside 0..255.
     """
     if command.levels.shape[1] != NUM_LEDS:
         raise ValueError(f"BeamCommand.levels: expected {NUM_LEDS} LEDs a lamp, got {command.levels.shape[1]}")
@@ -239,6 +240,15 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = 0.0) -> CanF
     words += [0] * (MAX_NUM_GAPS - len(words))
     header = _packed_header(command, counter, len(gaps))
     return _protected(GAPS_ID, header + _GAPS.pack(bisect_left(RAMPS_S, ramp_s), *words))
+
+
+MESSAGES: Mapping[str, Callable[[BeamCommand, int, float], tuple[CanFrame, ...]]] = MappingProxyType(
+    {
+        "levels": lambda command, counter, _: encode_levels(command, counter),
+        "gaps": lambda command, counter, ramp_s: (encode_gaps(command, counter, ramp_s),),
+    }
+)
+"""By name, what encodes each message that is sent: from the command, its counter and the lamps' ramp to CAN frames."""
 
 
 def decode_part(frame_id: int, data: bytes) -> LevelsPart:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -256,20 +255,3 @@ def brightness(image: Image, box_xyxy_px: Floats) -> float:
     x1, y1, x2, y2 = (max(int(edge), 0) for edge in np.ceil(box_xyxy_px))
     inside = image[y1:y2, x1:x2]
     return float(inside.max()) if inside.size else 0.0
-
-
-POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(
-    {"low": LowBeam, "high": HighBeam, "paper": PaperPolicy, "foreglow": ForeglowPolicy}
-)
-"""Every policy by name."""
-
-
-def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
-    """The policy that `config` names.
-
-    Raises:
-        ValueError: If there is no such policy; the message lists those that exist.
-    """
-    if config.policy not in POLICIES:
-        raise ValueError(f"beam.policy: expected one of {', '.join(POLICIES)}, got {config.policy!r}")
-    return POLICIES[config.policy](config, headlamps)

@@ -11,7 +11,6 @@ from pydantic import Field
 from foreglow.beam.messages import (
     LEVELS_IDS,
     NUM_COUNTS,
-    NUM_LEDS,
     NUM_TIMES_MS,
     Header,
     LevelsMessage,
@@ -24,6 +23,7 @@ from foreglow.beam.messages import (
 )
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
+from foreglow.photometry import NUM_LEDS
 
 
 class ReceiverConfig(FrozenModel):
@@ -96,7 +96,7 @@ class LampReceiver:
             self._judge(message, arrival_ns)
 
     def shining(self, time_ns: int) -> tuple[Floats, tuple[LinkFault, ...]]:
-        """The LEDs' levels at a time, shape (2, 84), and the faults noticed since the command behind them.
+        """The LEDs' levels at a time, shape (2, L), and the faults noticed since the command behind them.
 
         Raises:
             ValueError: If the time goes back.

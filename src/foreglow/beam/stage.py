@@ -7,17 +7,26 @@ from collections.abc import Sequence
 import numpy as np
 
 from foreglow.beam.guard import Guard
-from foreglow.beam.policy import make_policy
+from foreglow.beam.policies import make_policy
+from foreglow.beam.policy import BeamPolicy
 from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import read_headlamps
+from foreglow.plugins import built, checked
 from foreglow.types import BeamCommand, Frame, Tracks
 
 
 class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it."""
 
-    def __init__(self, config: BeamConfig, guard: GuardConfig) -> None:
+    def __init__(
+        self, config: BeamConfig, guard: GuardConfig, policy: BeamPolicy | type[BeamPolicy] | None = None
+    ) -> None:
         """Reads the lamps and makes the policy.
+
+        Args:
+            config: Parameters of the policy.
+            guard: Parameters of the guard, which checks the commands of every policy.
+            policy: A policy, an object or a class; None for the one that `config` names.
 
         Raises:
             FileNotFoundError: If the file that describes the lamps does not exist.
@@ -25,19 +34,23 @@ class BeamStage:
         """
         headlamps = read_headlamps(config.headlamps)
         self._min_direct = config.min_direct
-        self._policy = make_policy(config, headlamps)
+        self._policy = built(policy, make_policy, config, headlamps)
         self._guard = Guard(guard, headlamps)
 
     def command(
         self, frame: Frame, tracks: Tracks, *, time_ns: int | None = None, faults: Sequence[str] = ()
     ) -> BeamCommand:
-        """The beam command after `frame`; `time_ns` and `faults` go to the guard, see `Guard.check`."""
+        """The beam command after `frame`; `time_ns` and `faults` go to the guard, see `Guard.check`.
+
+        Raises:
+            ValueError: If a plug-in returns something that is no command.
+        """
         direct = tracks.direct_probabilities
         is_vehicle = np.isnan(direct) | (direct > self._min_direct)
-        wanted = self._policy.command(frame, tracks)
+        wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
         return self._guard.check(wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle)
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
-        self._policy.reset()
         self._guard.reset()
+        self._policy.reset()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow import _native
+import foreglow._native as _native
 from foreglow.types import Frame, Image, Proposals
 
 FEATURES = ("darkest", "brightest", "width", "height", "frame_mean", "frame_brightest", "has_earlier")

@@ -130,10 +130,10 @@ def _configuration_of_run(run: Path, out: Path, file: Path | None, *, is_other: 
 
 def with_beam(configuration: PipelineConfig, policy: str | None, lamps: Path | None) -> PipelineConfig:
     """`configuration` with the policy and the lamps that were asked for."""
-    from foreglow.beam import POLICIES
+    from foreglow.beam import policy_class
 
-    if policy is not None and policy not in POLICIES:
-        raise ValueError(f"--policy: expected one of {', '.join(POLICIES)}, got {policy!r}")
+    if policy is not None:
+        policy_class(policy, "--policy")
     wanted = {"policy": policy, "headlamps": lamps}
     return configuration.commanding(**{name: value for name, value in wanted.items() if value is not None})
 

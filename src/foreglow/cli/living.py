@@ -92,7 +92,7 @@ def live(
     pose_error: PoseErrorOption = 5.0,
 ) -> None:
     """Run on SOURCE as it happens: tracks and beam commands in real time, low beam whenever something is wrong."""
-    from foreglow.runtime.live import DriveAround
+    from foreglow.runtime.live import ClosedLoop
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live
 
@@ -101,14 +101,16 @@ def live(
     with contextlib.ExitStack() as closing:
         data = _vehicle_data(files, can_in, time_offset, pose_error, closing)
         size_px = None if size is None else size_of(size)
-        options = CameraOptions(size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data)
-        opened = open_live(source, options, speed=speed or float("inf"), topic=topic, seed=seed, quality=quality)
-        outputs: list[BeamOutput] = [opened] if isinstance(opened, DriveAround) else []
+        options = CameraOptions(
+            size_px=size_px, rate_hz=rate, delay_s=camera_delay, data=data, seed=seed, quality=quality
+        )
+        opened = open_live(source, options, speed=speed or float("inf"), topic=topic)
+        outputs: list[BeamOutput] = [opened] if isinstance(opened, ClosedLoop) else []
         if can is not None:
             outputs.append(lamp_bus(can, configuration))
         named = None if record is None else Path(time.strftime(str(record)))
         sinks = recording_sinks(named, Path(source), configuration)
-        lux_of = opened.lux if isinstance(opened, DriveAround) else None
+        lux_of = opened.lux if isinstance(opened, ClosedLoop) else None
         sinks += viewer_sinks(view, save, configuration, lux_of)
         summary = _run(opened, configuration, out, outputs, sinks, limit)
     _finish(summary, out)

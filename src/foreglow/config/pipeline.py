@@ -35,11 +35,11 @@ class PipelineConfig(FrozenModel):
     @property
     def detector_only(self) -> PipelineConfig:
         """The same without the stages that follow the detector."""
-        off = {
-            "distance": self.distance.model_copy(update={"estimator": "none"}),
-            "tracker": self.tracker.model_copy(update={"method": "none"}),
-        }
-        return self.model_copy(update=off)
+        return self.changed("distance", estimator="none").changed("tracker", method="none")
+
+    def changed(self, section: str, **fields: Any) -> PipelineConfig:
+        """The same with other `fields` in a section; they are not checked."""
+        return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
     def commanding(self, **beam: Any) -> PipelineConfig:
         """The same with beam commands: with the policy `foreglow` where it has none.
@@ -53,7 +53,7 @@ class PipelineConfig(FrozenModel):
         if self.classifier.model is None or self.tracker.method == "none":
             raise ValueError("beam: expected a model (--model FILE) and a tracker: without them there are no tracks")
         policy = "foreglow" if self.beam.policy == "none" else self.beam.policy
-        return self.model_copy(update={"beam": self.beam.model_copy(update={"policy": policy, **beam})})
+        return self.changed("beam", **{"policy": policy, **beam})
 
 
 PRESETS: dict[str, PipelineConfig] = {

@@ -117,7 +117,8 @@ class DistanceConfig(FrozenModel):
 
     Attributes:
         estimator: `gp` (ground plane), `psd_3d`, `psd_3d_plus`, `psd_2d` (predictive street data), `road_surface`,
-            or `none` for no ranges. Those that need a road give no range where the frame has none.
+            `none` for no ranges, or an estimator of your own, `module:Name`. Those that need a road give no range where
+            the frame has none.
         heuristic: Which range stands for a box, of those of its pixels (paper); `road_surface` has its own rule.
         pitch: The body's pitch against the road: `fixed` takes that of the calibration, `motion` adds what
             `Frame.motion` tells, `markings` estimates it from the markings in the image.
@@ -126,7 +127,7 @@ class DistanceConfig(FrozenModel):
         model: TOML file of the model of `road_surface`, as `fit-ranges` writes it; None for the one that ships.
     """
 
-    estimator: Literal["gp", "psd_3d", "psd_3d_plus", "psd_2d", "road_surface", "none"] = "gp"
+    estimator: str = "gp"
     heuristic: Literal["centre", "maximum", "minimum", "lowest", "mean", "median"] = "centre"
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
     align: bool = False
@@ -138,7 +139,7 @@ class TrackerConfig(FrozenModel):
 
     Attributes:
         method: `alpha_beta` (paper, and ours by other parameters), `published` (as the published code behaves; takes
-            the parameters marked with p alone), or `none` for no tracks.
+            the parameters marked with p alone), `none` for no tracks, or a tracker of your own, `module:Name`.
         clock: `frames` takes every frame as 1 / `rate_hz` after the one before (paper); `time` reads the timestamps.
         rate_hz: Frames a second that all counts of frames refer to.
         min_score: A detection is considered when its score is above this (p).
@@ -171,7 +172,7 @@ class TrackerConfig(FrozenModel):
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
 
-    method: Literal["alpha_beta", "published", "none"] = "alpha_beta"
+    method: str = "alpha_beta"
     clock: Literal["frames", "time"] = "frames"
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
     min_score: Annotated[float, Field(ge=0, le=1)] = 0.1
@@ -233,8 +234,9 @@ class BeamConfig(FrozenModel):
     """Parameters of the beam stage; `docs/beam.md` has the policies.
 
     Attributes:
-        policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone), or
-            `foreglow` (all tracks, and the place where a hidden vehicle will appear).
+        policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone),
+            `foreglow` (all tracks, and the place where a hidden vehicle will appear), or a policy of your own,
+            `module:Name`.
         headlamps: TOML file of the lamps, see `foreglow.photometry`; None for those that ship.
         latency_s: From a frame's exposure to the light that follows from it: vehicles are led by so much.
         margin_deg: A gap reaches so much beyond what it is for, to either side; also for lamps that are aimed badly.
@@ -247,7 +249,7 @@ class BeamConfig(FrozenModel):
         restore_s: Time in which an LED goes from off to full.
     """
 
-    policy: Literal["none", "low", "high", "paper", "foreglow"] = "none"
+    policy: str = "none"
     headlamps: Annotated[Path, Field(strict=False)] | None = None
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
     margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.3

@@ -14,6 +14,7 @@ from foreglow.distance.psd_2d import PSD2D
 from foreglow.distance.psd_3d import PSD3D
 from foreglow.distance.psd_3d_plus import PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
+from foreglow.plugins import find
 from foreglow.types import Detections, Frame, Ranges
 
 __all__ = [
@@ -49,15 +50,13 @@ ESTIMATORS: dict[str, type[RangeEstimator]] = {
     "psd_2d": PSD2D,
     "road_surface": RoadSurface,
 }
-"""All estimators by name."""
+"""Our estimators by name."""
 
 
 def make_estimator(config: DistanceConfig) -> RangeEstimator:
-    """The estimator that `config` names.
+    """The estimator that `config.estimator` names: one of `ESTIMATORS`, or a plug-in.
 
     Raises:
-        ValueError: If it names none.
+        ValueError: If it names none, or one that cannot be imported.
     """
-    if config.estimator not in ESTIMATORS:
-        raise ValueError(f"distance.estimator: expected one of {', '.join(ESTIMATORS)}, got {config.estimator!r}")
-    return ESTIMATORS[config.estimator](config)
+    return find("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators")(config)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from foreglow import _native
+import foreglow._native as _native
 from foreglow.geometry import Floats
 from foreglow.types import Boxes, Image
 

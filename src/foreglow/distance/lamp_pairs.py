@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from foreglow import _native
+import foreglow._native as _native
 from foreglow.geometry import Floats
 
 SPACING_M = 1.3

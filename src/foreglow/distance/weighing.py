@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow import _native
+import foreglow._native as _native
 from foreglow.distance import hypotheses
 from foreglow.distance.hypotheses import BoxEvidence, Cells, Kind, Parameters, log_weights
 from foreglow.distance.lamp_pairs import SPACING_LOG_SIGMA

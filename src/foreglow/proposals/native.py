@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from foreglow import _native
+import foreglow._native as _native
 from foreglow.config import ProposalConfig
 from foreglow.types import Image, Proposals
 

@@ -39,7 +39,7 @@ class SplitRule:
     min_width_px: float
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Part:
     """The pixels that have been flooded from one peak."""
 
@@ -103,8 +103,8 @@ def split_blob(
     parts: list[_Part] = []  # in the order of their peaks
     for index in np.argsort(-heights, kind="stable"):
         y, x, level = int(rows[index]), int(columns[index]), int(heights[index])
-        around = [part_of.get((y + dy, x + dx)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-        met = [part for part in parts if any(part is neighbour for neighbour in around)]
+        around = {part_of.get((y + dy, x + dx)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)}
+        met = sorted((part for part in around if part is not None), key=parts.index)
         if not met:
             met = [_Part(level, (y, x, y + 1, x + 1))]
             parts.append(met[0])

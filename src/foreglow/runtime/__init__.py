@@ -1,4 +1,4 @@
-"""Driving the pipeline: `run` and `run_apart` off line over a source, `live` in the car, `ros2` as nodes of ROS 2."""
+"""Runs the pipeline: off-line over a source, here and in `parallel_run`; in real time in `live` and `ros2`."""
 
 from foreglow.runs.folder import RESULT_NAMES, OutputFolder
 from foreglow.runs.summary import RunSummary

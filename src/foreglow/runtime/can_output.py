@@ -1,4 +1,4 @@
-"""Beam commands as CAN frames: into a log file, each at the time of its image, or onto a live bus at once."""
+"""Beam commands as CAN frames: written to a log file with the times of their images, or sent on a live bus."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ LOG_SUFFIXES = (".asc", ".blf", ".log")
 """Vector's text and binary logs, and candump's."""
 
 SEND_TIMEOUT_S = 0.02
-"""A bus that does not take a frame for so long is not to be waited for."""
+"""Longest wait for the bus to accept a frame."""
 
 
 class CanLogSink:
-    """Writes the commands into a log, each frame at the time of its image; the log appears whole, or not at all.
+    """Writes the commands into a log, with the times of their images; the log appears complete, or not at all.
 
-    An .asc log counts its times from the first frame. Sequences follow each other as on a `TimeAxis`, in the messages,
-    too: in a log, time only goes forward.
+    An .asc log counts time from its first frame. Sequences follow each other as on a `TimeAxis`, in the log and in the
+    messages: time never goes back.
     """
 
     def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = 0.0, has_levels: bool = True) -> None:
@@ -36,13 +36,13 @@ class CanLogSink:
 
         Args:
             path: The file.
-            suffix: Its kind, .asc, .blf or .log; None for what the path ends in.
-            ramp_s: How long lamps of cars that take borders shall take to brighten.
+            suffix: The format, .asc, .blf or .log; None for the path's own.
+            ramp_s: Time in which lamps of cars that take gaps shall brighten.
             has_levels: False leaves out the levels of the LEDs.
 
         Raises:
             ModuleNotFoundError: If python-can is not installed (extra `can`).
-            ValueError: If it is of another kind.
+            ValueError: If there is no such format.
             OSError: If it cannot be written; the message names the path.
         """
         import can
@@ -66,7 +66,7 @@ class CanLogSink:
 
         Raises:
             OSError: If the disk is full; the message names the path.
-            ValueError: If the command is not for lamps of 84 LEDs.
+            ValueError: If the command is not for lamps of `NUM_LEDS` LEDs.
         """
         if result.beam is not None:
             time_ns = self._axis.time_ns(frame)
@@ -86,7 +86,7 @@ class CanLogSink:
             self._closing.close()
 
     def discard(self) -> None:
-        """Lets go of what was written: nothing of it remains, unless it was completed before."""
+        """Deletes what was written, unless it was completed before."""
         with contextlib.suppress(OSError, ValueError):  # a full disk, or closed before
             self._log.stop()
         with contextlib.suppress(_DiscardedError), self._closing:
@@ -120,7 +120,7 @@ class CanBus:
 
         Args:
             channel: As for `open_bus`.
-            ramp_s: How long lamps of cars that take borders shall take to brighten.
+            ramp_s: Time in which lamps of cars that take gaps shall brighten.
             has_levels: False leaves out the levels of the LEDs.
 
         Raises:
@@ -136,9 +136,9 @@ class CanBus:
         """Sends the frames of a command.
 
         Raises:
-            OSError: If the bus does not take them within `SEND_TIMEOUT_S` each; the lamps then go to low beam by
+            OSError: If the bus does not accept one within `SEND_TIMEOUT_S`; the lamps then go to low beam by
                 themselves.
-            ValueError: If the command is not for lamps of 84 LEDs.
+            ValueError: If the command is not for lamps of `NUM_LEDS` LEDs.
         """
         import can
 
@@ -149,12 +149,12 @@ class CanBus:
             raise OSError(f"{self._name}: {error}") from error
 
     def close(self) -> None:
-        """Leaves the bus."""
+        """Closes the bus."""
         self._bus.shutdown()
 
 
 class _DiscardedError(Exception):
-    """Ends a file that shall not remain."""
+    """Raised to make `open_atomic` delete its file."""
 
 
 def _messages(frames: tuple[CanFrame, ...], timestamp_ns: int) -> Iterator[can.Message]:

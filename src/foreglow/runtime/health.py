@@ -1,4 +1,4 @@
-"""How a live pipeline is: what is wrong now, and what was lost; and who wants to be told."""
+"""Health reports of a live pipeline, and the sinks that receive them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from foreglow.types import BeamCommand, Frame, FrameResult
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a live pipeline at one time.
+    """The state of a live pipeline.
 
     Attributes:
-        timestamp_ns: The time, by the frames' clock.
-        faults: What is wrong now, names such as `camera_gone`; empty when all is well.
-        num_frames: Frames that were run so far.
-        num_dropped: Frames that were passed over for a newer one.
-        num_late: Frames whose command came later than one frame's time after the image.
+        timestamp_ns: The time of the report, by the frames' clock.
+        faults: Names of the faults that are present, such as `camera_gone`; empty if there are none.
+        num_frames: Frames that were processed so far.
+        num_dropped: Frames that were dropped for a newer one.
+        num_late: Frames whose command came more than a frame period after the image.
         beam: The command in force; None before the first.
     """
 
@@ -31,19 +31,19 @@ class Health:
 
 
 class LiveSink(ResultSink, Protocol):
-    """A result sink that is also told of the health: once a second, and whenever the faults change.
+    """A result sink that also receives the health, once a second and whenever the faults change.
 
-    `FrameResult.stage_ms` of a live frame has more than the stages: `capture` from exposure until it was read, `queue`
-    until its turn, `send` for its command's way onto the bus.
+    `FrameResult.stage_ms` of a live frame has three more parts: `capture` from exposure until the frame was read,
+    `queue` until its processing began, and `send` for sending its command.
     """
 
     def write_health(self, health: Health) -> None:
-        """Takes what is known now."""
+        """Writes a health report."""
         ...
 
 
 class ResultsOnly:
-    """A result sink as a live one, which is not told of the health."""
+    """Makes a live sink of a result sink; health reports are ignored."""
 
     def __init__(self, sink: ResultSink) -> None:
         self._sink = sink
@@ -56,9 +56,9 @@ class ResultsOnly:
         """Does nothing."""
 
     def close(self) -> None:
-        """Completes the sink."""
+        """Closes the sink."""
         self._sink.close()
 
     def discard(self) -> None:
-        """Lets the sink let go."""
+        """Discards what the sink has written."""
         self._sink.discard()

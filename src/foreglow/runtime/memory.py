@@ -1,4 +1,4 @@
-"""Python's memory in a loop that has to be on time."""
+"""Keeps Python's garbage collector from interrupting a real-time loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def settled_memory() -> Iterator[None]:
-    """While entered, garbage is not looked for in what was there before: that would take longer than a frame."""
+    """While entered, garbage collection skips all objects that existed before, which would take longer than a frame."""
     gc.collect()
     gc.freeze()
     try:

@@ -1,18 +1,18 @@
-"""One axis of time for the frames of several sequences, each of which has times of its own."""
+"""One time axis for frames of several sequences, each of which has its own times."""
 
 from __future__ import annotations
 
 from foreglow.types import Frame
 
 PAUSE_NS = 1_000_000_000
-"""Between two sequences."""
+"""Pause between two sequences."""
 
 
 class TimeAxis:
-    """Puts the frames of a run on an axis on which time only goes forward.
+    """Assigns times to the frames of a run so that time never goes back.
 
-    A sequence whose times do not go on from those of the one before follows `PAUSE_NS` after it; others, and the first,
-    keep their times.
+    A sequence that would begin less than `PAUSE_NS` after the end of the previous one is shifted to begin that much
+    after it; all other sequences keep their times.
     """
 
     def __init__(self) -> None:
@@ -29,5 +29,5 @@ class TimeAxis:
         return self._latest_ns
 
     def within_sequence_ns(self, timestamp_ns: int) -> int:
-        """A time of the latest frame's sequence on the axis."""
+        """The time on the axis of a time in the latest frame's sequence."""
         return timestamp_ns + self._shift_ns

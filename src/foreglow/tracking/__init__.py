@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from foreglow.config import TrackerConfig
+from foreglow.plugins import find
 from foreglow.tracking.published import PublishedTracker
 from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
@@ -29,15 +30,13 @@ class Tracker(Protocol):
 TRACKERS: Mapping[str, type[Tracker]] = MappingProxyType(
     {"alpha_beta": AlphaBetaTracker, "published": PublishedTracker}
 )
-"""All trackers by name."""
+"""Our trackers by name."""
 
 
 def make_tracker(config: TrackerConfig) -> Tracker:
-    """The tracker that `config` names.
+    """The tracker that `config.method` names: one of `TRACKERS`, or a plug-in.
 
     Raises:
-        ValueError: If it names none.
+        ValueError: If it names none, or one that cannot be imported.
     """
-    if config.method not in TRACKERS:
-        raise ValueError(f"tracker.method: expected one of {', '.join(TRACKERS)}, got {config.method!r}")
-    return TRACKERS[config.method](config)
+    return find("tracker.method", config.method, TRACKERS, "foreglow.trackers")(config)

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 
 from foreglow.geometry import Camera, Pose
+from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, RoadAhead, TrackState
 from tests.stand_ins import night_image, result_of, tracks_of
 
@@ -25,7 +26,7 @@ def frame_at(time_ns: int, number: int = 0, sequence: str = "S00001") -> Frame:
 def full_result(frame: Frame, faults: tuple[str, ...] = (), mode: BeamMode = BeamMode.GLARE_FREE) -> FrameResult:
     """Two boxes, one of them accepted; a confirmed track with a range and a tentative one without; two gaps."""
     is_low = mode == BeamMode.LOW
-    levels = np.zeros((2, 84)) if is_low else np.linspace(0.0, 1.0, 168).reshape(2, 84)
+    levels = np.zeros((2, NUM_LEDS)) if is_low else np.linspace(0.0, 1.0, 2 * NUM_LEDS).reshape(2, -1)
     gaps = np.zeros((0, 2)) if is_low else GAPS_RAD
     beam = BeamCommand(frame.timestamp_ns, mode, levels, gaps, np.array([40.0, np.nan])[: len(gaps)], faults)
     states = [TrackState.CONFIRMED, TrackState.TENTATIVE]

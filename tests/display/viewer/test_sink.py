@@ -16,6 +16,7 @@ from foreglow.display.viewer import RerunSink, RrdFile
 from foreglow.display.viewer.blueprint import PLOTS, blueprint
 from foreglow.display.viewer.entities import led_picture, track_words
 from foreglow.display.viewer.sink import NUM_SCORES, Slots, highest
+from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.health import Health
 from foreglow.runtime.time_axis import PAUSE_NS
 from foreglow.types import BeamMode, Frame, TrackState
@@ -152,7 +153,7 @@ def test_words_of_a_track() -> None:
 
 def test_lamps_as_the_driver_sees_them() -> None:
     """LED 0 is the lowest, and the furthest to the right."""
-    levels = np.zeros(84)
+    levels = np.zeros(NUM_LEDS)
     levels[0], levels[28 + 27] = 1.0, 0.5
     picture = led_picture(levels, 28).sum(axis=2)
     assert picture.shape == (3, 28)

@@ -17,6 +17,7 @@ from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Rail, SurroundingsSpec, Verge
 from foreglow.parallel import Local
+from foreglow.photometry import NUM_LEDS
 from tests.lab.simulation.light.rendering import need_renderer
 
 BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
@@ -146,13 +147,13 @@ def test_led_levels_count_from_the_next_frame_on() -> None:
     bright = float(next(frames).image.mean())
     assert source.latest is not None
     before_lx = source.latest.vehicles[0].eye_lx["ego"]
-    source.set_led_levels(np.zeros((2, 84)))
+    source.set_led_levels(np.zeros((2, NUM_LEDS)))
     dark = float(next(frames).image.mean())
     assert source.latest.vehicles[0].eye_lx["ego"] < 0.2 * before_lx
     assert dark < bright
 
 
-@pytest.mark.parametrize("levels", [np.zeros(84), np.full((2, 84), 1.5), np.full((2, 84), np.nan)])
+@pytest.mark.parametrize("levels", [np.zeros(NUM_LEDS), np.full((2, NUM_LEDS), 1.5), np.full((2, NUM_LEDS), np.nan)])
 def test_bad_led_levels(levels: np.ndarray) -> None:
     source = simulate(scene(ego=EgoSpec(beam="matrix")))
     with pytest.raises(ValueError, match="set_led_levels"):
@@ -161,7 +162,7 @@ def test_bad_led_levels(levels: np.ndarray) -> None:
 
 def test_led_levels_without_a_matrix_beam() -> None:
     with pytest.raises(ValueError, match=r"ego\.beam"):
-        simulate(scene()).set_led_levels(np.zeros((2, 84)))
+        simulate(scene()).set_led_levels(np.zeros((2, NUM_LEDS)))
 
 
 def test_unknown_quality() -> None:

@@ -1,4 +1,4 @@
-"""Cameras, streams, replays and simulated drives as live sources."""
+"""Cameras, streams, replays and other live sources by the name that a user gives them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ from benchmarks.faulty import live_config
 from foreglow.datasets import shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
-from foreglow.runtime.live import DriveAround, LiveFault, Paced
+from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
-from foreglow.runtime.live.opening import open_live
-from foreglow.types import BeamCommand, BeamMode, Frame
-from tests.lab.simulation.light.rendering import need_renderer
+from foreglow.runtime.live.opening import open_camera, open_live
+from foreglow.types import Frame
 from tests.runtime.live.stand_ins import Keeper, run_live
 from tests.stand_ins import ListSource, night_frames, night_image
 
@@ -200,13 +199,21 @@ def test_stream_that_is_not_there() -> None:
 
 def test_paths_and_scenarios(tmp_path: Path) -> None:
     assert isinstance(open_live(str(shipped_drive()), CameraOptions()), Paced)
-    drive = open_live("simulate:curve", CameraOptions(), seed=3)
-    assert isinstance(drive, DriveAround)
+    drive = open_live("simulate:curve", CameraOptions(seed=3))
+    assert isinstance(drive, ClosedLoop)
     assert drive.name == "curve/3"
     with pytest.raises(ValueError, match="scenario: expected one of"):
         open_live("simulate:nowhere", CameraOptions())
     with pytest.raises(FileNotFoundError):
         open_live(str(tmp_path / "none"), CameraOptions())
+
+
+def test_only_cameras_and_streams_are_cameras() -> None:
+    camera = open_camera("rtsp://127.0.0.1/night", CameraOptions())
+    assert isinstance(camera, StreamCamera)
+    assert camera.name == "rtsp://127.0.0.1/night"
+    assert open_camera("simulate:curve", CameraOptions()) is None
+    assert open_camera(str(shipped_drive()), CameraOptions()) is None
 
 
 def test_what_the_car_knows_is_put_beside_frames() -> None:
@@ -228,22 +235,3 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
     assert first.motion.speed_mps == 20.0
     assert first.camera is not None  # what the drive itself knows stays
     assert first.road is not None
-
-
-def test_our_own_light_in_closed_loop() -> None:
-    need_renderer()
-    from foreglow.lab.simulation import resized, scenario
-
-    scene = resized(scenario("curve", 1), 160, 120)
-    drive = DriveAround(scene, "fast")
-    means = []
-    for frame in itertools.islice(drive, 8):
-        means.append(frame.image.mean())
-        level = 1.0 if frame.frame < 5 else 0.0
-        mode = BeamMode.FULL if level else BeamMode.LOW
-        drive.send(BeamCommand(frame.timestamp_ns, mode, np.full((2, 84), level)))
-        assert drive.lux(frame).keys() == {f"vehicle {one.vehicle_id}" for one in drive._drive.latest.vehicles}  # type: ignore[union-attr]
-        assert frame.timestamp_ns <= drive.now_ns() <= frame.timestamp_ns + 1e9 / scene.rate_hz
-    dark, lit = np.mean(means[:2]), np.mean(means[4:6])  # the lamps want some good commands before they shine
-    assert lit > dark + 0.3
-    assert means[7] < (dark + lit) / 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from foreglow.geometry import Camera, Pose
+from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.health import Health
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, FrameResult, RoadAhead, TrackState
 from tests.stand_ins import night_image, result_of, tracks_of
@@ -35,10 +36,10 @@ def full_result(frame: Frame, *faults: str) -> FrameResult:
         ids=[3, 8],
         ranges_m=[55.0, float("nan")],
     )
-    levels = np.full((2, 84), 0.5)
+    levels = np.full((2, NUM_LEDS), 0.5)
     beam = BeamCommand(frame.timestamp_ns, BeamMode.GLARE_FREE, levels, np.array([[-0.1, 0.05]]), np.array([77.0]))
     if faults:
-        beam = BeamCommand.low(frame.timestamp_ns, 84, *faults)
+        beam = BeamCommand.low(frame.timestamp_ns, NUM_LEDS, *faults)
     return FrameResult(
         frame.frame, frame.timestamp_ns, base.proposals, base.detections, {"proposals": 0.25}, None, tracks, beam
     )

@@ -18,6 +18,7 @@ pytest.importorskip("rclpy")
 
 from sensor_msgs.msg import PointField
 
+from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.results import (
     beam_message,
@@ -99,12 +100,12 @@ def test_tracks_come_back(count: int, seed: int) -> None:
 @pytest.mark.parametrize(
     "sent",
     [
-        BeamCommand.low(HEADER.timestamp_ns, 84, "image_black", "Störung"),
+        BeamCommand.low(HEADER.timestamp_ns, NUM_LEDS, "image_black", "Störung"),
         BeamCommand(HEADER.timestamp_ns, BeamMode.FULL, np.ones((2, 3))),
         BeamCommand(
             HEADER.timestamp_ns,
             BeamMode.GLARE_FREE,
-            np.random.default_rng(0).random((2, 84)),
+            np.random.default_rng(0).random((2, NUM_LEDS)),
             np.array([[-0.1, 0.05], [0.2, 0.3]]),
             np.array([70.0, np.nan]),
         ),

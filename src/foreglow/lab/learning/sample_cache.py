@@ -12,7 +12,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from foreglow import _native, classifier, proposals
+import foreglow._native as _native
+import foreglow.classifier as classifier
+import foreglow.proposals as proposals
 from foreglow.datasets import PVDN
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image

@@ -1,8 +1,8 @@
-"""The live loop: a camera, or what stands in for one, to commands in real time; faults mean low beam and are noted."""
+"""The live loop: from a camera, a replay or a simulated drive to beam commands in real time; a fault is low beam."""
 
 from foreglow.runs.summary import FaultEvent, LiveSummary
 from foreglow.runtime.live.faults import LiveFault
 from foreglow.runtime.live.loop import BeamOutput, LiveLoop
-from foreglow.runtime.live.sources import DriveAround, LiveSource, Paced
+from foreglow.runtime.live.sources import ClosedLoop, LiveSource, Paced
 
-__all__ = ["BeamOutput", "DriveAround", "FaultEvent", "LiveFault", "LiveLoop", "LiveSource", "LiveSummary", "Paced"]
+__all__ = ["BeamOutput", "ClosedLoop", "FaultEvent", "LiveFault", "LiveLoop", "LiveSource", "LiveSummary", "Paced"]

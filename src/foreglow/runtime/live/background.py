@@ -1,4 +1,4 @@
-"""Sinks that must not keep the beam waiting: each has a thread of its own, and may fall behind or fail alone."""
+"""Runs sinks in threads of their own, so that a sink that is slow or fails never delays a beam command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from foreglow.runtime.health import Health, LiveSink
 from foreglow.types import Frame, FrameResult
 
 NUM_WAITING = 64
-"""So many frames may wait for a sink, 3.6 s of a camera; further ones are not given to it."""
+"""Frames that may wait for a sink, 3.6 s at 18 Hz; further ones are lost to it."""
 
 
 class Background:
@@ -18,16 +18,16 @@ class Background:
 
     Attributes:
         sink: The sink.
-        num_lost: Frames that it was not given, because it fell behind or had failed.
-        error: Why it failed; None while it did not.
+        num_lost: Frames that it did not receive, because it was too slow or had failed.
+        error: Why it failed; None while it works.
     """
 
     def __init__(self, sink: LiveSink, *, is_lossless: bool = False) -> None:
         """Starts the thread.
 
         Args:
-            sink: What takes the results; it is called from that thread alone.
-            is_lossless: Whether `write` waits for room, where time does not count.
+            sink: The sink; it is called from that thread only.
+            is_lossless: Whether `write` waits until there is room, for sources that wait, too.
         """
         self.sink = sink
         self.num_lost = 0
@@ -39,20 +39,20 @@ class Background:
 
     @property
     def is_behind(self) -> bool:
-        """Whether it has failed, or no room for another frame."""
+        """Whether it has failed, or has no room for another frame."""
         return self.error is not None or self._waiting.full()
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Hands a frame over, or counts it as lost."""
+        """Passes a frame on, or counts it as lost."""
         if not self._put(lambda: self.sink.write(frame, result)):
             self.num_lost += 1
 
     def write_health(self, health: Health) -> None:
-        """Hands the health over, if there is room."""
+        """Passes the health on, if there is room."""
         self._put(lambda: self.sink.write_health(health))
 
     def close(self) -> None:
-        """Waits until all is written, and completes it, as far as that goes."""
+        """Waits until everything is written, and closes the sink."""
         self._waiting.put(None)
         self._thread.join()
         try:
@@ -61,7 +61,7 @@ class Background:
             self.error = self.error or error
 
     def discard(self) -> None:
-        """Ends the thread; nothing remains of what was written."""
+        """Ends the thread, and discards what the sink has written."""
         self._waiting.put(None)
         self._thread.join()
         self.sink.discard()
@@ -80,5 +80,5 @@ class Background:
             if self.error is None:
                 try:
                     call()
-                except Exception as error:  # whatever it is, the beam goes on
+                except Exception as error:  # no error of a sink may stop the beam
                     self.error = error

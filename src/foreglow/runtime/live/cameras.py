@@ -1,8 +1,9 @@
-"""Cameras and streams: frames stamped when they arrive, by the machine's steady clock."""
+"""Cameras and streams: frames are stamped on arrival, by the machine's steady clock."""
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,28 +19,36 @@ from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
 
 OPEN_S, READ_S = 5.0, 1.0
-"""A network stream may take so long to open, and to bring the next packet."""
+"""Longest time that a network stream may take to open, and to deliver its next packet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraOptions:
-    """How a camera is read.
+    """How a live source is read.
 
     Attributes:
-        size_px: Width and height to ask it for; None for its own.
-        rate_hz: Frames a second to ask it for and to expect; None where it knows itself.
-        delay_s: From the middle of the exposure until the frame is here; taken off the time of arrival.
-        data: What the car knows of each frame; None for nothing.
+        size_px: Width and height to request from a camera; None for its own.
+        rate_hz: Frame rate to request from a camera and to expect; None for its own.
+        delay_s: From the middle of the exposure until the frame arrives; subtracted from the time of arrival.
+        data: The car's own data for each frame; None without.
+        seed: The seed of a simulated drive.
+        quality: How finely a simulated drive is rendered.
     """
 
     size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
     delay_s: float = 0.0
     data: VehicleData | None = None
+    seed: int = 0
+    quality: str = "training"
 
 
-class _Arriving:
-    """What all live cameras have in common: the clock, and frames numbered from 0 on."""
+class LiveCamera(ABC):
+    """The base of live cameras: the clock, and frames that are numbered from 0 on.
+
+    Iterating opens the camera; it is released when the iteration ends. A camera that ends or raises is lost, and is
+    opened again by iterating again.
+    """
 
     max_silence_s: float | None = None
     speed = 1.0
@@ -54,12 +63,16 @@ class _Arriving:
         self._options = options
         self._number = 0
 
+    @abstractmethod
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, each made by `arrived`."""
+
     def now_ns(self) -> int:
         """The machine's steady clock."""
         return time.monotonic_ns()
 
-    def _frame(self, image: Image) -> Frame:
-        """The next frame, which has just arrived."""
+    def arrived(self, image: Image) -> Frame:
+        """The next frame: a grey image that has just arrived."""
         timestamp_ns = self.now_ns() - round(self._options.delay_s * 1e9)
         check_size(image.shape[0], image.shape[1], self.name)
         frame = Frame(image, timestamp_ns, self._number, path=f"{self.name}, frame {self._number}")
@@ -67,19 +80,16 @@ class _Arriving:
         return frame if self._options.data is None else equip(frame, self._options.data)
 
 
-class CaptureCamera(_Arriving):
-    """A camera of this machine, through OpenCV: V4L2 by number or device, or a GStreamer pipeline.
-
-    Iterating opens it; it is released when the iteration ends.
-    """
+class CaptureCamera(LiveCamera):
+    """A camera of this machine, through OpenCV: a V4L2 device, or a GStreamer pipeline."""
 
     def __init__(self, name: str, device: int | str, backend: int, options: CameraOptions) -> None:
-        """Takes what to open.
+        """A camera that is not opened yet.
 
         Args:
-            name: What messages call it.
+            name: Its name in messages.
             device: Number, path, or pipeline.
-            backend: OpenCV's, such as `cv2.CAP_V4L2`.
+            backend: OpenCV's backend, such as `cv2.CAP_V4L2`.
             options: How it is read.
         """
         super().__init__(name, options)
@@ -96,22 +106,29 @@ class CaptureCamera(_Arriving):
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._options.size_px[1])
             if self._options.rate_hz is not None:
                 capture.set(cv2.CAP_PROP_FPS, self._options.rate_hz)
-            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # what waits in the driver is old
+            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # frames that wait in the driver are old
             while True:
                 is_read, image = capture.read()
                 if not is_read:
                     raise OSError(f"{self.name}: brings no more frames")
-                yield self._frame(to_grey(image, self.name, order="bgr"))
+                yield self.arrived(to_grey(image, self.name, order="bgr"))
         finally:
             capture.release()
 
 
-class StreamCamera(_Arriving):
-    """A network stream, such as RTSP, through FFmpeg. Iterating opens it; it is closed when the iteration ends."""
+def open_v4l2(device: str, options: CameraOptions) -> CaptureCamera:
+    """The V4L2 device with this number or path."""
+    number_or_path = int(device) if device.isdecimal() else device
+    return CaptureCamera(f"camera:{device}", number_or_path, cv2.CAP_V4L2, options)
 
-    def __init__(self, url: str, options: CameraOptions) -> None:
-        """Takes the address, and how it is read; a stream's size and rate are its own."""
-        super().__init__(url, options)
+
+def open_gstreamer(pipeline: str, options: CameraOptions) -> CaptureCamera:
+    """A GStreamer pipeline that ends in an appsink."""
+    return CaptureCamera(f"gstreamer:{pipeline}", pipeline, cv2.CAP_GSTREAMER, options)
+
+
+class StreamCamera(LiveCamera):
+    """A network stream, such as RTSP, through FFmpeg; its name is its address, its size and rate are its own."""
 
     def __iter__(self) -> Iterator[Frame]:
         options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay"}
@@ -124,6 +141,6 @@ class StreamCamera(_Arriving):
                 raise OSError(f"{self.name}: expected a video stream, it has none")
             try:
                 for picture in container.decode(container.streams.video[0]):
-                    yield self._frame(picture.to_ndarray(format="gray"))
+                    yield self.arrived(picture.to_ndarray(format="gray"))
             except FFmpegError as error:
                 raise OSError(f"{self.name}: {error.strerror}") from error

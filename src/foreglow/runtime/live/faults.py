@@ -1,4 +1,4 @@
-"""What goes wrong around the pipeline, since when and until when."""
+"""The faults of a live run: which there are, and when each began and ended."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from enum import StrEnum
 from foreglow.runs.summary import FaultEvent
 
 MAX_EVENTS = 1000
-"""So many of the latest events are kept; all are counted."""
+"""Events that are kept, the latest ones; `FaultBook.counts` counts all."""
 
 
 class LiveFault(StrEnum):
-    """What the live loop may find; the texts stand in `BeamCommand.faults`, before those of the guard."""
+    """The faults that the live loop detects; in `BeamCommand.faults` they precede the guard's."""
 
     CAMERA_GONE = "camera_gone"
-    """No frame came in time, or the source cannot be opened."""
+    """No frame arrived in time, or the source cannot be opened."""
     CAMERA_SLOW = "camera_slow"
-    """Frames come too rarely."""
+    """Frames arrive too rarely."""
     OUT_OF_ORDER = "frame_out_of_order"
-    """A frame that is not newer than the one before; it is not used."""
+    """A frame is not newer than the previous one; it is not used."""
     STAGE_FAILED = "stage_failed"
     """A stage raised an error."""
     STAGE_HANGS = "stage_hangs"
-    """A stage keeps a frame for too long."""
+    """A stage takes too long for a frame."""
     NO_PIPELINE = "no_pipeline"
-    """After a fault the pipeline could not be made again yet."""
+    """The pipeline could not be made again yet after a fault."""
     BUS = "bus_failed"
     """A command could not be sent: the lamps go to low beam by themselves."""
     NOT_RECORDED = "not_recorded"
-    """A recording, a view or a result failed or fell behind; the beam goes on."""
+    """A sink, such as a recording or the viewer, failed or is too slow; the beam goes on."""
 
 
 class FaultBook:
-    """Keeps what is wrong now, from several threads, and what was.
+    """Keeps the faults that are present, and a record of past ones; thread-safe.
 
-    Every origin, such as `camera`, says which of its faults there are now; an event lasts from when a fault is first
-    among them until it no longer is.
+    Every origin, such as `camera`, reports which of its faults are present now. An event begins when a fault is first
+    reported, and ends when its origin reports without it.
 
     Attributes:
-        events: The latest ones, in the order of their beginning.
+        events: The latest events, in the order in which they began.
         counts: How often each fault began.
     """
 
@@ -50,7 +50,7 @@ class FaultBook:
 
         Args:
             now_ns: The frames' clock.
-            low_beam_origins: Faults of these mean low beam for the next command, however short they were.
+            low_beam_origins: A fault of one of these means low beam for the next command, however briefly it lasted.
         """
         self._now_ns = now_ns
         self._low_beam_origins = low_beam_origins
@@ -61,7 +61,7 @@ class FaultBook:
         self.counts: Counter[str] = Counter()
 
     def note(self, origin: str, faults: Iterable[str] = (), detail: str = "") -> None:
-        """These are the faults of `origin` now, none left out."""
+        """Reports all faults of `origin` that are present now."""
         names = dict.fromkeys(str(fault) for fault in faults)
         with self._lock:
             known = self._active.get(origin, {})
@@ -81,18 +81,18 @@ class FaultBook:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """All that is wrong now."""
+        """All faults that are present now."""
         with self._lock:
             return tuple(dict.fromkeys(name for faults in self._active.values() for name in faults))
 
     @property
     def unheeded(self) -> tuple[str, ...]:
-        """What means low beam and began, or was said again, since `heeded` was last asked, also if it is over."""
+        """The low-beam faults that were reported since the last `heeded`, also those that are over."""
         with self._lock:
             return tuple(self._unheeded)
 
     def heeded(self) -> tuple[str, ...]:
-        """What means low beam for the next command: what is wrong now, and what was since this was last asked."""
+        """The low-beam faults that count for the next command: present ones, and those since the last call of this."""
         with self._lock:
             lasting = [name for origin in self._low_beam_origins for name in self._active.get(origin, ())]
             names = tuple(dict.fromkeys([*self._unheeded, *lasting]))

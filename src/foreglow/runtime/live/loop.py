@@ -1,4 +1,4 @@
-"""The live loop: one thread reads, one computes, and this one watches both."""
+"""The live loop: one thread reads frames, one computes, and the main thread supervises both."""
 
 from __future__ import annotations
 
@@ -27,25 +27,26 @@ from foreglow.types import BeamCommand
 LIVE_FAULTS = frozenset(LiveFault)
 
 GUARD, BUS, SINKS = "guard", "bus", "sinks"
-"""Further origins of faults; those of `CAMERA` and `STAGE` mean low beam."""
+"""Further origins of faults; unlike `CAMERA` and `STAGE` they do not cause low beam by themselves."""
 
 MAX_HUNG = 3
-"""So many pipelines may hang, each in a thread that nobody can end; then it is better to start the program anew."""
+"""When so many pipelines hang, each in a thread that cannot be ended, the program ends and has to be restarted."""
 
 SWITCH_S = 0.0005
-"""A thread that has to wait for another one's Python waits no longer than this, in place of 5 ms."""
+"""Interval at which Python switches between threads, in place of 5 ms: the longest wait for another thread's Python."""
 
 HEALTH_S = 1.0
+"""Interval of health reports, besides those for changes of the faults."""
 
 
 class BeamOutput(Protocol):
-    """Takes commands to the lamps."""
+    """A connection to the lamps."""
 
     def send(self, command: BeamCommand) -> None:
         """Sends a command.
 
         Raises:
-            OSError: If that is not possible now.
+            OSError: If it cannot be sent now.
         """
         ...
 
@@ -55,9 +56,9 @@ class BeamOutput(Protocol):
 
 
 class LiveLoop:
-    """Frames in, commands out, in real time; whatever goes wrong is low beam, noted, and over when its cause is.
+    """Runs a pipeline on frames in real time. Any fault is recorded and means low beam until its cause is over.
 
-    The newest frame wins. A command goes to the lamps at once; sinks get results in threads of their own.
+    A newer frame replaces one that waits. Commands are sent to the lamps at once; sinks run in threads of their own.
     """
 
     def __init__(
@@ -70,15 +71,15 @@ class LiveLoop:
         sinks: Sequence[LiveSink] = (),
         beat: Callable[[], None] = lambda: None,
     ) -> None:
-        """Takes all that it is made of; `run` is to be called once.
+        """A loop that can be run once.
 
         Args:
             source: The frames.
-            make_pipeline: Makes a pipeline of `config`, with a beam policy; called in the computing thread.
+            make_pipeline: Makes a pipeline with a beam policy; also called in the computing thread.
             config: The configuration.
-            outputs: Where commands go.
-            sinks: Where results and the health go.
-            beat: Called again and again, as long as the loop goes round: for a watchdog outside.
+            outputs: Where commands are sent.
+            sinks: Where results and health reports are written.
+            beat: Called several times a frame period while the loop runs: for an external watchdog.
 
         Raises:
             ValueError: If the lamps' description is broken.
@@ -87,7 +88,7 @@ class LiveLoop:
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
         self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
-        # Where frames wait for computing, a busy machine is no fault.
+        # With a lossless source, which waits for the computation, a slow machine is no fault.
         self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
         self._book = FaultBook(source.now_ns, (CAMERA, STAGE))
@@ -103,14 +104,14 @@ class LiveLoop:
         self._num_taken = self._num_hung = self._num_late = 0
         self._beam: BeamCommand | None = None
         self._low_s = self._health_s = -1.0
-        self._told: tuple[str, ...] = ()
+        self._reported: tuple[str, ...] = ()
 
     def run(self, limit: int | None = None) -> LiveSummary:
-        """Runs until the source is over, Ctrl-C, or so many frames; sinks are then complete, and the lamps in low beam.
+        """Runs until the source ends, Ctrl-C, or `limit` frames; then closes the sinks, with the lamps in low beam.
 
         Raises:
-            TimeoutError: If pipelines hang again and again.
-            Exception: What making the pipeline raised, or a source that is no camera.
+            TimeoutError: If `MAX_HUNG` pipelines hang.
+            Exception: What `make_pipeline` raised, or a source that is no camera.
         """
         self._limit = limit
         try:
@@ -155,14 +156,14 @@ class LiveLoop:
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
             num_unrecorded=sum(sink.num_lost for sink in self._sinks),
-            sink_errors=[f"{type(one.sink).__name__}: {one.error}" for one in self._sinks if one.error is not None],
+            sink_errors=[f"{type(sink.sink).__name__}: {sink.error}" for sink in self._sinks if sink.error is not None],
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
 
     @property
     def _is_enough(self) -> bool:
-        """Whether so many frames are done as were wanted."""
+        """Whether as many frames are done as were wanted."""
         return self._limit is not None and self._tally.num_frames >= self._limit
 
     @property
@@ -176,7 +177,7 @@ class LiveLoop:
         self._is_stopped.set()
         self._mailbox.close()
         self._worker.stop(self._config.abandon_s)
-        reader.join(self._config.abandon_s)  # a camera may keep it for longer
+        reader.join(self._config.abandon_s)  # a camera may block it for longer
         with self._lock:
             self._is_ended = True
             if self._beam is not None:
@@ -187,7 +188,7 @@ class LiveLoop:
             sink.close()
 
     def _read(self) -> None:
-        """Reads frames, as long as there are any; the thread of its own."""
+        """Reads frames until there are no more; runs in the reading thread."""
         while not self._is_stopped.is_set():
             try:
                 for frame in self._source:
@@ -209,7 +210,7 @@ class LiveLoop:
             self._is_stopped.wait(self._config.retry_s)
 
     def _supervise(self) -> None:
-        """Looks at both threads; commands low beam where one of them does not do its part."""
+        """Checks both threads; commands low beam if frames are missing or a stage hangs."""
         is_silent = not self._has_ended.is_set() and self._watch.listen()
         is_hanging = self._worker.busy_s > self._max_step_s
         if is_hanging:
@@ -222,16 +223,16 @@ class LiveLoop:
             self._low_s = now_s
             self._command_low()
         self._note_sinks()
-        if now_s - self._health_s >= HEALTH_S or self._book.active != self._told:
-            self._health_s, self._told = now_s, self._book.active
-            self._tell_health()
+        if now_s - self._health_s >= HEALTH_S or self._book.active != self._reported:
+            self._health_s, self._reported = now_s, self._book.active
+            self._report_health()
         self._beat()
 
     def _abandon(self) -> None:
-        """Leaves the worker that hangs, or has died, alone, and begins with a new one.
+        """Abandons a worker that hangs or has died, and starts a new one.
 
         Raises:
-            TimeoutError: If too many hang.
+            TimeoutError: If too many have hung.
         """
         self._num_hung += 1
         if self._num_hung >= MAX_HUNG:
@@ -239,7 +240,7 @@ class LiveLoop:
         with self._lock:
             self._worker.stop()
             self._num_taken += 1
-            self._book.note(STAGE, [LiveFault.NO_PIPELINE], f"the one before hangs in {self._worker.stage}")
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], f"the previous one hangs in {self._worker.stage}")
             self._worker = self._new_worker()
 
     def _new_worker(self, pipeline: LivePipeline | None = None) -> Worker:
@@ -249,14 +250,14 @@ class LiveLoop:
         return worker
 
     def _deliver(self, worker: Worker, stepped: Stepped) -> None:
-        """Sends the command of a frame at once, then passes its result on; in the computing thread."""
+        """Sends a frame's command, then passes its result to the sinks; runs in the computing thread."""
         frame, result = stepped.arrival.frame, stepped.result
         with self._lock:
             if worker is not self._worker or self._is_ended or self._is_enough:
                 return
             self._num_taken += 1
             beam, faults = None if result is None else result.beam, self._book.unheeded
-            if beam is None or faults:  # something went wrong while it was made
+            if beam is None or faults:  # a stage failed, or a fault appeared meanwhile
                 beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *faults)
             ready_ns = time.monotonic_ns()
             self._send(beam)
@@ -278,12 +279,12 @@ class LiveLoop:
             sink.write(frame, result)
 
     def _command_low(self) -> None:
-        """Commands low beam now, for all that is wrong."""
+        """Commands low beam now, because of all present faults."""
         with self._lock:
             self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
 
     def _send(self, command: BeamCommand) -> None:
-        """Sends a command to all outputs, and keeps it."""
+        """Sends a command to all outputs."""
         self._beam = command
         errors = []
         for output in self._outputs:
@@ -294,13 +295,13 @@ class LiveLoop:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
 
     def _note_sinks(self) -> None:
-        behind = [f"{type(one.sink).__name__}: {one.error or 'behind'}" for one in self._sinks if one.is_behind]
+        behind = [f"{type(sink.sink).__name__}: {sink.error or 'behind'}" for sink in self._sinks if sink.is_behind]
         self._book.note(SINKS, [LiveFault.NOT_RECORDED] if behind else [], "; ".join(behind))
 
-    def _tell_health(self) -> None:
+    def _report_health(self) -> None:
         health = Health(
             self._source.now_ns(),
-            self._told,
+            self._reported,
             self._tally.num_frames,
             self._mailbox.num_dropped,
             self._num_late,

@@ -1,4 +1,4 @@
-"""Where the reader puts frames and the computer takes them: one place, and the newest wins."""
+"""Passes frames from the reading to the computing thread; a newer frame replaces one that was not taken yet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Arrival:
 
     Attributes:
         frame: The frame.
-        arrived_ns: When it was there, by the frames' clock.
+        arrived_ns: When it had been read, by the frames' clock.
     """
 
     frame: Frame
@@ -22,15 +22,15 @@ class Arrival:
 
 
 class Mailbox:
-    """Room for one frame.
+    """Holds one frame.
 
     Attributes:
-        num_put: Frames that were left in it.
-        num_dropped: Frames that were never taken, because a newer one came.
+        num_put: Frames that were put into it.
+        num_dropped: Frames that were replaced by a newer one before they were taken.
     """
 
     def __init__(self, *, is_lossless: bool = False) -> None:
-        """An empty one; a lossless one makes whoever puts a frame wait until the one before was taken."""
+        """An empty mailbox; in a lossless one, `put` waits until the previous frame was taken."""
         self._is_lossless = is_lossless
         self._waiting: Arrival | None = None
         self._changed = threading.Condition()
@@ -38,7 +38,7 @@ class Mailbox:
         self.num_put = self.num_dropped = 0
 
     def put(self, arrival: Arrival) -> None:
-        """Leaves a frame, in place of one that was not taken yet; does nothing when closed."""
+        """Puts a frame in place of one that was not taken yet; does nothing once the mailbox is closed."""
         with self._changed:
             if self._is_lossless:
                 self._changed.wait_for(lambda: self._waiting is None or self._is_closed)
@@ -50,7 +50,7 @@ class Mailbox:
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> Arrival | None:
-        """The newest frame, waited for at most so long; None where none came, or the box is closed."""
+        """The newest frame; None if none comes within the timeout, or the mailbox is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._is_closed, timeout_s)
             taken, self._waiting = self._waiting, None
@@ -58,7 +58,7 @@ class Mailbox:
             return None if self._is_closed else taken
 
     def close(self) -> None:
-        """Nobody waits any longer."""
+        """Ends all waiting."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()

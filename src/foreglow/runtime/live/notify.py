@@ -1,4 +1,4 @@
-"""Tells systemd that we are up and alive, so that it can start us anew when we are not."""
+"""Notifies systemd that the program is ready and alive, so that it restarts the program when it is not."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ class ServiceNotifier:
         self._beat_s: float | None = None
 
     def beat(self) -> None:
-        """Says READY at the first call, and WATCHDOG twice in the time after which systemd gives up."""
+        """Sends READY at the first call, and WATCHDOG twice per watchdog interval."""
         now_s = time.monotonic()
         if self._beat_s is None:
-            self._tell("READY=1")
+            self._send("READY=1")
         elif not self._interval_s or now_s - self._beat_s < self._interval_s:
             return
         self._beat_s = now_s
-        self._tell("WATCHDOG=1")
+        self._send("WATCHDOG=1")
 
     def stop(self) -> None:
-        """Says that we are about to end."""
-        self._tell("STOPPING=1")
+        """Sends STOPPING."""
+        self._send("STOPPING=1")
 
-    def _tell(self, message: str) -> None:
+    def _send(self, message: str) -> None:
         if self._address:
             address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:

@@ -1,4 +1,4 @@
-"""What our car tells on its CAN bus while we drive: speed, yaw rate and the road ahead."""
+"""Receives our car's speed, yaw rate and the road ahead from its CAN bus."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from foreglow.datasets.vehicle_logs import CanDecoder, CanLog
 from foreglow.runtime.can_output import open_bus
 
 KEEP_S = 10.0
-"""What is older is of no use to any frame."""
+"""Messages are kept for this long: older ones are of no use to any frame."""
 
 WAIT_S = 0.2
 
 
 class VehicleBus:
-    """Listens to a bus in a thread of its own; times are of the machine's steady clock, as live cameras have it.
+    """Listens to a bus in a thread of its own; times are by the machine's steady clock, like those of live cameras.
 
     Attributes:
-        log: What the car told in the last seconds.
-        num_broken: Frames that were not as the DBC says.
+        log: The car's data of the last seconds.
+        num_broken: CAN frames that did not match the DBC.
     """
 
     def __init__(self, channel: str, dbc: Path | None = None, mapping: Path | None = None) -> None:
-        """Opens the bus and listens from now on.
+        """Opens the bus and begins to listen.
 
         Args:
             channel: As for `open_bus`.
-            dbc: What is in the frames; None for our own.
-            mapping: What its signals mean; goes with `dbc`.
+            dbc: The DBC that describes the CAN frames; None for our own.
+            mapping: The mapping of the DBC's signals; needed with `dbc`.
 
         Raises:
             FileNotFoundError: If there is no such file.
@@ -46,7 +46,7 @@ class VehicleBus:
 
     @property
     def log(self) -> CanLog:
-        """What the car told in the last seconds."""
+        """The car's data of the last seconds."""
         return self._decoder.log
 
     def close(self) -> None:
@@ -56,7 +56,7 @@ class VehicleBus:
         self._bus.shutdown()
 
     def _listen(self) -> None:
-        """Takes frames until closed. A bus that fails falls silent: then speeds get stale, which the guard sees."""
+        """Receives frames until closed. When the bus fails, the speed becomes stale, which the guard notices."""
         import can
 
         while not self._is_closed.is_set():

@@ -1,4 +1,4 @@
-"""Watches what comes in: whether frames come, in time and in order."""
+"""Watches whether frames arrive in time and in order."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.types import Frame
 
 CAMERA = "camera"
-"""The origin of these faults."""
+"""The origin of these faults in the `FaultBook`."""
 
 
 class FrameWatch:
-    """Judges every frame that arrives by its time, and the silence between them by the wall's clock."""
+    """Checks the timestamps of frames, and the silence between them by the wall clock."""
 
     def __init__(
         self, config: LiveConfig, period_s: float, book: FaultBook, *, speed: float = 1.0, max_silence_s: float | None
     ) -> None:
-        """Begins to listen now; the first frame may take as long as a lost source takes to open.
+        """Begins to watch; the first frame may take longer, by `retry_s`, as the source has to be opened.
 
         Args:
-            config: What is too long.
-            period_s: A frame's time, by the frames' clock.
-            book: Where faults are noted.
-            speed: How many times as fast as the wall's that clock goes.
-            max_silence_s: A longer silence by the wall's clock is a fault, and none is slow; None goes by the period.
+            config: The limits.
+            period_s: The frame period, by the frames' clock.
+            book: Where faults are reported.
+            speed: Speed of the frames' clock relative to the wall clock.
+            max_silence_s: A longer silence, by the wall clock, is a fault, and no camera is slow; None derives both
+                limits from the period.
         """
         self._book = book
         self._max_silence_s = max_silence_s or config.silent_frames * period_s / speed
@@ -38,7 +39,7 @@ class FrameWatch:
         self._lost = ""
 
     def arrived(self, frame: Frame) -> bool:
-        """Takes note of a frame; whether it is newer than the one before, and to be used."""
+        """Checks a frame that has arrived; returns whether it is newer than the previous one and may be used."""
         self._heard_s, self._lost = time.monotonic(), ""
         before, step_ns = self._latest, 0
         if before is not None and before.sequence == frame.sequence:
@@ -54,12 +55,12 @@ class FrameWatch:
         return True
 
     def lost(self, reason: str) -> None:
-        """Takes note that the source raised, and with what; the next frame ends that."""
+        """Reports that the source was lost, and why, until the next frame arrives."""
         self._lost = reason
         self._note(LiveFault.CAMERA_GONE)
 
     def listen(self) -> bool:
-        """Whether the source is silent for too long, or lost, or slow again; called again and again."""
+        """Whether the source is silent for too long, lost, or slow again; to be called several times a period."""
         pause_s = time.monotonic() - self._heard_s
         if self._lost or pause_s > self._max_silence_s:
             self._note(LiveFault.CAMERA_GONE)

@@ -1,4 +1,4 @@
-"""The thread that computes: takes the newest frame, steps the pipeline, and hands over what came of it."""
+"""The computing thread: takes the newest frame, steps the pipeline, and delivers the result."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.types import Frame, FrameResult
 
 STAGE = "stage"
-"""The origin of these faults."""
+"""The origin of these faults in the `FaultBook`."""
 
 
 class LivePipeline(Protocol):
-    """A `Pipeline`, as far as it is driven live."""
+    """The part of a `Pipeline` that the live loop uses."""
 
     config: PipelineConfig
 
@@ -43,12 +43,12 @@ class LivePipeline(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Stepped:
-    """What a worker made of a frame.
+    """A frame that a worker has processed.
 
     Attributes:
-        arrival: The frame, and when it came.
-        begun_ns: When its turn came, by the frames' clock.
-        result: What the stages made of it; None where one raised.
+        arrival: The frame, and when it arrived.
+        begun_ns: When processing began, by the frames' clock.
+        result: The stages' result; None if a stage raised an error.
     """
 
     arrival: Arrival
@@ -57,7 +57,7 @@ class Stepped:
 
 
 class Worker:
-    """One thread with one pipeline."""
+    """A thread with a pipeline of its own."""
 
     def __init__(
         self,
@@ -68,15 +68,15 @@ class Worker:
         config: LiveConfig,
         deliver: Callable[[Worker, Stepped], None],
     ) -> None:
-        """Takes all that it is made of; `start` begins.
+        """A worker that has not started yet.
 
         Args:
-            make_pipeline: Makes the pipeline, in the thread, where none is given, and after too many failures anew.
+            make_pipeline: Makes a pipeline; called in the thread, if `start` is given none, or after too many failures.
             mailbox: Where frames come from.
-            book: Where faults are noted.
-            now_ns: The frames' clock; None where time does not count.
-            config: How many failures are too many.
-            deliver: Called with what came of each frame.
+            book: Where faults are reported.
+            now_ns: The frames' clock; None for lossless sources, where time does not count.
+            config: The limits.
+            deliver: Called with each processed frame.
         """
         self._make_pipeline, self._mailbox, self._book = make_pipeline, mailbox, book
         self._now_ns, self._config, self._deliver = now_ns, config, deliver
@@ -88,7 +88,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="compute", daemon=True)
 
     def start(self, pipeline: LivePipeline | None = None) -> None:
-        """Starts the thread, with this pipeline, or one that it makes."""
+        """Starts the thread, with this pipeline or one that it makes itself."""
         self._pipeline = pipeline
         self._thread.start()
 
@@ -99,13 +99,13 @@ class Worker:
 
     @property
     def busy_s(self) -> float:
-        """How long the frame at hand has taken so far; 0 without one."""
+        """How long the current frame has taken so far; 0 while there is none."""
         since_s = self._busy_since_s
         return 0.0 if since_s is None else time.monotonic() - since_s
 
     @property
     def has_pipeline(self) -> bool:
-        """Whether its pipeline is made."""
+        """Whether it has a pipeline."""
         return self._pipeline is not None
 
     @property
@@ -115,7 +115,7 @@ class Worker:
         return (pipeline.stage if pipeline is not None else None) or "between the stages"
 
     def stop(self, timeout_s: float = 0.0) -> None:
-        """Takes no further frame; waits so long for the one at hand."""
+        """Stops after the current frame; waits for it, `timeout_s` at most."""
         self._is_stopped.set()
         self._thread.join(timeout_s)
 
@@ -132,11 +132,11 @@ class Worker:
                 self._deliver(self, stepped)
 
     def _make(self) -> bool:
-        """Makes the pipeline, and says whether that went well."""
+        """Makes the pipeline; returns whether that succeeded."""
         try:
             self._pipeline = self._make_pipeline()
-        except Exception as error:  # such as a model that is being replaced; tried again
-            self._book.note(STAGE, [LiveFault.NO_PIPELINE], _told(error))
+        except Exception as error:  # such as a model file that is being replaced: tried again later
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], _described(error))
         self._sequence, self._num_failures = None, 0
         return self._pipeline is not None
 
@@ -150,8 +150,8 @@ class Worker:
                 pipeline.reset()
                 self._sequence = frame.sequence
             result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
-        except Exception as error:  # any stage, any error: low beam, and the next frame is another chance
-            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_told(error)}")
+        except Exception as error:  # any error of any stage: low beam, and the next frame is another chance
+            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_described(error)}")
             self._sequence = None
             self._num_failures += 1
             if self._num_failures >= self._config.max_failures:
@@ -162,5 +162,5 @@ class Worker:
         return Stepped(arrival, begun_ns, result)
 
 
-def _told(error: Exception) -> str:
+def _described(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"

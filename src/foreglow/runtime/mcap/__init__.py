@@ -1,4 +1,4 @@
-"""A run as an MCAP file: all that went in and all that came out, to replay and to look at in Foxglove."""
+"""Records a run as an MCAP file, with all inputs and results, to replay it and to view it in Foxglove."""
 
 from foreglow.runtime.mcap.recorder import McapRecorder
 

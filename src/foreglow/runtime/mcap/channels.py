@@ -1,4 +1,4 @@
-"""The topics of our recordings and what is in their JSON."""
+"""The topics of our recordings, and the schemas of those in JSON."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ FRAME_SCHEMA = {
         ),
     ),
 }
-"""What of a frame is not its image: `datasets.recordings.FrameRecord`."""
+"""A frame without its image: `datasets.bags.FrameRecord`."""
 
 RESULT_SCHEMA = {
     "title": "foreglow.Result",
@@ -98,7 +98,7 @@ RESULT_SCHEMA = {
         ),
     ),
 }
-"""A line of `frames.jsonl`: `runs.frames_file.FrameLine`."""
+"""A line of `frames.jsonl`, `runs.frames_file.FrameLine`, with the times of `times.jsonl`."""
 
 HEALTH_SCHEMA = {
     "title": "foreglow.Health",
@@ -111,4 +111,4 @@ HEALTH_SCHEMA = {
         beam=_TEXT,
     ),
 }
-"""`runtime.health.Health`; of the beam in force its mode alone."""
+"""`runtime.health.Health`; of the current beam command only the mode."""

@@ -1,4 +1,4 @@
-"""A frame and its result as messages that Foxglove draws: calibration, boxes in the image, the scene from above."""
+"""A frame and its result as messages for Foxglove's panels: calibration, boxes in the image, and the 3D scene."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from foreglow.runtime.mcap.channels import CAMERA_FRAME, VEHICLE_FRAME
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, RoadAhead, Tracks, TrackState
 
 HALF_PIXEL_PX = 0.5
-"""Foxglove has the centre of the upper left pixel at (0, 0); here it is (0.5, 0.5)."""
+"""In Foxglove the centre of the upper left pixel is (0, 0); here it is (0.5, 0.5)."""
 
 GAP_RANGE_M = 100.0
-"""How long a gap of unknown range is drawn."""
+"""A gap of unknown range is drawn with this length."""
 
 ROAD_COLOUR = Color(r=0.5, g=0.5, b=0.5, a=1.0)
 GAP_COLOUR = Color(r=0.2, g=0.5, b=1.0, a=1.0)
@@ -69,7 +69,7 @@ def calibration_message(camera: Camera, stamp: Timestamp) -> CameraCalibration:
 
 
 def transform_message(camera: Camera, stamp: Timestamp) -> FrameTransform:
-    """Where the camera sits in the vehicle."""
+    """The camera's pose in the vehicle."""
     pose = camera.vehicle_from_camera
     x, y, z = pose.position_m.tolist()
     qx, qy, qz, qw = Rotation.from_matrix(pose.rotation @ _OPTICAL).as_quat().tolist()
@@ -83,20 +83,20 @@ def transform_message(camera: Camera, stamp: Timestamp) -> FrameTransform:
 
 
 def boxes_message(result: FrameResult, stamp: Timestamp) -> ImageAnnotations:
-    """Proposals thin, detections by their score, tracks with number, range and confidence."""
+    """Proposals in thin grey, detections coloured by score, tracks with id, range and confidence."""
     points = [_box_lines(result.proposals.boxes_xyxy_px, PROPOSAL_COLOUR, 1.0, stamp)]
     texts: list[TextAnnotation] = []
     if result.detections is not None:
         points += _detection_boxes(result.detections, stamp)
     if result.tracks is not None:
-        for place, state in enumerate(result.tracks.states.tolist()):
-            box, colour = result.tracks.boxes_xyxy_px[place], TRACK_COLOURS[TrackState(state)]
+        for index, state in enumerate(result.tracks.states.tolist()):
+            box, colour = result.tracks.boxes_xyxy_px[index], TRACK_COLOURS[TrackState(state)]
             points.append(_box_lines(box[None], colour, 2.0, stamp))
             texts.append(
                 TextAnnotation(
                     timestamp=stamp,
                     position=Point2(x=float(box[0]), y=float(box[1]) - 2.0),
-                    text=_track_label(result.tracks, place),
+                    text=_track_label(result.tracks, index),
                     font_size=14.0,
                     text_color=colour,
                     background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
@@ -106,7 +106,7 @@ def boxes_message(result: FrameResult, stamp: Timestamp) -> ImageAnnotations:
 
 
 def scene_message(frame: Frame, result: FrameResult, stamp: Timestamp) -> SceneUpdate:
-    """Road, tracks that have a range, and gaps, in the vehicle's frame."""
+    """The road, the tracks that have a range, and the dark gaps, in the vehicle's frame."""
     tracks = SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="tracks")
     if result.tracks is not None and frame.camera is not None:
         tracks = _track_entity(frame.camera, result.tracks, stamp)
@@ -138,24 +138,24 @@ def _box_lines(boxes: np.ndarray, colour: Color, thickness: float, stamp: Timest
     )
 
 
-def _track_label(tracks: Tracks, place: int) -> str:
-    range_m, sigma_m = float(tracks.ranges_m[place]), float(tracks.sigmas_m[place])
-    label = f"{tracks.ids[place]}: {tracks.confidences[place]:.2f}"
+def _track_label(tracks: Tracks, index: int) -> str:
+    range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
+    label = f"{tracks.ids[index]}: {tracks.confidences[index]:.2f}"
     if math.isnan(range_m):
         return label
     return f"{label}, {range_m:.0f} m" + (f" ± {sigma_m:.0f}" if math.isfinite(sigma_m) else "")
 
 
 def _track_entity(camera: Camera, tracks: Tracks, stamp: Timestamp) -> SceneEntity:
-    """Each track a cube where it is, a line along the viewing ray of one sigma to either side, and its label."""
+    """For each track a cube at its range, a line of plus and minus one sigma along the viewing ray, and a label."""
     cubes, lines, texts = [], [], []
     boxes = tracks.boxes_xyxy_px
     rays = camera.rays(0.5 * (boxes[:, :2] + boxes[:, 2:]))
-    for place in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
-        range_m, sigma_m = float(tracks.ranges_m[place]), float(tracks.sigmas_m[place])
+    for index in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
+        range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
         reach = np.array([range_m, max(0.0, range_m - sigma_m), range_m + sigma_m])
-        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[place])
-        colour = TRACK_COLOURS[TrackState(int(tracks.states[place]))]
+        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[index])
+        colour = TRACK_COLOURS[TrackState(int(tracks.states[index]))]
         x, y, z = points[0].tolist()
         at = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
         cubes.append(CubePrimitive(pose=at, size=Vector3(x=1.0, y=1.0, z=1.0), color=colour))
@@ -168,14 +168,14 @@ def _track_entity(camera: Camera, tracks: Tracks, stamp: Timestamp) -> SceneEnti
                 font_size=14.0,
                 scale_invariant=True,
                 color=colour,
-                text=_track_label(tracks, place),
+                text=_track_label(tracks, index),
             )
         )
     return SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="tracks", cubes=cubes, lines=lines, texts=texts)
 
 
 def _road_lines(road: RoadAhead | None) -> list[LinePrimitive]:
-    """Centre line and edges; each edge lies across the line's own direction."""
+    """The road's centre line and edges."""
     if road is None:
         return []
     points = road.points_m
@@ -186,7 +186,7 @@ def _road_lines(road: RoadAhead | None) -> list[LinePrimitive]:
 
 
 def _gap_lines(beam: BeamCommand | None) -> list[LinePrimitive]:
-    """Each gap a triangle from the vehicle's origin to what it is for."""
+    """Each gap as a triangle from the vehicle's origin to the gap's range."""
     if beam is None:
         return []
     lines = []

@@ -1,4 +1,4 @@
-"""A file that grows chunk by chunk, and holds only whole ones."""
+"""A file that grows chunk by chunk, and never holds a part of one."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from pathlib import Path
 
 
 class GrowingFile:
-    """What an MCAP writer writes into: every write goes to the operating system at once, or is taken back.
+    """The file that an MCAP writer writes to: every write goes to the operating system at once, or is undone.
 
-    After a write that failed nothing more is written: what was there before stays readable. The writer is not told, as
-    its messages are not ours; whoever drives it asks for `error`.
+    After a write that failed nothing more is written, so that the earlier chunks stay readable. No error is raised
+    inside the writer, whose messages would not name the path; the caller checks `error`.
 
     Attributes:
-        error: What went wrong, with the path; None while all is well.
+        error: The first error, with the path; None if there was none.
     """
 
     def __init__(self, path: Path, name: Path) -> None:
-        """Makes the file `path`, or empties it.
+        """Creates the file `path`, or empties it.
 
         Args:
             path: The file.
-            name: What messages call it.
+            name: The file's name in messages.
 
         Raises:
-            OSError: If that cannot be done; the message names `name`.
+            OSError: If it cannot be written; the message has `name`.
         """
         self._name = name
         try:
@@ -51,13 +51,13 @@ class GrowingFile:
         return len(data)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Where the end is: nothing is written anywhere else."""
+        """The position of the end; seeking to anywhere else is an error."""
         if (offset, whence) not in ((0, os.SEEK_CUR), (self._end, os.SEEK_SET)):
             raise OSError(errno.ESPIPE, "expected to write at the end alone", str(self._name))
         return self._end
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Does nothing, as nothing is buffered."""
 
     def close(self) -> None:
         """Closes it."""

@@ -1,4 +1,4 @@
-"""How Foxglove's panels are best arranged for our recordings: `docs/foxglove_layout.json`."""
+"""A layout of Foxglove's panels for our recordings: `docs/foxglove_layout.json`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from foreglow.runtime.mcap.channels import (
 STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
 
 CAMERA_DISTANCE_M = 120.0
-"""From above, a little from behind."""
+"""Distance of the scene panel's view point, above and behind the vehicle."""
 
 
 def foxglove_layout() -> str:
@@ -62,10 +62,10 @@ def _scene() -> fl.ThreeDeePanel:
 
 
 def _beam() -> fl.PlotPanel:
-    """Levels of the LEDs by their number, of the frame at hand."""
+    """The levels of the current frame's LEDs, by number."""
     lamps = ("left lamp", "right lamp")
     paths = [
-        fl.PlotSeries(value=f"{RESULT_TOPIC}.beam.levels[{place}][:]", label=name) for place, name in enumerate(lamps)
+        fl.PlotSeries(value=f"{RESULT_TOPIC}.beam.levels[{lamp}][:]", label=name) for lamp, name in enumerate(lamps)
     ]
     config = fl.PlotConfig(paths=paths, x_axis_val="index", min_y_value=0.0, max_y_value=1000.0)
     return fl.PlotPanel(title="LEDs, thousandths", config=config)

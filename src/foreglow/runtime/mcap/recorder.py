@@ -1,4 +1,4 @@
-"""A live sink that records frames and results as MCAP."""
+"""A live sink that records frames and results in an MCAP file."""
 
 from __future__ import annotations
 
@@ -42,39 +42,39 @@ from foreglow.types import BeamMode, Frame, FrameResult, Image
 SUFFIX = ".mcap"
 
 CHUNK_NS = 500_000_000
-"""A chunk is handed to the operating system when it holds this much time: twice a second."""
+"""Longest time span of a chunk: one is written twice a second."""
 
 CHUNK_BYTES = 8 << 20
-"""Or this much, before compression."""
+"""Largest chunk before compression."""
 
 COMPRESSION_LEVEL = 1
-"""Of zstd: keeps up with 18 images of 1280x960 px a second many times over."""
+"""zstd's level; many times faster than 18 images of 1280x960 px a second need."""
 
 MAX_STAMP_NS = (1 << 32) * 1_000_000_000
-"""Foxglove's stamps have seconds of 32 bits."""
+"""The seconds of Foxglove's timestamps have 32 bits."""
 
 
 class McapRecorder:
-    """Records every frame, losslessly, with its result and the health: `docs/recordings.md` has the topics.
+    """Records every frame without loss, with its result, and the health; `docs/recordings.md` describes the topics.
 
-    While it grows, the file is called `FILE.mcap.partial`: a process that is killed leaves it readable up to its last
-    chunk, which is half a second old at most, or one health message. `close` gives it its name. A `.partial` of an
-    earlier, killed run is kept, under a name with a number.
+    While it is written, the file is called `FILE.mcap.partial`; `close` renames it. If the process is killed, the file
+    is readable up to its last chunk, at most half a second or one health message ago. The `.partial` of an earlier,
+    killed run is kept under a numbered name.
 
-    After a write that failed, such as on a full disk, what was written before stays, as `.partial`, when it is closed;
-    `discard` leaves nothing, for runs that can be done again.
+    If a write fails, such as on a full disk, `close` leaves what was written before as `.partial`; `discard` deletes
+    it, for runs that can be repeated.
     """
 
     def __init__(self, path: Path, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
-        """Makes the file.
+        """Creates the file.
 
         Args:
-            path: Its name in the end.
-            config: What the results were made with, for whoever reads the recording.
-            source_name: Where the frames came from, likewise.
+            path: The file's final name.
+            config: The pipeline's configuration, kept in the recording's metadata.
+            source_name: The name of the frames' source, kept likewise.
 
         Raises:
-            OSError: If it cannot be made; the message names the path.
+            OSError: If it cannot be created; the message names the path.
             ValueError: If the path does not end in `.mcap`.
         """
         if path.suffix.lower() != SUFFIX:
@@ -117,7 +117,7 @@ class McapRecorder:
 
         Raises:
             OSError: If the disk is full; the message names the path.
-            ValueError: If its time is before 0 or beyond what a stamp holds.
+            ValueError: If its time does not fit a timestamp.
         """
         time_ns = self._axis.time_ns(frame)
         stamp = self._stamp(time_ns)
@@ -138,11 +138,11 @@ class McapRecorder:
         self._check()
 
     def write_health(self, health: Health) -> None:
-        """Adds the health, and hands all that there is to the operating system.
+        """Adds a health report, and writes the chunk.
 
         Raises:
             OSError: If the disk is full; the message names the path.
-            ValueError: If its time is before 0 or beyond what a stamp holds.
+            ValueError: If its time does not fit a timestamp.
         """
         time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
         self._stamp(time_ns)
@@ -160,7 +160,7 @@ class McapRecorder:
         self._check()
 
     def close(self) -> None:
-        """Completes the file and gives it its name; one whose writing failed before stays `.partial`, with what it has.
+        """Completes and renames the file; if a write failed before, it stays `.partial`.
 
         Raises:
             OSError: If the disk is full; the message names the path.
@@ -174,7 +174,7 @@ class McapRecorder:
             self._partial.replace(self._path)
 
     def discard(self) -> None:
-        """Lets go of what was written: nothing of it remains, unless it was completed before."""
+        """Deletes what was written, unless it was completed before."""
         if self._is_open:
             self._finish()
             with contextlib.suppress(OSError):
@@ -199,7 +199,7 @@ class McapRecorder:
         return Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
     def _note_faults(self, kind: str, faults: Sequence[str], time_ns: int) -> None:
-        """Logs what is wrong when it changes."""
+        """Logs the faults when they change."""
         if tuple(faults) == self._faults.get(kind, ()):
             return
         self._faults[kind] = tuple(faults)
@@ -237,7 +237,7 @@ def _image_message(image: Image, stamp: Timestamp) -> RawImage:
 
 
 def _keep(partial: Path) -> None:
-    """Gives a file of a killed run a name with a number: `FILE.1.mcap.partial`."""
+    """Renames the file of a killed run, so that it is kept: `FILE.1.mcap.partial`."""
     if partial.is_file() and partial.stat().st_size:
         stem = partial.name.removesuffix(f"{SUFFIX}.partial")
         names = (partial.with_name(f"{stem}.{number}{SUFFIX}.partial") for number in itertools.count(1))

@@ -1,6 +1,7 @@
 """The pipeline as a network of ROS 2 nodes: one process a stage, standard messages between them.
 
-`table`, `messages` and `results` say what travels; `join` puts together again what belongs to one frame; `node` is what
-all nodes share, `detector`, `distance`, `tracking`, `beam`, `whole` and `source` are the nodes; `supervisor` starts
-them all, and `measurement` runs a network over frames and times it. `docs/ros2.md` has the topics.
+`topics` names the topics. `header`, `table`, `messages` and `results` convert values to messages and back; `join` and
+`frame_reader` make a frame of the messages that belong to it. `node` is the base of all compute nodes, `stages` has the
+nodes, with `output` for beam commands, and `source` publishes frames. `supervisor` starts the nodes, and `measurement`
+runs a network over frames and times it. `docs/ros2.md` describes the topics.
 """

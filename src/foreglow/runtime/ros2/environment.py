@@ -1,4 +1,4 @@
-"""What ROS 2 reads from the environment, set before it is loaded: who may hear us, and how images travel."""
+"""Environment variables that ROS 2 reads when it is loaded: who can see our topics, and how images are transported."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from pathlib import Path
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 MIDDLEWARE = "RMW_IMPLEMENTATION"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Where Fast DDS looks for a profile; the older name is known to all releases."""
+"""Variables with the path of a Fast DDS profile; all releases know the first one."""
 
 FAST_DDS = "rmw_fastrtps_cpp"
 
 
 def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str] | None = None) -> None:
-    """Keeps the nodes on this machine and has images travel by shared memory, unless the user has set otherwise.
+    """Keeps the nodes on this machine and transports images by shared memory, unless the user has set otherwise.
 
-    With our profile of Fast DDS the loopback interface and shared memory are all there is, and the range is left to
-    it: ROS 2's own `LOCALHOST` would open sockets on every interface beside it. With a user's profile, or another
-    middleware, the range is `LOCALHOST`.
+    Our Fast DDS profile allows only the loopback interface and shared memory, so the discovery range is left to it:
+    ROS 2's own `LOCALHOST` would also open sockets on every interface. With a user's profile, or another middleware,
+    the discovery range is `LOCALHOST`.
 
     Args:
         is_networked: Whether nodes on other machines may take part.
-        environment: What is changed; None for that of this process, which must not have loaded rclpy yet.
+        environment: The variables to change; None for those of this process, which must not have loaded rclpy yet.
     """
     known = os.environ if environment is None else environment
     takes_profile = known.get(MIDDLEWARE, FAST_DDS) == FAST_DDS and not any(known.get(name) for name in PROFILES)

@@ -1,7 +1,7 @@
-"""A launch file for those who have ROS 2: `ros2 launch $(foreglow ros2 launch-file) source:=DRIVE`.
+"""A launch file for an installed ROS 2: `ros2 launch $(foreglow ros2 launch-file) source:=DRIVE`.
 
-Arguments: source (empty: cameras and car of your own), arguments (for all nodes, such as `--config car.toml`),
-namespace. A node that dies is started again.
+Launch arguments: `source` (empty if your own nodes publish the camera and the car's data), `arguments` (for all compute
+nodes, such as `--config car.toml`), `namespace`. A node that dies is started again.
 """
 
 from launch import LaunchDescription
@@ -13,7 +13,7 @@ COMPUTE = ("detector", "distance", "tracking", "beam")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The five nodes, each a process."""
+    """The five nodes, each in a process of its own."""
     source, arguments, namespace = (LaunchConfiguration(name) for name in ("source", "arguments", "namespace"))
     ros_arguments = [" --ros-args -r __ns:=", namespace]
     nodes = [

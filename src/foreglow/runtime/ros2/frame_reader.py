@@ -1,4 +1,4 @@
-"""A `Frame` out of the messages that belong to it."""
+"""Makes a `Frame` of the messages that belong to it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from foreglow.types import EgoMotion, Frame
 
 
 class FrameReader:
-    """Makes frames; a camera that stays as it is stays the same object, from which stages keep what they computed."""
+    """Makes frames; while the camera does not change it stays the same object, by which stages cache their results."""
 
     def __init__(self, calibration: Camera | None = None) -> None:
-        """Takes the camera, where it is not to be taken from messages."""
+        """A reader with a fixed camera; None takes the camera from messages."""
         self._calibration = calibration
         self._known: tuple[Any, Camera | None] = (None, None)
 
     def read(self, joined: Joined) -> Frame:
-        """The frame, as far as the messages tell; without an image, one of its size and no content.
+        """The frame; without an image among the messages, its pixels are all zero.
 
         Raises:
-            ValueError: If a message cannot be used; it names topic and field.
+            ValueError: If a message cannot be used; the error names topic and field.
         """
         messages = joined.messages
         size_px, camera = self._camera(messages)
@@ -46,7 +46,7 @@ class FrameReader:
         )
 
     def _camera(self, messages: Mapping[str, Any]) -> tuple[tuple[int, int], Camera | None]:
-        """Size of the image, and its camera."""
+        """The image's width and height, and its camera."""
         if self._calibration is not None:
             return (self._calibration.width_px, self._calibration.height_px), self._calibration
         info, mount = messages[topics.CAMERA_INFO], messages.get(topics.MOUNT)

@@ -1,4 +1,4 @@
-"""What every message begins with: when the image was taken, and which sequence it belongs to."""
+"""The header of every message: when the image was taken, and which sequence it belongs to."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header as HeaderMessage
 
 MAX_NAME = 256
-"""Characters of a sequence's name."""
+"""Longest name of a sequence, characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Whose message it is: all of one frame have the same, as ROS has it.
+    """Identifies the frame that a message belongs to: all messages of one frame have equal headers.
 
     Attributes:
         timestamp_ns: Time of exposure, nanoseconds; `stamp` in a message.
-        sequence: Name of the sequence; `frame_id` in a message. Where it changes, every stage forgets.
+        sequence: Name of the sequence; `frame_id` in a message. When it changes, every stage is reset.
     """
 
     timestamp_ns: int
@@ -29,10 +29,10 @@ class Header:
 
 
 def header_message(header: Header) -> HeaderMessage:
-    """The header as a message.
+    """The header as a ROS message.
 
     Raises:
-        ValueError: If the time is more than 68 years from zero.
+        ValueError: If the time is more than 68 years from zero: a stamp has seconds of 32 bits.
     """
     sec, nanosec = divmod(header.timestamp_ns, 1_000_000_000)
     if not -(2**31) <= sec < 2**31:
@@ -41,10 +41,10 @@ def header_message(header: Header) -> HeaderMessage:
 
 
 def read_header(message: HeaderMessage, topic: str) -> Header:
-    """The header of a message that came on `topic`.
+    """The header of a message that was received on `topic`.
 
     Raises:
-        ValueError: If its nanoseconds are more than a second, or the name is too long.
+        ValueError: If `nanosec` is a second or more, or `frame_id` is too long.
     """
     if not 0 <= message.stamp.nanosec < 1_000_000_000:
         raise ValueError(f"{topic}: header.stamp.nanosec: expected less than 1e9, got {message.stamp.nanosec}")
@@ -56,7 +56,7 @@ def read_header(message: HeaderMessage, topic: str) -> Header:
 
 
 def byte_array(values: NDArray[Any]) -> array.array[int]:
-    """The bytes of `values` as what rclpy takes without looking at each of them."""
+    """The bytes of `values` as an `array.array`, which rclpy copies at once instead of checking every byte."""
     data = array.array("B")
     if values.size:
         data.frombytes(np.ascontiguousarray(values).view(np.uint8).reshape(-1).data)

@@ -1,4 +1,4 @@
-"""Puts together what belongs to one frame, out of messages that come on several topics, in any order, or not at all."""
+"""Joins the messages of one frame, which arrive on several topics, in any order, or not at all."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class Joined(NamedTuple):
     """The messages of one frame.
 
     Attributes:
-        header: Theirs.
-        messages: By topic; a sampled one is missing where none is known.
-        received_ns: When the last of those that are needed came, by the caller's clock.
+        header: The frame's header.
+        messages: The messages by topic; a sampled topic is missing where no sample is known.
+        received_ns: When the last exact message was received, by the caller's clock.
     """
 
     header: Header
@@ -24,7 +24,7 @@ class Joined(NamedTuple):
 
 
 class _Parts:
-    """What has come of a frame."""
+    """The exact messages of a frame that have been received so far."""
 
     def __init__(self) -> None:
         self.messages: dict[str, Any] = {}
@@ -32,7 +32,7 @@ class _Parts:
 
 
 class _Samples:
-    """The latest messages of a topic with a time of its own."""
+    """The latest messages on a sampled topic, each with its own time."""
 
     def __init__(self, capacity: int) -> None:
         self.messages: deque[tuple[int, Any]] = deque(maxlen=capacity)
@@ -40,19 +40,19 @@ class _Samples:
 
 
 class Join:
-    """Gathers messages, and hands out the newest frame that is whole.
+    """Collects messages, and returns the newest complete frame.
 
-    Those on `exact` topics have the header of the image. Those on `sampled` topics have times of their own; a frame
-    gets the latest that is not later than it, and not older than `HOLD_NS`. Where a sampled topic is alive but has not
-    come up to the frame's time, it is waited for, `PATIENCE_NS` at most: so all nodes take the same sample.
+    Messages on `exact` topics carry the frame's header; a frame is complete when it has one on each of them. Messages
+    on `sampled` topics have times of their own: a frame takes the latest one that is not later than the frame and at
+    most `HOLD_NS` older. If a sampled topic is active but its latest message is older than the frame, the frame waits
+    for the next one, `PATIENCE_NS` at most, so that all nodes take the same sample.
 
-    When a frame is handed out, those that came before it are dropped: the newest wins, and a frame of which a part was
-    lost stalls none that follows. No more than `CAPACITY` frames are kept. All times are the caller's clock's, but for
-    the headers'.
+    When a frame is returned, all older ones are dropped: a frame with a lost message never delays those that follow.
+    At most `CAPACITY` frames are kept. All times are by the caller's clock, except those in headers.
 
     Attributes:
-        num_dropped: Frames of which something came, and that were passed over.
-        is_waiting: Whether a whole frame waits for a sample.
+        num_dropped: Frames that were dropped although some of their messages were received.
+        is_waiting: Whether a complete frame waits for a sample.
     """
 
     CAPACITY = 8
@@ -61,15 +61,15 @@ class Join:
     PATIENCE_NS = 20_000_000
 
     def __init__(self, exact: Sequence[str], sampled: Sequence[str] = ()) -> None:
-        """Takes the names of the topics."""
+        """A join of messages on these topics."""
         self._exact = tuple(exact)
-        self._frames: dict[Header, _Parts] = {}  # in the order of their first part
+        self._frames: dict[Header, _Parts] = {}  # in the order of their first message
         self._sampled = {topic: _Samples(self.NUM_SAMPLES) for topic in sampled}
         self.num_dropped = 0
         self.is_waiting = False
 
     def put(self, topic: str, header: Header, message: Any, now_ns: int) -> None:
-        """Takes one message that came at `now_ns`."""
+        """Adds a message that was received at `now_ns`."""
         samples = self._sampled.get(topic)
         if samples is not None:
             samples.messages.append((header.timestamp_ns, message))
@@ -82,13 +82,13 @@ class Join:
             self._drop(next(iter(self._frames)))
 
     def take(self, now_ns: int) -> Joined | None:
-        """The newest whole frame, by the order of coming; None while there is none, or a sample is waited for."""
-        whole = [header for header, parts in self._frames.items() if len(parts.messages) == len(self._exact)]
-        if not whole:
+        """The complete frame that arrived last; None while there is none, or while it waits for a sample."""
+        complete = [header for header, parts in self._frames.items() if len(parts.messages) == len(self._exact)]
+        if not complete:
             return None
-        header = whole[-1]
+        header = complete[-1]
         parts = self._frames[header]
-        self.is_waiting = any(self._is_awaited(one, header, parts, now_ns) for one in self._sampled.values())
+        self.is_waiting = any(self._is_awaited(samples, header, parts, now_ns) for samples in self._sampled.values())
         if self.is_waiting:
             return None
         for earlier in list(self._frames):
@@ -105,13 +105,13 @@ class Join:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Topics without which no frame that is kept is whole."""
+        """The exact topics on which nothing was received for any of the kept frames."""
         return tuple(
             topic for topic in self._exact if not any(topic in parts.messages for parts in self._frames.values())
         )
 
     def _is_awaited(self, samples: _Samples, header: Header, parts: _Parts, now_ns: int) -> bool:
-        """Whether a sample nearer to the frame's time is still to be expected."""
+        """Whether a sample nearer to the frame's time may still arrive."""
         if not samples.messages or now_ns - samples.received_ns > self.HOLD_NS:
             return False
         return samples.messages[-1][0] < header.timestamp_ns and now_ns - parts.received_ns < self.PATIENCE_NS
@@ -122,7 +122,7 @@ class Join:
 
 
 def _latest(samples: _Samples, time_ns: int) -> Any | None:
-    """The latest sample up to `time_ns` that still holds."""
+    """The latest sample that is not later than `time_ns`, unless it is too old."""
     for stamp_ns, message in reversed(samples.messages):
         if stamp_ns <= time_ns:
             return message if time_ns - stamp_ns <= Join.HOLD_NS else None

@@ -1,4 +1,4 @@
-"""Runs the network over frames, each node a process of its own, and records what came of each frame, and when."""
+"""Runs the network over frames, each node in its own process, and records the results and times of each frame."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ from foreglow.runtime.ros2.supervisor import Process
 from foreglow.types import BeamCommand, Detections, Frame, Ranges, Tracks
 
 FIVE = ("detector", "distance", "tracking", "beam")
-"""The compute nodes; the fifth, the source, is the process that measures."""
+"""The compute nodes of a network of five; the measuring process is the fifth node, the source."""
 WHOLE = ("pipeline",)
+"""A network whose stages are all in one node."""
 
 WARM_UP = "warm-up"
 START_S, LAST_S, STEP_S = 60.0, 1.0, 5.0
-"""How long to wait at most: for the network to answer, for the last frame, and for each frame in step."""
+"""Longest waits: for the network's first answer, for the last frame's, and for each frame's when in step."""
 
 
 @dataclass
 class Answer:
-    """What the network made of one frame; None and empty where nothing came.
+    """The network's results for one frame; None and empty where no message was received.
 
     Attributes:
-        header: Of the frame's messages.
-        sent_ms: When its image was published, since exposure.
-        times_ms: By node, as in `results.TIMING`: parts of its work, and `received` and `done` since exposure.
+        header: The header of the frame's messages.
+        sent_ms: When the image was published, since exposure.
+        times_ms: The times of `results.TIMING` by node.
         detections: The scored boxes.
         ranges: Their ranges.
         tracks: The tracks.
@@ -56,16 +57,16 @@ class Answer:
     beam: BeamCommand | None = None
 
     def latency_ms(self, last: str) -> float | None:
-        """From exposure until the node `last` had sent its command; None where the frame was lost."""
+        """From exposure until the node `last` had sent its command; None if the frame was lost."""
         return self.times_ms[last]["done"] if last in self.times_ms else None
 
 
 @dataclass(frozen=True)
 class Command:
-    """A beam command as it came.
+    """A beam command that was received.
 
     Attributes:
-        received_ns: When, by the wall clock, as the stamps are.
+        received_ns: When, by the wall clock, like the headers' stamps.
         beam: The command.
     """
 
@@ -74,11 +75,11 @@ class Command:
 
 
 class Network:
-    """The compute nodes as processes, and a source before and a recorder after them in this one.
+    """The compute nodes, each in a process of its own; this process publishes the frames and records the results.
 
     Attributes:
-        processes: By name; one that dies is started again.
-        commands: All that came, in order, also those without a frame.
+        processes: The processes by node; one that dies is started again.
+        commands: All commands that were received, in order, also those that belong to no frame.
     """
 
     def __init__(
@@ -89,13 +90,13 @@ class Network:
         options: Mapping[str, Sequence[str]] | None = None,
         keeps_results: bool = True,
     ) -> None:
-        """Starts the processes. Beforehand `environment.prepare` is to be called, and `ROS_DOMAIN_ID` set.
+        """Starts the processes; call `environment.prepare` and set `ROS_DOMAIN_ID` before.
 
         Args:
-            config: Of the pipeline.
-            nodes: Which.
-            options: Further options of a node's command, by its name.
-            keeps_results: Whether boxes, ranges and tracks are recorded, too; the beam always is.
+            config: The pipeline's configuration.
+            nodes: The nodes to start.
+            options: Further command-line options by node.
+            keeps_results: Whether boxes, ranges and tracks are recorded, too; beam commands always are.
         """
         self.processes: dict[str, Process] = {}
         self.commands: list[Command] = []
@@ -132,14 +133,14 @@ class Network:
         is_in_step: bool = False,
         watch: Callable[[int], None] = lambda _: None,
     ) -> list[Answer]:
-        """Publishes the frames at their own rate, and returns what came of them, in their order.
+        """Publishes the frames at their own rate, and returns the results in the same order.
 
         Args:
-            frames: Of one sequence or several.
-            speed: How many times quicker than they were taken.
-            is_in_step: Whether a frame waits for the command that follows from the one before: none is lost then,
-                however busy the machine is.
-            watch: Called with each frame's index, before it is sent.
+            frames: The frames of one or more sequences.
+            speed: Replay so many times as fast.
+            is_in_step: Whether each frame waits for the previous frame's command, so that none is lost on a busy
+                machine.
+            watch: Called with each frame's index before it is sent.
         """
         answers = []
         for index, due in enumerate(timed(frames, self.clock_ns, speed=speed)):
@@ -152,10 +153,10 @@ class Network:
         return answers
 
     def warm_up(self, frame: Frame, num_frames: int = 5) -> None:
-        """Waits until commands follow from frames, and for some frames more.
+        """Sends `frame` until the network has answered it `num_frames` times.
 
         Raises:
-            TimeoutError: If the network gives none for a minute.
+            TimeoutError: If that takes more than a minute.
         """
         numbers = itertools.count()
         end_s, done = time.monotonic() + START_S, 0
@@ -168,7 +169,7 @@ class Network:
             done += self._is_done(answer)
 
     def spin(self, duration_s: float) -> None:
-        """Takes what comes, and starts again what has died, for some time."""
+        """Receives messages and restarts processes that have died, for some time."""
         self._spin_until(lambda: False, duration_s)
 
     def clock_ns(self) -> int:
@@ -193,7 +194,7 @@ class Network:
         self._receiver = Receiver(self._ros)
 
     def _send(self, due: Due) -> Answer:
-        """Publishes a frame when it is due."""
+        """Publishes a frame at its time."""
         answer = Answer(due.header)
         self._answers[due.header] = self._by_time[due.header.timestamp_ns] = answer
         messages = self._publisher.messages(due)
@@ -210,7 +211,7 @@ class Network:
         while not is_done() and (left_s := end_s - time.monotonic()) > 0:
             self._receiver.receive(min(left_s, 0.02))
             for process in self.processes.values():
-                process.look()
+                process.update()
 
     def _take_beam(self, message: Any) -> None:
         header, beam = read_beam(message, topics.BEAM)
@@ -246,7 +247,7 @@ class Network:
 
 @contextlib.contextmanager
 def own_domain(number: int) -> Iterator[None]:
-    """Has all that is started meanwhile talk on the domain `number`, apart from other networks."""
+    """While entered, nodes and processes that are started use the ROS domain `number`, apart from other networks."""
     before = os.environ.get("ROS_DOMAIN_ID")
     os.environ["ROS_DOMAIN_ID"] = str(number)
     try:

@@ -1,4 +1,4 @@
-"""What goes into the network: an image, its camera, and what the car knew, as messages and back.
+"""The network's inputs as messages and back: the image, its camera, our motion and the road ahead.
 
 | value | message |
 |---|---|
@@ -7,9 +7,9 @@
 | mount of the camera | `sensor_msgs/PointCloud2`, one row |
 | speed and yaw rate | `geometry_msgs/TwistStamped` |
 | pitch of the body | `geometry_msgs/Vector3Stamped`, a rotation vector |
-| road ahead | `sensor_msgs/PointCloud2`, a row a point |
+| road ahead | `sensor_msgs/PointCloud2`, a row for each point |
 
-Every value comes back as it was, to the last bit. Readers raise `ValueError` with topic and field.
+Every value is read back exactly as it was written. Readers raise `ValueError` with topic and field.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from foreglow.types import Image as GreyImage
 
 
 class Encoding(NamedTuple):
-    """How the pixels of an image lie: bytes a sample, samples a pixel, and the order of colours."""
+    """The layout of an image's pixels: bytes per sample, samples per pixel, and the order of colours."""
 
     sample_bytes: int
     num_channels: int
@@ -55,7 +55,7 @@ ENCODINGS = {
     "bgr16": Encoding(2, 3, "bgr"),
     "8UC3": Encoding(1, 3, "bgr"),
 }
-"""The encodings that are read; those without a name of their colours are OpenCV's."""
+"""The encodings that can be read; OpenCV's, such as 8UC3, do not name their colours: taken as blue, green, red."""
 
 MOUNT = {
     "position_m": Field("f8", 3, is_finite=True),
@@ -84,10 +84,10 @@ def image_message(header: Header, image: GreyImage) -> Image:
 
 
 def read_image(message: Image, topic: str) -> GreyImage:
-    """The image as grey, shape (height, width); without a copy where it is grey already.
+    """The image as grey, shape (height, width); not copied if it is grey already.
 
     Raises:
-        ValueError: If the size, the encoding or the lengths of rows and data do not fit together.
+        ValueError: If the encoding is unknown, or size, row length and data length contradict each other.
     """
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
@@ -107,13 +107,13 @@ def read_image(message: Image, topic: str) -> GreyImage:
 
 
 def camera_info_message(header: Header, size_px: tuple[int, int], camera: Camera | None) -> CameraInfo:
-    """The camera without its mount; K = 0, as ROS has it, where there is no calibration."""
+    """The camera's intrinsics; K = 0, by ROS's convention, if it is not calibrated."""
     message = CameraInfo(header=header_message(header), width=size_px[0], height=size_px[1])
     if camera is not None:
-        fx, fy = (float(one) for one in camera.focal_px)
-        cx, cy = (float(one) - HALF_PIXEL_PX for one in camera.centre_px)
+        fx, fy = (float(focal_px) for focal_px in camera.focal_px)
+        cx, cy = (float(centre_px) - HALF_PIXEL_PX for centre_px in camera.centre_px)
         message.distortion_model = "plumb_bob"
-        message.d = [float(one) for one in camera.distortion]
+        message.d = [float(coefficient) for coefficient in camera.distortion]
         message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
         message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
         message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -121,11 +121,11 @@ def camera_info_message(header: Header, size_px: tuple[int, int], camera: Camera
 
 
 def read_camera_info(message: CameraInfo, topic: str) -> tuple[tuple[int, int], Intrinsics | None]:
-    """Width and height, and the camera of images as they were taken; None where it is not calibrated (K = 0).
+    """Width and height, and the intrinsics of the unrectified image; None if the camera is not calibrated (K = 0).
 
     Raises:
-        ValueError: If the image is a part of the sensor's or binned, the size is none of an image, or matrix or
-            distortion are not as in ROS's calibration files.
+        ValueError: If the image is cropped, binned or rectified, its size is impossible, or matrix or distortion are
+            not as in ROS's calibration files.
     """
     check_size(message.height, message.width, topic)
     if not any(message.k):
@@ -139,19 +139,19 @@ def read_camera_info(message: CameraInfo, topic: str) -> tuple[tuple[int, int], 
         if not np.isfinite(getattr(message, name)).all():
             raise ValueError(f"{topic}: {name}: expected finite numbers, got NaN or infinity")
     size_px = (message.width, message.height)
-    distortion = distortion_of(message.distortion_model, tuple(float(one) for one in message.d), topic)
+    distortion = distortion_of(message.distortion_model, tuple(float(number) for number in message.d), topic)
     return size_px, Intrinsics.of_matrix(np.array(message.k, np.float64), size_px, f"{topic}: k", distortion)
 
 
 def mount_message(header: Header, mount: Pose) -> PointCloud2:
-    """How the camera sits in the vehicle, `Camera.vehicle_from_camera`."""
+    """The camera's pose in the vehicle, `Camera.vehicle_from_camera`."""
     return table_message(
         header, {"position_m": mount.position_m.reshape(1, 3), "rotation": mount.rotation.reshape(1, 9)}
     )
 
 
 def read_mount(message: PointCloud2, topic: str) -> Pose:
-    """How the camera sits in the vehicle."""
+    """The camera's pose in the vehicle."""
     _, columns = read_table(message, topic, MOUNT, num_rows=1)
     try:
         return Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
@@ -168,7 +168,7 @@ def twist_message(header: Header, motion: EgoMotion | None) -> TwistStamped:
 
 
 def attitude_message(header: Header, motion: EgoMotion | None) -> Vector3Stamped:
-    """The body's turn against the road as a rotation vector in x forward, y left, z up: y is less with the nose up."""
+    """The body's rotation against the road as a rotation vector (x forward, y left, z up): y = -pitch."""
     message = Vector3Stamped(header=header_message(header))
     message.vector.y = math.nan if motion is None else -float(motion.pitch_rad)
     return message
@@ -177,10 +177,10 @@ def attitude_message(header: Header, motion: EgoMotion | None) -> Vector3Stamped
 def read_motion(
     twist: TwistStamped, attitude: Vector3Stamped | None, twist_topic: str, attitude_topic: str
 ) -> EgoMotion | None:
-    """How our vehicle moves; None where the twist's speed is NaN: nobody knows.
+    """How our vehicle moves; None if the speed is NaN, which stands for unknown.
 
     Raises:
-        ValueError: If a number is infinite, or the yaw rate NaN beside a speed.
+        ValueError: If a number is infinite, or the yaw rate is NaN although the speed is known.
     """
     speed_mps, yaw_rate_radps = twist.twist.linear.x, twist.twist.angular.z
     if math.isnan(speed_mps):
@@ -196,7 +196,7 @@ def read_motion(
 
 
 def road_message(header: Header, road: RoadAhead | None) -> PointCloud2:
-    """The road ahead, a row a point; no rows where there is none."""
+    """The road ahead, a row for each point; no rows if there is no road."""
     points = np.zeros((0, 3)) if road is None else road.points_m
     count = len(points)
     width_m, bound_m = (math.nan, math.nan) if road is None else (road.half_width_m, road.error_bound_m)
@@ -212,10 +212,10 @@ def road_message(header: Header, road: RoadAhead | None) -> PointCloud2:
 
 
 def read_road(message: PointCloud2, topic: str) -> RoadAhead | None:
-    """The road ahead; None without rows.
+    """The road ahead; None if the table has no rows.
 
     Raises:
-        ValueError: If it is no such table or road, or width and bound are not the same in all rows.
+        ValueError: If it is no such table or no valid road, or width and bound differ between rows.
     """
     _, columns = read_table(message, topic, ROAD)
     points = columns["point_m"]

@@ -1,4 +1,4 @@
-"""What all nodes that work on frames share: their topics, one frame after the other, faults and diagnostics."""
+"""The base of all compute nodes: subscribes to a frame's topics, works on the newest frame, reports faults."""
 
 from __future__ import annotations
 
@@ -20,26 +20,28 @@ from foreglow.runtime.ros2.join import Join, Joined
 from foreglow.runtime.ros2.messages import header_of
 from foreglow.runtime.ros2.receiver import Receiver
 from foreglow.runtime.ros2.results import timing_message
+from foreglow.stopwatch import Stopwatch
 
 Inputs = TypeVar("Inputs")
-"""What a node reads out of the messages of a frame."""
+"""What a node needs of a frame, read from the frame's messages."""
 
 BAD_MESSAGE = "bad_message"
-"""A message could not be read."""
+"""Fault: a message could not be read."""
 INPUT_MISSING = "input_missing"
-"""Nothing came to work on."""
+"""Fault: no input came in time."""
 
 REPORT_NS = 1_000_000_000
-"""Between two reports of a node's state, unless its faults change."""
+"""A node reports its state once in this time, and whenever its faults change."""
 
 IDLE_S, WAITING_S = 0.02, 0.002
-"""How long to wait for messages at most: while nothing is due, and while a frame waits for a sample."""
+"""Longest wait for messages: while nothing is due, and while a complete frame waits for a sample."""
 
 
 def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
-    """A plain node of rclpy, which is started if it was not; it serves neither parameters nor descriptions of types.
+    """A plain node of rclpy; initialises rclpy if need be.
 
-    Both would have every wait look after a dozen more things; there are no parameters to serve.
+    It serves neither parameters, as there are none, nor descriptions of types: each of these services would add half
+    a dozen entities to every wait.
     """
     if not rclpy.ok():
         rclpy.init(args=["foreglow", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
@@ -47,34 +49,12 @@ def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
     return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
 
 
-class Laps:
-    """Times the parts of a frame's work, one after the other.
-
-    Attributes:
-        times_ms: Milliseconds by part.
-    """
-
-    def __init__(self) -> None:
-        self.times_ms: dict[str, float] = {}
-        self._latest_ns = time.monotonic_ns()
-
-    def took(self, name: str) -> None:
-        """The time since the part before is this one's."""
-        now_ns = time.monotonic_ns()
-        self.times_ms[name] = (now_ns - self._latest_ns) / 1e6
-        self._latest_ns = now_ns
-
-    def skip(self) -> None:
-        """The time since the part before is told by others."""
-        self._latest_ns = time.monotonic_ns()
-
-
 class FrameNode(ABC, Generic[Inputs]):
-    """A node that makes something of each frame, the newest first, and goes on whatever happens.
+    """A node that works on one frame at a time, always the newest complete one, and goes on after any error.
 
     Attributes:
-        faults: What is wrong now, names.
-        num_frames: Frames that were worked on.
+        faults: Names of the faults that are present now.
+        num_frames: Frames that were worked on without an error.
     """
 
     def __init__(
@@ -83,10 +63,11 @@ class FrameNode(ABC, Generic[Inputs]):
         """Joins the network.
 
         Args:
-            name: Of the node.
-            exact: Topics of which a frame needs a message with its own header; the first one says that it is new.
-            sampled: Topics of which it takes what is known at its time.
-            ros_arguments: Of the command line, from `--ros-args` on: names, namespace, remappings.
+            name: Name of the node.
+            exact: Topics on which every frame has a message with the frame's own header. The first one is its main
+                input, of which only the newest message is kept.
+            sampled: Topics with times of their own; a frame takes the latest message that is not later than itself.
+            ros_arguments: The command line from `--ros-args` on: names, namespace, remappings.
         """
         self.ros = make_ros_node(name, ros_arguments)
         self.name = name
@@ -99,44 +80,44 @@ class FrameNode(ABC, Generic[Inputs]):
         self._publishers: dict[str, Any] = {}
         self._timing = self.publisher(topics.TIMING)
         self._diagnostics = self.ros.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, topics.NUM_KEPT)
-        for topic in (*sampled, *exact[1:], exact[0]):  # what is ready at one time comes in this order
+        for topic in (*sampled, *exact[1:], exact[0]):  # messages that are ready together are taken in this order
             self._subscribe(topic, 1 if topic == exact[0] else topics.NUM_KEPT)
         self._receiver = Receiver(self.ros)
 
     def publisher(self, topic: str) -> Any:
-        """A publisher on one of our topics."""
+        """A publisher on one of `topics.TYPES`."""
         quality = topics.publisher_quality(topic)
         self._publishers[topic] = self.ros.create_publisher(topics.TYPES[topic], topic, quality)
         return self._publishers[topic]
 
     @abstractmethod
     def reset(self) -> None:
-        """Forgets earlier frames: another sequence begins."""
+        """Forgets earlier frames, as at the start of a sequence."""
 
     @abstractmethod
     def read(self, joined: Joined) -> Inputs:
-        """What the messages of a frame say.
+        """The inputs of a frame, from its messages.
 
         Raises:
-            ValueError: If one of them cannot be used; it names topic and field.
+            ValueError: If a message cannot be used; the error names topic and field.
         """
 
     @abstractmethod
-    def step(self, header: Header, inputs: Inputs, laps: Laps) -> None:
-        """Works on one frame and publishes what comes of it."""
+    def step(self, header: Header, inputs: Inputs, stopwatch: Stopwatch) -> None:
+        """Works on one frame and publishes the results; begins a part of the stopwatch for each stage, then `send`."""
 
     def failed(self, header: Header, fault: str) -> None:
-        """A frame could not be worked on, for `fault`."""
+        """Called when a frame could not be worked on because of `fault`."""
 
     def idle(self, now_ns: int) -> None:
-        """Called again and again, by a clock that only goes forward."""
+        """Called after every wait for messages; `now_ns` is the steady clock's time."""
 
     def clock_ns(self) -> int:
         """The frames' clock: ROS time."""
         return int(self.ros.get_clock().now().nanoseconds)
 
     def spin(self, should_stop: Callable[[], bool]) -> None:
-        """Works until `should_stop`, or ROS is shut down."""
+        """Works until `should_stop` says so, or ROS is shut down."""
         try:
             with settled_memory():
                 while rclpy.ok() and not should_stop():
@@ -145,7 +126,7 @@ class FrameNode(ABC, Generic[Inputs]):
             self.close()
 
     def spin_once(self) -> None:
-        """Takes what has come, and works on a frame if one is whole."""
+        """Receives messages, and works on a frame if one is complete."""
         is_waiting = self._join.is_waiting
         self._receiver.receive(WAITING_S if is_waiting else IDLE_S)
         joined = self._join.take(time.monotonic_ns())
@@ -173,27 +154,30 @@ class FrameNode(ABC, Generic[Inputs]):
         header = joined.header
         begun_ns = time.monotonic_ns()
         since_exposure_ms = (self.clock_ns() - header.timestamp_ns) / 1e6
-        laps, fault = Laps(), BAD_MESSAGE
+        stopwatch, fault = Stopwatch(), BAD_MESSAGE
         try:
             if header.sequence != self._sequence:
                 self._sequence = header.sequence
                 self.reset()
+            stopwatch.begin("decode")
             inputs = self.read(joined)
-            laps.took("decode")
+            stopwatch.end()
             fault = LiveFault.STAGE_FAILED
-            self.step(header, inputs, laps)
-        except Exception as error:  # the light has to go on, and to be low, whatever is wrong
+            self.step(header, inputs, stopwatch)
+            stopwatch.end()
+        except Exception as error:  # whatever it is, the node goes on, and a node that commands commands low beam
             self._note(fault, error)
             self.failed(header, fault)
             return
         self.faults.difference_update((BAD_MESSAGE, LiveFault.STAGE_FAILED))
         self.num_frames += 1
-        laps.times_ms["wait"] = (begun_ns - joined.received_ns) / 1e6
-        laps.times_ms["received"] = since_exposure_ms - (begun_ns - joined.received_ns) / 1e6
-        laps.times_ms["done"] = since_exposure_ms + (time.monotonic_ns() - begun_ns) / 1e6
-        for name, value in laps.times_ms.items():
+        times_ms = stopwatch.times_ms
+        times_ms["wait"] = (begun_ns - joined.received_ns) / 1e6
+        times_ms["received"] = since_exposure_ms - times_ms["wait"]
+        times_ms["done"] = since_exposure_ms + (time.monotonic_ns() - begun_ns) / 1e6
+        for name, value in times_ms.items():
             self._slowest_ms[name] = max(value, self._slowest_ms.get(name, 0.0))
-        self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), laps.times_ms))
+        self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), times_ms))
 
     def _note(self, fault: str, error: Exception) -> None:
         self.faults.add(fault)
@@ -201,7 +185,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
 
     def _report(self) -> None:
-        """Says how the node is, once a second and whenever the faults change."""
+        """Publishes the node's state once a second, and whenever its faults change."""
         now_ns, faults = time.monotonic_ns(), tuple(sorted(self.faults))
         reported_ns, reported = self._reported
         if faults == reported and now_ns - reported_ns < REPORT_NS:
@@ -219,7 +203,7 @@ class FrameNode(ABC, Generic[Inputs]):
 
 
 def diagnostics(name: str, header: Header, faults: Sequence[str], values: Mapping[str, str]) -> DiagnosticArray:
-    """A node's state as ROS's tools show it."""
+    """A node's state as a message for ROS's diagnostic tools."""
     status = DiagnosticStatus(
         level=DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK,
         name=f"foreglow: {name}",

@@ -1,4 +1,4 @@
-"""Where beam commands go: the topic, the CAN bus; and low beam by itself when nothing comes to work on."""
+"""Sends beam commands to their topic and to the CAN bus, and low beam when no input comes in time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from foreglow.runtime.ros2.results import beam_message
 from foreglow.types import BeamCommand
 
 DEADLINE_FRAMES = 1.9
-"""After so many frames' time without input there is low beam: within two."""
+"""Low beam after so many frame periods without input: less than two."""
 
 
 class BeamOutput:
-    """Sends commands, and low beam in their place once the deadline is missed, again and again until input comes."""
+    """Sends beam commands; once input is overdue, sends low beam once a frame period until input comes again."""
 
     def __init__(
         self,
@@ -30,11 +30,11 @@ class BeamOutput:
         can: CanBus | None = None,
         deadline_s: float | None = None,
     ) -> None:
-        """Takes what it sends to.
+        """Makes the publisher, and starts the deadline.
 
         Args:
-            node: Whose commands they are; it is told of faults.
-            config: Of the pipeline; its tracker says how many frames come in a second.
+            node: The node that commands; its `faults` are kept up to date.
+            config: The pipeline's configuration; `tracker.rate_hz` is the frame rate.
             can: The bus; None without one.
             deadline_s: Longest time without input; None for `DEADLINE_FRAMES`.
         """
@@ -47,32 +47,32 @@ class BeamOutput:
         self._deadline_ns = round(DEADLINE_FRAMES * self._frame_ns if deadline_s is None else deadline_s * 1e9)
         self._due_ns = time.monotonic_ns() + self._deadline_ns
 
-    def came(self) -> tuple[str, ...]:
-        """Input has come; what was wrong until now, for the guard to let light return slowly."""
+    def arrived(self) -> tuple[str, ...]:
+        """Restarts the deadline, as input has come; the faults that this ends, which the guard needs to know."""
         missed = (INPUT_MISSING,) if INPUT_MISSING in self._faults else ()
         self._faults.discard(INPUT_MISSING)
         self._due_ns = time.monotonic_ns() + self._deadline_ns
         return missed
 
-    def look(self, now_ns: int) -> None:
-        """Commands low beam if input is overdue, by a clock that only goes forward."""
+    def update(self, now_ns: int) -> None:
+        """Commands low beam if input is overdue at `now_ns`, by the steady clock."""
         if now_ns >= self._due_ns:
             self._faults.add(INPUT_MISSING)
             self._due_ns = now_ns + self._frame_ns
             self.low(Header(self._clock_ns()), INPUT_MISSING)
 
     def low(self, header: Header, fault: str) -> None:
-        """Commands low beam for `fault`."""
+        """Commands low beam because of `fault`."""
         self.send(header, BeamCommand.low(header.timestamp_ns, self._num_leds, fault))
 
     def send(self, header: Header, command: BeamCommand) -> None:
-        """Sends a command: onto the bus first."""
+        """Sends a command, to the bus first."""
         if self._can is not None:
             self._send_can(self._can, command)
         self._publisher.publish(beam_message(header, command))
 
     def close(self) -> None:
-        """Leaves the bus with low beam."""
+        """Commands low beam and closes the bus."""
         self.low(Header(self._clock_ns()), "stopped")
         if self._can is not None:
             self._can.close()

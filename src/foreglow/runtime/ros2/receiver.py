@@ -1,7 +1,7 @@
-"""Takes the messages of a node's subscriptions: all that have come, in one go.
+"""Receives all waiting messages of a node's subscriptions at once.
 
-rclpy's executors look after services, timers and guards as well, take one message a round, and make all of that anew
-for each round. As `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
+An executor of rclpy also serves services, timers and guard conditions, takes one message a round, and builds its wait
+set anew for each round. Like `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 MAX_MESSAGES = 100
-"""Of one subscription, at once."""
+"""Taken from one subscription at once."""
 
 
 class Receiver:
-    """Calls the callbacks of a node's subscriptions, in the order in which these were made."""
+    """Calls the callbacks of a node's subscriptions, in the order in which the subscriptions were made."""
 
     def __init__(self, node: Any) -> None:
-        """Takes the node of rclpy, which has all its subscriptions by now."""
+        """A receiver for an rclpy node that already has all its subscriptions."""
         self._subscriptions = list(node.subscriptions)
         count = len(self._subscriptions)
         self._waiting = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, node.context.handle)
 
     def receive(self, timeout_s: float) -> None:
-        """Waits for messages, `timeout_s` at most, and hands over all that have come."""
+        """Waits for messages, `timeout_s` at most, and calls the callbacks for all that have arrived."""
         waiting = self._waiting
         waiting.clear_entities()
-        for one in self._subscriptions:
-            waiting.add_subscription(one.handle)
+        for subscription in self._subscriptions:
+            waiting.add_subscription(subscription.handle)
         waiting.wait(max(0, round(timeout_s * 1e9)))
         ready = set(waiting.get_ready_entities("subscription"))
-        for one in self._subscriptions:
-            if one.handle.pointer in ready:
+        for subscription in self._subscriptions:
+            if subscription.handle.pointer in ready:
                 for _ in range(MAX_MESSAGES):
-                    taken = one.handle.take_message(one.msg_type, one.raw)
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if taken is None:
                         break
-                    one.callback(taken[0])
+                    subscription.callback(taken[0])

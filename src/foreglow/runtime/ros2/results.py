@@ -1,4 +1,4 @@
-"""What the stages make of a frame, as tables and back: a row a box, a track; one row for the beam and for timing."""
+"""The stages' results as tables and back: a row for each box or track; one row for the beam and for timing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TRACKS = {
     "detection": Field("i4"),
     "direct_probability": Field("f8"),
 }
-"""Fields are named as in `Tracks`, in the singular."""
+"""The fields are named as in `Tracks`, in the singular."""
 
 BEAM = {
     "mode": Field("u1"),
@@ -45,20 +45,20 @@ BEAM = {
     "gap_ranges_m": Field("f8", None, is_optional=True),
     "faults": Field("u1", None, is_optional=True),
 }
-"""Borders of gaps follow each other, right, left, right ...; faults are text, UTF-8, one a line."""
+"""`gaps_rad` has the right and left border of each gap in turn; `faults` is UTF-8 text, one fault a line."""
 
 _STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
 
 TIMING = {name: Field("f8", is_optional=True) for name in ("received", "wait", "decode", *_STAGES, "send", "done")}
-"""Milliseconds: since exposure until the last part of the frame had come (`received`) and until all was sent (`done`);
-and how long each part took, from the `wait` for the node's attention on.
+"""Milliseconds. `received` and `done` are from exposure until the frame's last message was received, and until all
+results were sent; the others are how long each part took, the first being the `wait` until the node began.
 """
 
 _INT_32 = np.iinfo(np.int32)
 
 
 def detections_message(header: Header, detections: Detections, ranges: Ranges | None = None) -> PointCloud2:
-    """The scored boxes, with their ranges where there are any."""
+    """The scored boxes, with their ranges if there are any."""
     columns: dict[str, NDArray[Any]] = {
         "box_xyxy_px": detections.boxes_xyxy_px,
         "score": detections.scores,
@@ -70,20 +70,20 @@ def detections_message(header: Header, detections: Detections, ranges: Ranges | 
 
 
 def read_detections(message: PointCloud2, topic: str, score_threshold: float) -> tuple[Header, Detections]:
-    """The scored boxes; the threshold is not sent, all nodes have the same configuration.
+    """The scored boxes; the threshold is not in the message, since all nodes have the same configuration.
 
     Raises:
-        ValueError: If it is no such table, or a value is none of `Detections`.
+        ValueError: If it is no such table, or a value is not valid in `Detections`.
     """
     header, columns = read_table(message, topic, DETECTIONS)
     return header, _detections(columns, topic, score_threshold)
 
 
 def read_ranges(message: PointCloud2, topic: str, score_threshold: float) -> tuple[Header, Detections, Ranges | None]:
-    """The scored boxes and their ranges; None where nothing was estimated.
+    """The scored boxes and their ranges; None if no ranges were estimated.
 
     Raises:
-        ValueError: If it is no such table, or a value is none of `Ranges`.
+        ValueError: If it is no such table, or a value is not valid in `Ranges`.
     """
     header, columns = read_table(message, topic, RANGES)
     detections = _detections(columns, topic, score_threshold)
@@ -100,7 +100,7 @@ def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
     """The tracks.
 
     Raises:
-        ValueError: If a number is beyond 32 bits.
+        ValueError: If a number does not fit 32 bits.
     """
     whole = {"id": tracks.ids, "num_hits": tracks.num_hits, "num_misses": tracks.num_misses}
     for name, array in whole.items():
@@ -128,7 +128,7 @@ def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
     """The tracks.
 
     Raises:
-        ValueError: If it is no such table, or a value is none of `Tracks`.
+        ValueError: If it is no such table, or a value is not valid in `Tracks`.
     """
     header, columns = read_table(message, topic, TRACKS)
     if (columns["state"] > max(TrackState)).any():
@@ -168,7 +168,7 @@ def read_beam(message: PointCloud2, topic: str) -> tuple[Header, BeamCommand]:
     """The command.
 
     Raises:
-        ValueError: If it is no such table, or a value is none of `BeamCommand`.
+        ValueError: If it is no such table, or a value is not valid in `BeamCommand`.
     """
     header, columns = read_table(message, topic, BEAM, num_rows=1)
     left, right = columns["levels_left"], columns["levels_right"]
@@ -192,12 +192,12 @@ def read_beam(message: PointCloud2, topic: str) -> tuple[Header, BeamCommand]:
 
 
 def timing_message(header: Header, times_ms: Mapping[str, float]) -> PointCloud2:
-    """What a node took for a frame, in one row."""
+    """A node's times for a frame, in one row."""
     return table_message(header, {name: np.array([value]) for name, value in times_ms.items()})
 
 
 def read_timing(message: PointCloud2, topic: str) -> tuple[Header, dict[str, float]]:
-    """What a node took for a frame, milliseconds; the header's `sequence` is the node's name.
+    """A node's times for a frame, milliseconds; the header's `sequence` is the node's name.
 
     Raises:
         ValueError: If it is no such table.
@@ -213,7 +213,7 @@ def _detections(columns: Mapping[str, NDArray[Any]], topic: str, score_threshold
 
 
 class _naming:  # noqa: N801
-    """Puts the topic in front of an error's message."""
+    """Puts the topic in front of the message of a `ValueError`."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic

@@ -1,4 +1,4 @@
-"""The source: frames of a camera, or of a data set, a recording or a video at their own rate, as a driver does it."""
+"""The source node: publishes the frames of a camera, or of a data set, recording or video at their own rate."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ from foreglow.runtime.ros2.node import make_ros_node
 from foreglow.types import Frame
 
 FRAME_ID = "camera"
-"""Name of a sequence that has none: a frame_id has to be there."""
+"""The frame_id of a sequence without a name, as a message needs one."""
 
 PAUSE_NS = 500_000_000
-"""Between two sequences, and before the first frame."""
+"""Pause between two sequences, and before the first frame."""
 
 RETRY_S = 1.0
-"""Between two attempts to open a camera."""
+"""Pause between two attempts to open a camera."""
 
 
 class Due(NamedTuple):
-    """A frame, when it is to be sent, and the header under which."""
+    """A frame, and the header of its messages, whose time is when the frame is due."""
 
     frame: Frame
     header: Header
 
 
 class FramePublisher:
-    """Publishes frames: all that the car knew first, then the image."""
+    """Publishes frames: camera, motion and road first, then the image."""
 
     def __init__(self, ros: Any) -> None:
-        """Takes the node of rclpy."""
+        """Makes the publishers of an rclpy node."""
         names = (topics.CAMERA_INFO, topics.MOUNT, topics.TWIST, topics.ATTITUDE, topics.ROAD, topics.IMAGE)
         self._publishers = {
             name: ros.create_publisher(topics.TYPES[name], name, topics.publisher_quality(name)) for name in names
         }
 
     def messages(self, due: Due) -> list[tuple[str, Any]]:
-        """What is to be sent, by topic, in order."""
+        """The frame's messages with their topics, in the order of publishing."""
         frame, header = due
         size_px = (frame.width_px, frame.height_px)
         sent: list[tuple[str, Any]] = [(topics.CAMERA_INFO, camera_info_message(header, size_px, frame.camera))]
@@ -65,21 +65,21 @@ class FramePublisher:
         return sent
 
     def publish(self, messages: Iterable[tuple[str, Any]]) -> None:
-        """Sends them."""
+        """Publishes messages on their topics."""
         for topic, message in messages:
             self._publishers[topic].publish(message)
 
 
 def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float = 1.0) -> Iterator[Due]:
-    """Each frame with the time at which it is due, which is its stamp: as if it were taken now.
+    """Each frame with a new timestamp, as if it were taken now.
 
-    All times of a sequence are moved by the same amount, so that the time between two frames stays what it was to the
-    nanosecond, and with it every result. A sequence begins `PAUSE_NS` after the one before, or after it is asked for.
+    All timestamps of a sequence are shifted by the same amount, so that the intervals between frames, and with them all
+    results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for.
 
     Args:
-        frames: In the order of time within each sequence.
+        frames: The frames, in order of time within each sequence.
         clock_ns: The network's clock.
-        speed: How many times quicker than they were taken; with another than 1 the stamps are nearer, too.
+        speed: Replay so many times as fast; other than 1 it also shortens the intervals between timestamps.
     """
     latest_ns = clock_ns()
     for number, (_, sequence) in enumerate(itertools.groupby(frames, key=lambda frame: frame.sequence)):
@@ -93,7 +93,7 @@ def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float 
 
 
 def sequence_name(sequence: str, number: int) -> str:
-    """The frame_id of the `number`-th sequence: unlike that of the one before, also where it is played again.
+    """The frame_id of the `number`-th sequence; it always differs from the previous one, also when it is repeated.
 
     >>> sequence_name("S00003", 0), sequence_name("S00003", 1)
     ('S00003', 'S00003#1')
@@ -102,7 +102,7 @@ def sequence_name(sequence: str, number: int) -> str:
 
 
 def repeated(frames: Iterable[Frame], limit: int | None = None, *, is_endless: bool = False) -> Iterator[Frame]:
-    """The first `limit` frames; again and again where that is wanted, each time as sequences of their own."""
+    """The first `limit` frames, repeated for ever if `is_endless`, each time under new names of sequences."""
     for number in itertools.count():
         num_frames = 0
         for frame in itertools.islice(frames, limit):
@@ -113,25 +113,22 @@ def repeated(frames: Iterable[Frame], limit: int | None = None, *, is_endless: b
 
 
 class Player:
-    """The node `source`: publishes frames at their own rate."""
+    """The node `source`."""
 
     def __init__(self, should_stop: Callable[[], bool], ros_arguments: Sequence[str] = ()) -> None:
-        """Joins the network, and leaves it after `play`."""
+        """Joins the network, until `play` or `stream` returns."""
         self.ros = make_ros_node("source", ros_arguments)
         self._publisher = FramePublisher(self.ros)
         self._should_stop = should_stop
 
     def wait(self) -> None:
-        """Waits until somebody makes beam commands, and every stage before has somebody to publish for."""
+        """Waits until the network is complete: a node publishes beam commands, and every stage has a subscriber."""
         while not (self._should_stop() or self._is_listened_to()):
             time.sleep(0.05)
-        time.sleep(PAUSE_NS / 1e9)  # who is known has still to be connected
+        time.sleep(PAUSE_NS / 1e9)  # discovered nodes still have to be connected
 
     def play(self, frames: Iterable[Frame], *, speed: float = 1.0) -> int:
-        """Publishes `frames`; returns how many.
-
-        A frame whose messages are ready late is sent at once: its stamp says when it was due.
-        """
+        """Publishes `frames` when they are due, or at once if they are late; returns how many."""
         num_frames = 0
         try:
             for due in timed(frames, self.clock_ns, speed=speed):
@@ -147,9 +144,9 @@ class Player:
         return num_frames
 
     def stream(self, camera: LiveSource, *, limit: int | None = None) -> int:
-        """Publishes the frames of a live camera as they come, stamped with their exposure; returns how many.
+        """Publishes the frames of a live camera as they arrive, stamped with their exposure; returns how many.
 
-        A camera that is lost is opened anew, as often as need be.
+        A camera that is lost is opened again, as often as necessary.
         """
         num_frames = 0
         try:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
-from foreglow.beam import BeamStage
-from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig
-from foreglow.distance import make_estimator
 from foreglow.geometry import Camera
-from foreglow.pipeline import Pipeline
-from foreglow.proposals import make_proposer
+from foreglow.pipeline import Pipeline, Stages
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.join import Joined
 from foreglow.runtime.ros2.messages import read_image
-from foreglow.runtime.ros2.node import FrameNode, Inputs, Laps
+from foreglow.runtime.ros2.node import FrameNode, Inputs
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (
     detections_message,
@@ -27,19 +23,21 @@ from foreglow.runtime.ros2.results import (
     read_tracks,
     tracks_message,
 )
-from foreglow.tracking import make_tracker
+from foreglow.stopwatch import Stopwatch
 from foreglow.types import Detections, Frame, FrameResult, Ranges, Tracks
+
+Stage = TypeVar("Stage")
 
 
 class Setting(NamedTuple):
-    """What a compute node is told.
+    """The settings of a compute node.
 
     Attributes:
-        config: The pipeline's, the same for all nodes.
-        calibration: The camera; None where `CameraInfo` and mount come by topic.
-        can: The bus for commands; None without one.
+        config: The pipeline's configuration, the same for all nodes.
+        calibration: The camera; None where `CameraInfo` and mount come as messages.
+        can: The bus for beam commands; None without one.
         deadline_s: Longest time without input before low beam; None for just under two frames.
-        ros_arguments: Of the command line, from `--ros-args` on.
+        ros_arguments: The command line from `--ros-args` on.
     """
 
     config: PipelineConfig
@@ -50,8 +48,19 @@ class Setting(NamedTuple):
 
     @property
     def camera_topics(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Topics, exact and sampled, that tell of the camera."""
+        """The topics of the camera: exact ones, and sampled ones."""
         return ((topics.CAMERA_INFO,), (topics.MOUNT,)) if self.calibration is None else ((), ())
+
+
+def needed(field: str, stage: Stage | None) -> Stage:
+    """The stage of a node that has no other work.
+
+    Raises:
+        ValueError: If it is switched off; the message has the configuration's field.
+    """
+    if stage is None:
+        raise ValueError(f"{field}: expected one for this node to run, got none")
+    return stage
 
 
 class DetectorNode(FrameNode[Frame]):
@@ -59,8 +68,8 @@ class DetectorNode(FrameNode[Frame]):
 
     def __init__(self, setting: Setting) -> None:
         super().__init__("detector", (topics.IMAGE,), ros_arguments=setting.ros_arguments)
-        self._proposer = make_proposer(setting.config.proposals)
-        self._classifier = OnnxClassifier(setting.config.classifier)
+        stages = Stages(setting.config)
+        self._proposer, self._classifier = stages.proposer, needed("classifier.model", stages.classifier)
         self._output = self.publisher(topics.DETECTIONS)
 
     def reset(self) -> None:
@@ -68,22 +77,22 @@ class DetectorNode(FrameNode[Frame]):
         self._classifier.reset()
 
     def read(self, joined: Joined) -> Frame:
-        """The image, of which alone boxes and scores are made."""
+        """The image; proposals and classification need nothing else."""
         image = read_image(joined.messages[topics.IMAGE], topics.IMAGE)
         return Frame(image, joined.header.timestamp_ns, sequence=joined.header.sequence, path=topics.IMAGE)
 
-    def step(self, header: Header, inputs: Frame, laps: Laps) -> None:
-        """Publishes the boxes of an image."""
+    def step(self, header: Header, inputs: Frame, stopwatch: Stopwatch) -> None:
+        """Publishes the scored boxes of an image."""
+        stopwatch.begin("proposals")
         proposals = self._proposer.propose(inputs.image)
-        laps.took("proposals")
+        stopwatch.begin("classifier")
         detections = self._classifier.classify(inputs, proposals)
-        laps.took("classifier")
+        stopwatch.begin("send")
         self._output.publish(detections_message(header, detections))
-        laps.took("send")
 
 
 class DistanceNode(FrameNode[tuple[Frame, Detections]]):
-    """Gives the boxes ranges; passes them on as they are where nothing is to estimate any."""
+    """Estimates the ranges of boxes; passes boxes on without ranges where no estimator or camera is known."""
 
     def __init__(self, setting: Setting) -> None:
         exact, sampled = setting.camera_topics
@@ -94,8 +103,7 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
             ros_arguments=setting.ros_arguments,
         )
         self._threshold = setting.config.classifier.score_threshold
-        distance = setting.config.distance
-        self._estimator = make_estimator(distance) if distance.estimator != "none" else None
+        self._estimator = Stages(setting.config).estimator
         self._reader = FrameReader(setting.calibration)
         self._output = self.publisher(topics.RANGES)
 
@@ -109,15 +117,15 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
         message = joined.messages[topics.DETECTIONS]
         return self._reader.read(joined), read_detections(message, topics.DETECTIONS, self._threshold)[1]
 
-    def step(self, header: Header, inputs: tuple[Frame, Detections], laps: Laps) -> None:
+    def step(self, header: Header, inputs: tuple[Frame, Detections], stopwatch: Stopwatch) -> None:
         """Publishes the ranges of a frame's boxes."""
         frame, detections = inputs
         ranges: Ranges | None = None
+        stopwatch.begin("distance")
         if self._estimator is not None and frame.camera is not None:
             ranges = self._estimator.estimate(frame, detections)
-        laps.took("distance")
+        stopwatch.begin("send")
         self._output.publish(detections_message(header, detections, ranges))
-        laps.took("send")
 
 
 class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
@@ -129,7 +137,7 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
             "tracking", (topics.RANGES, *exact), (*sampled, topics.TWIST), ros_arguments=setting.ros_arguments
         )
         self._threshold = setting.config.classifier.score_threshold
-        self._tracker = make_tracker(setting.config.tracker)
+        self._tracker = needed("tracker.method", Stages(setting.config).tracker)
         self._reader = FrameReader(setting.calibration)
         self._output = self.publisher(topics.TRACKS)
 
@@ -143,19 +151,19 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
         _, detections, ranges = read_ranges(message, topics.RANGES, self._threshold)
         return self._reader.read(joined), detections, ranges
 
-    def step(self, header: Header, inputs: tuple[Frame, Detections, Ranges | None], laps: Laps) -> None:
+    def step(self, header: Header, inputs: tuple[Frame, Detections, Ranges | None], stopwatch: Stopwatch) -> None:
         """Publishes the tracks after a frame."""
+        stopwatch.begin("tracking")
         tracks = self._tracker.update(*inputs)
-        laps.took("tracking")
+        stopwatch.begin("send")
         self._output.publish(tracks_message(header, tracks))
-        laps.took("send")
 
 
 class CommandingNode(FrameNode[Inputs]):
     """A node that commands the beam: low beam where a frame failed, or input is overdue."""
 
     def __init__(self, name: str, setting: Setting, exact: Sequence[str], sampled: Sequence[str]) -> None:
-        """Joins the network; takes the topics of the camera, too."""
+        """Joins the network; subscribes to the camera's topics, too."""
         camera_exact, camera_sampled = setting.camera_topics
         exact, sampled = (*exact, *camera_exact), (*camera_sampled, *sampled)
         super().__init__(name, exact, sampled, ros_arguments=setting.ros_arguments)
@@ -163,27 +171,27 @@ class CommandingNode(FrameNode[Inputs]):
         self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
     def failed(self, header: Header, fault: str) -> None:
-        """Low beam; what the guard believes to shine has gone."""
+        """Commands low beam; the guard begins with low beam again, from which light returns slowly."""
         self.reset()
-        self._output.came()
+        self._output.arrived()
         self._output.low(header, fault)
 
     def idle(self, now_ns: int) -> None:
-        """Low beam if input is overdue."""
-        self._output.look(now_ns)
+        """Commands low beam if input is overdue."""
+        self._output.update(now_ns)
 
     def close(self) -> None:
-        """Leaves low beam behind."""
+        """Commands low beam and leaves the network."""
         self._output.close()
         super().close()
 
 
 class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
-    """Tracks to beam commands, as far as the guard lets them; low beam when none come."""
+    """Tracks to beam commands that the guard has checked; low beam when no tracks come."""
 
     def __init__(self, setting: Setting) -> None:
         super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), (topics.TWIST, topics.ROAD))
-        self._stage = BeamStage(setting.config.beam, setting.config.guard)
+        self._stage = needed("beam.policy", Stages(setting.config).beam)
 
     def reset(self) -> None:
         """Forgets earlier frames: begins with low beam."""
@@ -193,12 +201,12 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
         """The frame and its tracks."""
         return self._reader.read(joined), read_tracks(joined.messages[topics.TRACKS], topics.TRACKS)[1]
 
-    def step(self, header: Header, inputs: tuple[Frame, Tracks], laps: Laps) -> None:
+    def step(self, header: Header, inputs: tuple[Frame, Tracks], stopwatch: Stopwatch) -> None:
         """Commands the beam that follows from a frame."""
-        command = self._stage.command(*inputs, time_ns=self.clock_ns(), faults=self._output.came())
-        laps.took("beam")
+        stopwatch.begin("beam")
+        command = self._stage.command(*inputs, time_ns=self.clock_ns(), faults=self._output.arrived())
+        stopwatch.begin("send")
         self._output.send(header, command)
-        laps.took("send")
 
 
 class PipelineNode(CommandingNode[Frame]):
@@ -219,15 +227,14 @@ class PipelineNode(CommandingNode[Frame]):
         """The frame."""
         return self._reader.read(joined)
 
-    def step(self, header: Header, inputs: Frame, laps: Laps) -> None:
+    def step(self, header: Header, inputs: Frame, stopwatch: Stopwatch) -> None:
         """Commands the beam that follows from a frame, then publishes what led to it."""
-        result = self._pipeline.step(inputs, now_ns=self.clock_ns, faults=self._output.came())
-        laps.skip()
+        result = self._pipeline.step(inputs, now_ns=self.clock_ns, faults=self._output.arrived())
+        stopwatch.times_ms.update(result.stage_ms)
+        stopwatch.begin("send")
         if result.beam is not None:
             self._output.send(header, result.beam)
         self._publish(header, result)
-        laps.took("send")
-        laps.times_ms.update(result.stage_ms)
 
     def _publish(self, header: Header, result: FrameResult) -> None:
         if result.detections is not None:
@@ -244,4 +251,4 @@ NODES: Mapping[str, Callable[[Setting], FrameNode[Any]]] = {
     "beam": BeamNode,
     "pipeline": PipelineNode,
 }
-"""By name, in the order in which a frame passes them; `pipeline` stands for the four before it."""
+"""The compute nodes by name, in the order in which a frame passes them; `pipeline` replaces the four before it."""

@@ -1,4 +1,4 @@
-"""Starts the nodes as processes of their own, and again where one dies."""
+"""Starts the nodes as processes, and restarts those that die."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0)
-"""Before a process is started again: longer each time, and from the beginning once it has lived for `SOUND_S`."""
+"""Pauses before a process is started again: longer after each failure, and the first one again once the process has
+lived for `SOUND_S`."""
 SOUND_S = 10.0
 END_S = 5.0
-"""How long a process has to end before it is killed."""
+"""A process that has not ended this long after it was asked to is killed."""
 BAD_INPUT = 2
-"""Exit code of a command that cannot work with what it is given."""
+"""Exit code of a command whose input or configuration cannot be used."""
 
 
 class Process:
@@ -31,16 +32,16 @@ class Process:
         self.start()
 
     def start(self) -> None:
-        """Starts it; it ends with us, also when we are killed."""
+        """Starts the process; it ends when this one does, even if this one is killed."""
         self._began_s = time.monotonic()
         self._due_s = None
-        # A process group of its own: Ctrl-C in the terminal is ours to pass on.
+        # A process group of its own: Ctrl-C in the terminal reaches this process alone, which passes it on.
         self.popen = subprocess.Popen(
             [*self._command, "--parent", str(os.getpid())], env=self._environment, start_new_session=True
         )
 
-    def look(self) -> int | None:
-        """Its exit code where it has just ended, else None; starts it again when it is time."""
+    def update(self) -> int | None:
+        """The exit code if the process has just ended, else None; starts it again when its pause is over."""
         now_s, code = time.monotonic(), self.popen.poll()
         if code is None:
             return None
@@ -53,12 +54,12 @@ class Process:
         return None
 
     def end(self) -> None:
-        """Asks it to end, and kills it if it does not."""
+        """Asks the process to end."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
 
     def wait(self) -> None:
-        """Waits until it has ended."""
+        """Waits until the process has ended, and kills it after `END_S`."""
         try:
             self.popen.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -72,13 +73,14 @@ def supervise(
     should_stop: Callable[[], bool],
     say: Callable[[str], None],
 ) -> int:
-    """Runs the nodes until the source has come to its end; returns the exit code.
+    """Runs the nodes until the source ends; returns the exit code.
 
-    A node that dies is started again. One that cannot work with what it is given, and a source that fails, end all.
+    A node that dies is started again. All end when the source fails, or when a node's input or configuration cannot be
+    used.
 
     Args:
-        nodes: By name, the arguments of `foreglow ros2` for each compute node.
-        source: Those for the source.
+        nodes: The arguments of `foreglow ros2` for each compute node, by name.
+        source: The arguments for the source.
         should_stop: Whether to end.
         say: Takes a line for the user.
     """
@@ -89,11 +91,11 @@ def supervise(
             if (code := player.popen.poll()) is not None:
                 return code
             for process in processes:
-                code = process.look()
+                code = process.update()
                 if code == BAD_INPUT:
                     return code
                 if code is not None:
-                    say(f"{process.name} has ended ({code}), is started again")
+                    say(f"{process.name} has ended ({code}) and is started again")
             time.sleep(0.02)
         return 130
     finally:

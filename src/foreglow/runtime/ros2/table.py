@@ -1,7 +1,7 @@
-"""`sensor_msgs/PointCloud2` used as what it is, a table with named fields of a known type: a row a thing.
+"""`sensor_msgs/PointCloud2` as a table: named fields of known types, and a row for each item.
 
-A row may be of any thing, not only of a point; a field may have several numbers a row. Nothing in a message is
-believed: names, types, counts, offsets and lengths are checked before an array is made of it.
+An item may be anything, not only a point, and a field may have several numbers in each row. A message is not trusted:
+names, types, counts, offsets and lengths are checked before an array is made of it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from foreglow.runtime.ros2.header import Header, byte_array, header_message, read_header
 
 Columns: TypeAlias = Mapping[str, NDArray[Any]]
-"""By name, arrays of shape (N,), or (N, K) with K numbers a row."""
+"""Arrays by the name of the field: shape (N,), or (N, K) with K numbers a row."""
 
 MAX_ROWS = 100_000
 MAX_ROW_BYTES = 65_536
@@ -37,11 +37,11 @@ _NUMBERS = {dtype: number for number, dtype in DATATYPES.items()}
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """What is expected of one field.
+    """The expected form of one field.
 
     Attributes:
         dtype: Type of its numbers.
-        count: Numbers a row; None for any.
+        count: Numbers in each row; None for any.
         is_optional: Whether it may be missing.
         is_finite: Whether every number has to be finite.
     """
@@ -93,13 +93,13 @@ def read_table(
     """Header and columns of a table, in machine order and each an array of its own.
 
     Args:
-        message: What came.
-        topic: Where, for messages.
-        layout: The fields that are known; others may not be there.
-        num_rows: How many rows there have to be; None for any number up to `MAX_ROWS`.
+        message: The message.
+        topic: Where it was received, for errors.
+        layout: The expected fields; any other one is an error.
+        num_rows: The expected number of rows; None for any up to `MAX_ROWS`.
 
     Raises:
-        ValueError: If the message is not such a table; the message names topic and field.
+        ValueError: If the message is not such a table; the error names topic and field.
     """
     header = read_header(message.header, topic)
     row = _row_type(message, topic, layout)
@@ -129,7 +129,7 @@ def read_table(
 
 
 def _row_type(message: PointCloud2, topic: str, layout: Layout) -> np.dtype[Any]:
-    """The type of a row, all of whose fields are known and inside it."""
+    """The type of a row; every field has been checked to be known and to lie within the row."""
     if len(message.fields) > len(layout):
         raise ValueError(f"{topic}: fields: expected at most {len(layout)}, got {len(message.fields)}")
     if not 0 < message.point_step <= MAX_ROW_BYTES:
@@ -138,28 +138,30 @@ def _row_type(message: PointCloud2, topic: str, layout: Layout) -> np.dtype[Any]
     for name, field in layout.items():
         if name not in known and not field.is_optional:
             raise ValueError(f"{topic}: {name}: missing, expected {field.dtype}")
-    formats = [one for one, _ in known.values()]
+    formats = [form for form, _ in known.values()]
     offsets = [offset for _, offset in known.values()]
     return np.dtype({"names": list(known), "formats": formats, "offsets": offsets, "itemsize": int(message.point_step)})
 
 
 def _known(message: PointCloud2, topic: str, layout: Layout) -> Iterator[tuple[str, tuple[Any, int]]]:
-    """Name, type with count, and offset of each field."""
+    """Name, type with shape, and offset of each field."""
     seen = set()
-    for one in message.fields:
-        field = layout.get(one.name)
-        if field is None or one.name in seen:
-            raise ValueError(f"{topic}: {one.name[:40]!r}: expected the fields {', '.join(layout)}, each once")
-        seen.add(one.name)
-        dtype = DATATYPES.get(one.datatype)
+    for found in message.fields:
+        field = layout.get(found.name)
+        if field is None or found.name in seen:
+            raise ValueError(f"{topic}: {found.name[:40]!r}: expected the fields {', '.join(layout)}, each once")
+        seen.add(found.name)
+        dtype = DATATYPES.get(found.datatype)
         if dtype is None or dtype != np.dtype(field.dtype):
-            raise ValueError(f"{topic}: {one.name}: expected {field.dtype}, got datatype {one.datatype}")
-        if one.count < 1 or (field.count is not None and one.count != field.count):
-            raise ValueError(f"{topic}: {one.name}: expected {field.count or 'some'} numbers a row, got {one.count}")
-        if one.offset + one.count * dtype.itemsize > message.point_step:
+            raise ValueError(f"{topic}: {found.name}: expected {field.dtype}, got datatype {found.datatype}")
+        if found.count < 1 or (field.count is not None and found.count != field.count):
             raise ValueError(
-                f"{topic}: {one.name}: expected to end within {message.point_step} bytes, begins at {one.offset} and "
-                f"has {one.count} numbers"
+                f"{topic}: {found.name}: expected {field.count or 'some'} numbers a row, got {found.count}"
             )
-        shape = (one.count,) if field.count != 1 else ()
-        yield one.name, ((dtype, shape), one.offset)
+        if found.offset + found.count * dtype.itemsize > message.point_step:
+            raise ValueError(
+                f"{topic}: {found.name}: expected to end within {message.point_step} bytes, begins at {found.offset} "
+                f"and has {found.count} numbers"
+            )
+        shape = (found.count,) if field.count != 1 else ()
+        yield found.name, ((dtype, shape), found.offset)

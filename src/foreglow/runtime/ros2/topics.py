@@ -1,4 +1,4 @@
-"""Names of the topics, relative to the namespace, and how well each is delivered."""
+"""The topics' names, relative to the namespace, their types and qualities of service."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ TYPES: dict[str, type[Any]] = {
 }
 
 SENSORS = (IMAGE, CAMERA_INFO, TWIST, ATTITUDE)
-"""What drivers of others publish, too: whatever they promise, we take it."""
+"""Topics that other people's drivers publish, too; we accept any reliability that they offer."""
 
 NUM_KEPT = 10
-"""Messages that are kept for a subscriber that is behind."""
+"""Messages that are kept for a slow subscriber."""
 
 
 def publisher_quality(topic: str) -> QoSProfile:
-    """Images may be lost, as those of cameras may; all else arrives, unless a newer one has come meanwhile."""
+    """Best effort for images, as cameras publish them; all else is reliable."""
     return _quality(NUM_KEPT if topic != IMAGE else 4, is_reliable=topic != IMAGE)
 
 
 def subscriber_quality(topic: str, depth: int = NUM_KEPT) -> QoSProfile:
-    """As published; from sensors also what is only tried once."""
+    """Best effort for `SENSORS`, which matches any publisher; all else is reliable."""
     return _quality(depth, is_reliable=topic not in SENSORS)
 
 

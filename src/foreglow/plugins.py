@@ -1,0 +1,88 @@
+"""What a name in a configuration stands for: an entry of our own table, or something that a user plugs in.
+
+A name is looked up in the table first. `module:Name` is imported, also from the working directory. Any other name may
+be an entry point of an installed package. `docs/extending.md` has examples.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+import sys
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+Entry = TypeVar("Entry")
+
+
+def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry:
+    """The entry that `name` stands for.
+
+    Args:
+        field: The field of the configuration that has the name, for messages.
+        name: A name in the table, `module:Name`, or the name of an entry point.
+        table: Our own entries.
+        group: The entry points' group, such as `foreglow.trackers`.
+
+    Raises:
+        ValueError: If the name is unknown, or cannot be imported; the message starts with the field.
+
+    >>> find("tracker.method", "collections:Counter", {}, "foreglow.trackers").__name__
+    'Counter'
+    """
+    if name in table:
+        return table[name]
+    if ":" in name:
+        folder = str(Path.cwd())
+        if not {"", folder} & set(sys.path):
+            sys.path.append(folder)  # for good: the module may import others later
+        return imported(field, name)
+    points = {point.name: point for point in metadata.entry_points(group=group)}
+    if name not in points:
+        raise ValueError(f"{field}: expected one of {', '.join([*table, *points])}, or module:Name, got {name!r}")
+    return imported(field, points[name].value)
+
+
+def imported(field: str, target: str) -> Any:
+    """What `target`, `module:Name`, is.
+
+    Raises:
+        ValueError: If it cannot be imported, or cannot be called; the message starts with `field`.
+    """
+    try:
+        found = pkgutil.resolve_name(target)
+    except Exception as error:  # whatever a foreign module raises
+        raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise ValueError(f"{field}: {target}: expected a class, got {type(found).__name__}")
+    return found
+
+
+def built(plugin: Entry | Callable[..., Entry] | None, make: Callable[..., Entry], *arguments: Any) -> Entry:
+    """The `plugin`, made of `arguments` where it is a class; without one, what `make` makes of them."""
+    if plugin is None:
+        return make(*arguments)
+    return plugin(*arguments) if isinstance(plugin, type) else plugin  # type: ignore[return-value]
+
+
+def name_of(plugin: object) -> str:
+    """What a configuration calls the class `plugin`, or that of the object: `module:Name`.
+
+    >>> from collections import Counter
+    >>> name_of(Counter()), name_of(Counter)
+    ('collections:Counter', 'collections:Counter')
+    """
+    kind = plugin if isinstance(plugin, type) else type(plugin)
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def checked(field: str, result: object, expected: type[Entry]) -> Entry:
+    """The `result` of a plug-in, as what it has to be.
+
+    Raises:
+        ValueError: If it is something else; the message starts with `field`.
+    """
+    if not isinstance(result, expected):
+        raise ValueError(f"{field}: expected {expected.__name__} for each frame, got {type(result).__name__}")
+    return result

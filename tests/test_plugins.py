@@ -1,0 +1,246 @@
+"""Plug-ins: found by name or given as objects, named in the configuration, and never trusted by the guard."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foreglow.beam import POLICIES, BeamPolicy, policy_class
+from foreglow.beam.faults import GuardFault
+from foreglow.beam.policy import HighBeam
+from foreglow.config import PipelineConfig, TrackerConfig, preset, read_config
+from foreglow.datasets import PVDN, shipped_drive
+from foreglow.distance import RangeEstimator, make_estimator
+from foreglow.photometry import NUM_LEDS
+from foreglow.pipeline import Pipeline
+from foreglow.plugins import find
+from foreglow.runtime.live import LiveFault, Paced
+from foreglow.tracking import Tracker, make_tracker
+from foreglow.types import BeamCommand, BeamMode, Detections, Frame, Ranges, Tracks
+from tests.runtime.live.stand_ins import run_live
+from tests.stand_ins import ListSource
+from tests.test_pipeline import identity
+
+GROUP = "foreglow.trackers"
+
+
+def shipped_frames(count: int) -> list[Frame]:
+    dataset = PVDN(shipped_drive())
+    return [dataset.read(image_id) for image_id in dataset.frame_ids[60 : 60 + count]]
+
+
+class FarAway(RangeEstimator):
+    """Everything is 80 m away."""
+
+    def __init__(self, config: Any = None) -> None:  # noqa: ARG002
+        self.num_resets = 0
+
+    def estimate(self, frame: Frame, detections: Detections) -> Ranges:  # noqa: ARG002
+        return Ranges(detections, np.full(len(detections), 80.0), np.full(len(detections), 8.0))
+
+    def reset(self) -> None:
+        self.num_resets += 1
+
+
+class NoTracks(Tracker):
+    """Follows nothing."""
+
+    def __init__(self, config: Any = None) -> None:  # noqa: ARG002
+        self._tracker = make_tracker(TrackerConfig(min_score=1.0))
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
+        return self._tracker.update(frame, detections, ranges)
+
+
+class AllLight(BeamPolicy):
+    """Full high beam, always."""
+
+    def __init__(self, config: Any, headlamps: Any) -> None:  # noqa: ARG002
+        self._num_leds = headlamps.num_leds
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
+
+
+# Names
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory, which is not on Python's path."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    return tmp_path
+
+
+def write_module(folder: Path, name: str, text: str) -> None:
+    (folder / f"{name}.py").write_text(text)
+    sys.modules.pop(name, None)
+
+
+def test_a_name_of_the_table_is_never_imported() -> None:
+    assert find("field", "math:pi", {"math:pi": float}, GROUP) is float
+
+
+def test_a_module_in_the_working_directory(folder: Path) -> None:
+    write_module(folder, "my_own_trackers", "class Mine:\n    class Inner: pass\n")
+    assert find("tracker.method", "my_own_trackers:Mine", {}, GROUP).__name__ == "Mine"
+    assert find("tracker.method", "my_own_trackers:Mine.Inner", {}, GROUP).__name__ == "Inner"
+
+
+def test_an_installed_packages_entry_point(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_module(folder, "their_package", "class Theirs: pass\n")
+    about = folder / "their_package-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{GROUP}]\ntheirs = their_package:Theirs\n")
+    monkeypatch.syspath_prepend(folder)
+    assert find("tracker.method", "theirs", {}, GROUP).__name__ == "Theirs"
+    with pytest.raises(ValueError, match=r"tracker\.method: expected one of ours, theirs, or module:Name, got 'best'"):
+        find("tracker.method", "best", {"ours": int}, GROUP)
+
+
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [
+        ("best", "expected one of alpha_beta, published, or module:Name, got 'best'"),
+        ("no_such_module:Name", "no_such_module:Name cannot be imported: ModuleNotFoundError: .*no_such_module"),
+        ("broken_tracker:Name", "broken_tracker:Name cannot be imported: ZeroDivisionError: division by zero"),
+        ("math:Name", "math:Name cannot be imported: AttributeError: .*'Name'"),
+        ("two words:Name", "two words:Name cannot be imported: ValueError: "),
+        ("math:pi", "math:pi: expected a class, got float"),
+    ],
+)
+def test_a_name_that_is_none_is_refused_with_its_field(folder: Path, name: str, complaint: str) -> None:
+    write_module(folder, "broken_tracker", "1 / 0\n")
+    path = folder / "car.toml"
+    path.write_text(f'[tracker]\nmethod = "{name}"\n')
+    config = read_config(path, preset("foreglow"))
+    with pytest.raises(ValueError, match=f"^tracker.method: {complaint}"):
+        Pipeline(config)
+
+
+def test_every_kind_names_its_own_field() -> None:
+    config = preset("foreglow")
+    with pytest.raises(ValueError, match=r"^distance\.estimator: expected one of gp, .*road_surface, or module:Name"):
+        make_estimator(config.changed("distance", estimator="best").distance)
+    with pytest.raises(ValueError, match=r"^--policy: expected one of low, high, paper, foreglow, or module:Name"):
+        policy_class("best", "--policy")
+
+
+# Stages
+
+
+def test_plug_ins_by_name_class_and_object_are_the_same() -> None:
+    frames = shipped_frames(4)
+    here = "tests.test_plugins"
+    config = preset("foreglow").changed("distance", estimator=f"{here}:FarAway")
+    named = config.changed("tracker", method=f"{here}:NoTracks").commanding(policy=f"{here}:AllLight")
+    by_name = [identity(result) for result in Pipeline(named).run(frames)]
+    classes = Pipeline(estimator=FarAway, tracker=NoTracks, policy=AllLight)
+    objects = Pipeline(named, estimator=FarAway(), tracker=NoTracks())
+    assert classes.config == objects.config == named
+    assert [identity(result) for result in classes.run(frames)] == by_name
+    assert [identity(result) for result in objects.run(frames)] == by_name
+    result = classes.step(frames[0])
+    assert result.ranges is not None
+    assert set(result.ranges.ranges_m.tolist()) == {80.0}
+    assert result.tracks is not None
+    assert len(result.tracks) == 0
+
+
+def test_a_given_object_is_used_and_reset() -> None:
+    estimator = FarAway()
+    pipeline = Pipeline(estimator=estimator)
+    pipeline.reset()
+    assert estimator.num_resets == 1
+
+
+def test_a_policy_needs_tracks() -> None:
+    with pytest.raises(ValueError, match=r"beam: expected a model .* and a tracker"):
+        Pipeline(PipelineConfig(), policy=AllLight)
+
+
+@pytest.mark.parametrize(
+    ("section", "kind", "method", "complaint"),
+    [
+        ("estimator", FarAway, "estimate", "distance.estimator: expected Ranges for each frame, got NoneType"),
+        ("tracker", NoTracks, "update", "tracker.method: expected Tracks for each frame, got NoneType"),
+        ("policy", AllLight, "command", "beam.policy: expected BeamCommand for each frame, got NoneType"),
+    ],
+)
+def test_what_a_plug_in_returns_is_checked(section: str, kind: Any, method: str, complaint: str) -> None:
+    silent = type("Silent", (kind,), {method: lambda *_: None})
+    with pytest.raises(ValueError, match=complaint):
+        Pipeline(**{section: silent}).step(shipped_frames(1)[0])
+
+
+# The guard
+
+
+def test_the_guard_sees_every_command_of_a_foreign_policy() -> None:
+    frames = shipped_frames(30)
+    found = [result.beam for result in Pipeline(policy=AllLight).run(frames)]
+    expected = [result.beam for result in Pipeline(preset("foreglow").commanding(policy="high")).run(frames)]
+    assert POLICIES["high"] is HighBeam
+    for own, ours in zip(found, expected, strict=True):
+        assert own is not None
+        assert ours is not None
+        np.testing.assert_array_equal(own.levels, ours.levels)
+    assert found[-1] is not None
+    assert 0.0 < found[-1].levels.min() < found[-1].levels.max() == 1.0  # dark where vehicles are
+
+
+def _raises(_: Frame) -> BeamCommand:
+    raise KeyError("planted")
+
+
+def _nothing(_: Frame) -> Any:
+    return None
+
+
+def _too_many_leds(frame: Frame) -> BeamCommand:
+    return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, 999)))
+
+
+def _too_bright(frame: Frame) -> BeamCommand:
+    return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.full((2, NUM_LEDS), math.nan))
+
+
+def _of_another_frame(frame: Frame) -> BeamCommand:
+    return BeamCommand(frame.timestamp_ns - 1, BeamMode.FULL, np.ones((2, NUM_LEDS)))
+
+
+@pytest.mark.parametrize(
+    ("command", "fault"),
+    [
+        (_raises, LiveFault.STAGE_FAILED),
+        (_nothing, LiveFault.STAGE_FAILED),
+        (_too_bright, LiveFault.STAGE_FAILED),
+        (_too_many_leds, GuardFault.BAD_COMMAND),
+        (_of_another_frame, GuardFault.STALE_COMMAND),
+    ],
+)
+def test_nonsense_of_a_foreign_policy_is_low_beam_in_live(
+    command: Callable[[Frame], BeamCommand], fault: LiveFault | GuardFault
+) -> None:
+    class Nonsense(AllLight):
+        """Sensible for 25 frames, which is enough for light."""
+
+        def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+            return super().command(frame, tracks) if frame.frame in sensible else command(frame)
+
+    frames = shipped_frames(30)
+    sensible = {frame.frame for frame in frames[:25]}
+    config = preset("foreglow").commanding()
+    summary, lamps = run_live(Paced(ListSource(frames), math.inf), config, lambda: Pipeline(config, policy=Nonsense))
+    modes = {timestamp_ns: beam.mode for timestamp_ns, beam in lamps.of_frames().items()}
+    assert modes[frames[24].timestamp_ns] != BeamMode.LOW
+    assert {modes[frame.timestamp_ns] for frame in frames[25:]} == {BeamMode.LOW}
+    assert fault in summary.fault_counts
