@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.beam.faults import GuardFault
-from foreglow.beam.image_change import ImageChange, ImageComparer, share_of_repeated_rows
+from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.config import GuardConfig
 from foreglow.types import Image
 
@@ -167,7 +167,7 @@ class _Damage:
 
     def update(self, image: Image, sample: NDArray[Any], change: ImageChange | None, timestamp_ns: int) -> bool:
         """Whether the image is damaged, or one shortly before it was."""
-        repeated, one_value = share_of_repeated_rows(image), _share_of_one_value(sample)
+        repeated, one_value = (0.0 if change is None else change.share_repeated), _share_of_one_value(sample)
         is_new = _rose(repeated, self._repeated, REPEATED_SHARE) or _rose(one_value, self._one_value, ONE_VALUE_SHARE)
         if change is not None:
             is_new |= change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS

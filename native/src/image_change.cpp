@@ -1,0 +1,172 @@
+#include "foreglow/image_change.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <functional>
+#include <limits>
+
+namespace foreglow {
+namespace {
+
+constexpr std::int64_t block_px = 8, square_px = 2 * block_px;
+constexpr double edge_levels = 10.0;    // 8-bit grey levels, in the mean along the edge
+constexpr double texture_levels = 6.0;  // between the brightest and the darkest pixel of a row
+constexpr std::int64_t rare = 1000;     // one block of so many changes more than the strongest change
+
+struct Grid {
+    std::int64_t block_height, block_width, num_down, num_across;  // blocks
+    std::int64_t segments_down, segments_across;                   // segments of a vertical line, of a horizontal one
+    std::int64_t lines_down, lines_across;                         // horizontal lines, vertical ones
+
+    explicit Grid(const ImageView& image)
+        : block_height(std::min<std::int64_t>(block_px, image.height_px)),
+          block_width(std::min<std::int64_t>(block_px, image.width_px)),
+          num_down(image.height_px / block_height),
+          num_across(image.width_px / block_width),
+          segments_down(image.height_px / square_px),
+          segments_across(image.width_px / square_px),
+          lines_down((image.height_px - 1) / block_px),
+          lines_across((image.width_px - 1) / block_px) {}
+};
+
+template <typename Pixel>
+double levels_of() {
+    return 255.0 / std::numeric_limits<Pixel>::max();
+}
+
+// Eight rows at once where there are so many, so that each sum is written once.
+template <typename Pixel>
+void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t num_rows, std::uint32_t* sums) {
+    const std::int64_t width = image.width_px;
+    if (num_rows == block_px) {
+        const Pixel* rows[block_px];
+        for (std::int64_t i = 0; i < block_px; ++i) rows[i] = image.row<Pixel>(first_row + i);
+        const Pixel *a = rows[0], *b = rows[1], *c = rows[2], *d = rows[3], *e = rows[4], *f = rows[5], *g = rows[6],
+                    *h = rows[7];
+        for (std::int64_t x = 0; x < width; ++x) {
+            sums[x] = static_cast<std::uint32_t>(a[x]) + b[x] + c[x] + d[x] + e[x] + f[x] + g[x] + h[x];
+        }
+        return;
+    }
+    std::fill(sums, sums + width, 0U);
+    for (std::int64_t i = 0; i < num_rows; ++i) {
+        const Pixel* row = image.row<Pixel>(first_row + i);
+        for (std::int64_t x = 0; x < width; ++x) sums[x] += row[x];
+    }
+}
+
+template <typename Pixel>
+bool repeats(const Pixel* row, const Pixel* below, std::int64_t width) {
+    if (std::memcmp(row, below, static_cast<std::size_t>(width) * sizeof(Pixel)) != 0) return false;
+    const auto [darkest, brightest] = std::minmax_element(row, row + width);
+    return (*brightest - *darkest) * levels_of<Pixel>() >= texture_levels;
+}
+
+std::int64_t count_edges(const std::int32_t* now, const std::int32_t* before, std::int64_t num, double limit) {
+    std::int64_t num_edges = 0;
+    for (std::int64_t i = 0; i < num; ++i) {
+        num_edges += std::abs(static_cast<double>(now[i]) - static_cast<double>(before[i])) > limit;
+    }
+    return num_edges;
+}
+
+}  // namespace
+
+template <typename Pixel>
+void ImageComparer::digest(const ImageView& image) {
+    const Grid grid(image);
+    now_.width_px = image.width_px;
+    now_.height_px = image.height_px;
+    now_.pixel_type = image.pixel_type;
+    now_.blocks.resize(static_cast<std::size_t>(grid.num_down * grid.num_across));
+    now_.samples.resize(now_.blocks.size());
+    now_.vertical.assign(static_cast<std::size_t>(grid.lines_across * grid.segments_down), 0);
+    now_.horizontal.resize(static_cast<std::size_t>(grid.lines_down * grid.segments_across));
+    column_sums_.resize(static_cast<std::size_t>(image.width_px));
+    const std::uint32_t* sums = column_sums_.data();
+    for (std::int64_t j = 0; j < grid.num_down; ++j) {
+        sum_columns<Pixel>(image, j * grid.block_height, grid.block_height, column_sums_.data());
+        const Pixel* middle = image.row<Pixel>(j * grid.block_height + grid.block_height / 2);
+        for (std::int64_t i = 0; i < grid.num_across; ++i) {
+            const std::uint32_t* begin = sums + i * grid.block_width;
+            std::uint32_t sum = 0;
+            for (std::int64_t k = 0; k < grid.block_width; ++k) sum += begin[k];
+            now_.blocks[static_cast<std::size_t>(j * grid.num_across + i)] = sum;
+            now_.samples[static_cast<std::size_t>(j * grid.num_across + i)] =
+                middle[i * grid.block_width + grid.block_width / 2];
+        }
+        if (j / 2 >= grid.segments_down) continue;
+        std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;
+        for (std::int64_t i = 0; i < grid.lines_across; ++i) {
+            const std::uint32_t* behind = sums + (i + 1) * block_px;
+            jumps[i] += static_cast<std::int32_t>(behind[0] - behind[-1]);
+        }
+    }
+    for (std::int64_t j = 0; j < grid.lines_down; ++j) {
+        const Pixel* behind = image.row<Pixel>((j + 1) * block_px);
+        const Pixel* before = image.row<Pixel>((j + 1) * block_px - 1);
+        for (std::int64_t i = 0; i < grid.segments_across; ++i) {
+            std::int32_t jump = 0;
+            for (std::int64_t k = 0; k < square_px; ++k) jump += behind[i * square_px + k] - before[i * square_px + k];
+            now_.horizontal[static_cast<std::size_t>(j * grid.segments_across + i)] = jump;
+        }
+    }
+}
+
+bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
+    const bool is_u8 = image.pixel_type == PixelType::u8;
+    std::swap(before_, now_);
+    is_u8 ? digest<std::uint8_t>(image) : digest<std::uint16_t>(image);
+    if (before_.width_px != now_.width_px || before_.height_px != now_.height_px ||
+        before_.pixel_type != now_.pixel_type) {
+        return false;
+    }
+    const Grid grid(image);
+    const double levels = is_u8 ? levels_of<std::uint8_t>() : levels_of<std::uint16_t>();
+    const double mean_levels = levels / static_cast<double>(grid.block_height * grid.block_width);
+    change = ImageChange();
+    changes_.resize(now_.blocks.size());
+    for (std::size_t i = 0; i < changes_.size(); ++i) {
+        changes_[i] = std::max(now_.blocks[i], before_.blocks[i]) - std::min(now_.blocks[i], before_.blocks[i]);
+        change.num_changed += now_.samples[i] != before_.samples[i];
+    }
+    change.num_samples = static_cast<std::int64_t>(changes_.size());
+    for (std::int64_t j = 0; j < grid.num_down; ++j) {
+        double* tiles = change.tiles.data() + j * num_change_tiles / grid.num_down * num_change_tiles;
+        for (std::int64_t tile = 0; tile < num_change_tiles; ++tile) {
+            const auto column = [&](std::int64_t t) {  // the first one i with i * num_change_tiles / num_across == t
+                return j * grid.num_across + (t * grid.num_across + num_change_tiles - 1) / num_change_tiles;
+            };
+            std::uint32_t most = 0;
+            for (std::int64_t i = column(tile); i < column(tile + 1); ++i) {
+                most = std::max(most, changes_[static_cast<std::size_t>(i)]);
+            }
+            tiles[tile] = std::max(tiles[tile], most * mean_levels);
+        }
+    }
+    std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
+    std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
+    change.strongest = strongest.back() * mean_levels;
+    const double limit = edge_levels * square_px / levels;
+    for (std::int64_t j = 0; j < grid.lines_down; ++j) {
+        const std::int64_t first = j * grid.segments_across;
+        (j % 2 ? change.num_edges : change.num_other_edges) +=
+            count_edges(now_.horizontal.data() + first, before_.horizontal.data() + first, grid.segments_across, limit);
+    }
+    for (std::int64_t j = 0; j < grid.segments_down; ++j) {
+        for (std::int64_t i = 0; i < grid.lines_across; ++i) {
+            const auto at = static_cast<std::size_t>(j * grid.lines_across + i);
+            (i % 2 ? change.num_edges : change.num_other_edges) +=
+                count_edges(&now_.vertical[at], &before_.vertical[at], 1, limit);
+        }
+    }
+    for (std::int64_t y = 0; y + 1 < image.height_px; y += block_px) {
+        ++change.num_rows;
+        change.num_repeated_rows +=
+            is_u8 ? repeats(image.row<std::uint8_t>(y), image.row<std::uint8_t>(y + 1), image.width_px)
+                  : repeats(image.row<std::uint16_t>(y), image.row<std::uint16_t>(y + 1), image.width_px);
+    }
+    return true;
+}
+
+}  // namespace foreglow
