@@ -1,17 +1,20 @@
 #include "foreglow/image_change.hpp"
 
 #include <algorithm>
+#include <cstdlib>
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <numeric>
+#include <type_traits>
 
 namespace foreglow {
 namespace {
 
-constexpr std::int64_t block_px = 8, square_px = 2 * block_px;
-constexpr double edge_levels = 10.0;    // 8-bit grey levels, in the mean along the edge
-constexpr double texture_levels = 6.0;  // between the brightest and the darkest pixel of a row
-constexpr std::int64_t rare = 1000;     // one block of so many changes more than the strongest change
+constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
+constexpr std::int32_t edge_levels = 10;    // 8-bit grey levels, in the mean along the edge
+constexpr std::int32_t texture_levels = 6;  // between the brightest and the darkest pixel of a row
+constexpr std::int64_t rare = 1000;         // one block of so many changes more than the strongest change
 
 struct Grid {
     std::int64_t block_height, block_width, num_down, num_across;  // blocks
@@ -29,14 +32,13 @@ struct Grid {
           lines_across((image.width_px - 1) / block_px) {}
 };
 
+// Of one 8-bit grey level.
 template <typename Pixel>
-double levels_of() {
-    return 255.0 / std::numeric_limits<Pixel>::max();
-}
+constexpr std::int32_t units = std::numeric_limits<Pixel>::max() / 255;
 
 // Eight rows at once where there are so many, so that each sum is written once.
-template <typename Pixel>
-void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t num_rows, std::uint32_t* sums) {
+template <typename Pixel, typename Sum>
+void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t num_rows, Sum* sums) {
     const std::int64_t width = image.width_px;
     if (num_rows == block_px) {
         const Pixel* rows[block_px];
@@ -44,14 +46,14 @@ void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t nu
         const Pixel *a = rows[0], *b = rows[1], *c = rows[2], *d = rows[3], *e = rows[4], *f = rows[5], *g = rows[6],
                     *h = rows[7];
         for (std::int64_t x = 0; x < width; ++x) {
-            sums[x] = static_cast<std::uint32_t>(a[x]) + b[x] + c[x] + d[x] + e[x] + f[x] + g[x] + h[x];
+            sums[x] = static_cast<Sum>(a[x] + b[x] + c[x] + d[x] + e[x] + f[x] + g[x] + h[x]);
         }
         return;
     }
-    std::fill(sums, sums + width, 0U);
+    std::fill(sums, sums + width, Sum{0});
     for (std::int64_t i = 0; i < num_rows; ++i) {
         const Pixel* row = image.row<Pixel>(first_row + i);
-        for (std::int64_t x = 0; x < width; ++x) sums[x] += row[x];
+        for (std::int64_t x = 0; x < width; ++x) sums[x] = static_cast<Sum>(sums[x] + row[x]);
     }
 }
 
@@ -59,15 +61,21 @@ template <typename Pixel>
 bool repeats(const Pixel* row, const Pixel* below, std::int64_t width) {
     if (std::memcmp(row, below, static_cast<std::size_t>(width) * sizeof(Pixel)) != 0) return false;
     const auto [darkest, brightest] = std::minmax_element(row, row + width);
-    return (*brightest - *darkest) * levels_of<Pixel>() >= texture_levels;
+    return *brightest - *darkest >= texture_levels * units<Pixel>;
 }
 
-std::int64_t count_edges(const std::int32_t* now, const std::int32_t* before, std::int64_t num, double limit) {
-    std::int64_t num_edges = 0;
-    for (std::int64_t i = 0; i < num; ++i) {
-        num_edges += std::abs(static_cast<double>(now[i]) - static_cast<double>(before[i])) > limit;
+// Counts where the two differ by more than `limit`, at every other place on its own: counts[0] and counts[1].
+void count_edges(const std::int32_t* now, const std::int32_t* before, std::int64_t num, std::int32_t limit,
+                 std::int64_t* counts) {
+    std::int32_t found[2] = {0, 0};
+    std::int64_t i = 0;
+    for (; i + 1 < num; i += 2) {
+        found[0] += std::abs(now[i] - before[i]) > limit;
+        found[1] += std::abs(now[i + 1] - before[i + 1]) > limit;
     }
-    return num_edges;
+    if (i < num) found[0] += std::abs(now[i] - before[i]) > limit;
+    counts[0] += found[0];
+    counts[1] += found[1];
 }
 
 }  // namespace
@@ -82,15 +90,14 @@ void ImageComparer::digest(const ImageView& image) {
     now_.samples.resize(now_.blocks.size());
     now_.vertical.assign(static_cast<std::size_t>(grid.lines_across * grid.segments_down), 0);
     now_.horizontal.resize(static_cast<std::size_t>(grid.lines_down * grid.segments_across));
-    column_sums_.resize(static_cast<std::size_t>(image.width_px));
-    const std::uint32_t* sums = column_sums_.data();
+    using Sum = std::conditional_t<sizeof(Pixel) == 1, std::uint16_t, std::uint32_t>;
+    std::vector<Sum> column_sums(static_cast<std::size_t>(image.width_px));
+    const Sum* sums = column_sums.data();
     for (std::int64_t j = 0; j < grid.num_down; ++j) {
-        sum_columns<Pixel>(image, j * grid.block_height, grid.block_height, column_sums_.data());
+        sum_columns<Pixel, Sum>(image, j * grid.block_height, grid.block_height, column_sums.data());
         const Pixel* middle = image.row<Pixel>(j * grid.block_height + grid.block_height / 2);
         for (std::int64_t i = 0; i < grid.num_across; ++i) {
-            const std::uint32_t* begin = sums + i * grid.block_width;
-            std::uint32_t sum = 0;
-            for (std::int64_t k = 0; k < grid.block_width; ++k) sum += begin[k];
+            const std::uint32_t sum = std::accumulate(sums + i * grid.block_width, sums + (i + 1) * grid.block_width, 0U);
             now_.blocks[static_cast<std::size_t>(j * grid.num_across + i)] = sum;
             now_.samples[static_cast<std::size_t>(j * grid.num_across + i)] =
                 middle[i * grid.block_width + grid.block_width / 2];
@@ -98,8 +105,8 @@ void ImageComparer::digest(const ImageView& image) {
         if (j / 2 >= grid.segments_down) continue;
         std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;
         for (std::int64_t i = 0; i < grid.lines_across; ++i) {
-            const std::uint32_t* behind = sums + (i + 1) * block_px;
-            jumps[i] += static_cast<std::int32_t>(behind[0] - behind[-1]);
+            const Sum* behind = sums + (i + 1) * block_px;
+            jumps[i] += static_cast<std::int32_t>(behind[0]) - static_cast<std::int32_t>(behind[-1]);
         }
     }
     for (std::int64_t j = 0; j < grid.lines_down; ++j) {
@@ -108,7 +115,7 @@ void ImageComparer::digest(const ImageView& image) {
         for (std::int64_t i = 0; i < grid.segments_across; ++i) {
             std::int32_t jump = 0;
             for (std::int64_t k = 0; k < square_px; ++k) jump += behind[i * square_px + k] - before[i * square_px + k];
-            now_.horizontal[static_cast<std::size_t>(j * grid.segments_across + i)] = jump;
+            now_.horizontal[static_cast<std::size_t>(i * grid.lines_down + j)] = jump;
         }
     }
 }
@@ -122,8 +129,8 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
         return false;
     }
     const Grid grid(image);
-    const double levels = is_u8 ? levels_of<std::uint8_t>() : levels_of<std::uint16_t>();
-    const double mean_levels = levels / static_cast<double>(grid.block_height * grid.block_width);
+    const std::int32_t unit = is_u8 ? units<std::uint8_t> : units<std::uint16_t>;
+    const double mean_levels = 1.0 / static_cast<double>(unit * grid.block_height * grid.block_width);
     change = ImageChange();
     changes_.resize(now_.blocks.size());
     for (std::size_t i = 0; i < changes_.size(); ++i) {
@@ -147,19 +154,18 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
     std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
     change.strongest = strongest.back() * mean_levels;
-    const double limit = edge_levels * square_px / levels;
-    for (std::int64_t j = 0; j < grid.lines_down; ++j) {
-        const std::int64_t first = j * grid.segments_across;
-        (j % 2 ? change.num_edges : change.num_other_edges) +=
-            count_edges(now_.horizontal.data() + first, before_.horizontal.data() + first, grid.segments_across, limit);
-    }
+    const std::int32_t limit = edge_levels * square_px * unit;
+    std::int64_t counts[2] = {0, 0};  // the first line of either direction is half a square off the grid
     for (std::int64_t j = 0; j < grid.segments_down; ++j) {
-        for (std::int64_t i = 0; i < grid.lines_across; ++i) {
-            const auto at = static_cast<std::size_t>(j * grid.lines_across + i);
-            (i % 2 ? change.num_edges : change.num_other_edges) +=
-                count_edges(&now_.vertical[at], &before_.vertical[at], 1, limit);
-        }
+        const std::int64_t first = j * grid.lines_across;
+        count_edges(now_.vertical.data() + first, before_.vertical.data() + first, grid.lines_across, limit, counts);
     }
+    for (std::int64_t i = 0; i < grid.segments_across; ++i) {
+        const std::int64_t first = i * grid.lines_down;
+        count_edges(now_.horizontal.data() + first, before_.horizontal.data() + first, grid.lines_down, limit, counts);
+    }
+    change.num_other_edges = counts[0];
+    change.num_edges = counts[1];
     for (std::int64_t y = 0; y + 1 < image.height_px; y += block_px) {
         ++change.num_rows;
         change.num_repeated_rows +=

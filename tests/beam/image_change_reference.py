@@ -8,26 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_PX, SQUARE_PX, NUM_TILES = 8, 16, 8
-EDGE_LEVELS, TEXTURE_LEVELS, RARE = 10.0, 6.0, 1000
+EDGE_LEVELS, TEXTURE_LEVELS, RARE = 10, 6, 1000
 
 
 def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
     """By name, the fields of `_native.ImageChange` for two images of one size and type."""
-    levels = 255.0 / np.iinfo(now.dtype).max
+    unit = np.iinfo(now.dtype).max // 255  # of one grey level
     height, width = min(BLOCK_PX, now.shape[0]), min(BLOCK_PX, now.shape[1])
     wide = now.astype(np.int64) - before
     num_down, num_across = now.shape[0] // height, now.shape[1] // width
     blocks = wide[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
-    changes = np.abs(blocks.sum(axis=(1, 3))) * (levels / (height * width))
+    changes = np.abs(blocks.sum(axis=(1, 3))) * (1.0 / (unit * height * width))
     tiles = np.zeros((NUM_TILES, NUM_TILES))
     down, across = np.arange(num_down) * NUM_TILES // num_down, np.arange(num_across) * NUM_TILES // num_across
     np.maximum.at(tiles, (down[:, np.newaxis], across), changes)
     edges, other_edges = (
-        num_edges(wide, first_px, levels) + num_edges(wide.T, first_px, levels)
+        num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit)
         for first_px in (SQUARE_PX, SQUARE_PX // 2)
     )
     rows = now[: now.shape[0] - 1 : BLOCK_PX].astype(np.int64), now[1::BLOCK_PX].astype(np.int64)
-    is_textured = (rows[0].max(axis=1) - rows[0].min(axis=1)) * levels >= TEXTURE_LEVELS
+    is_textured = (rows[0].max(axis=1) - rows[0].min(axis=1)) >= TEXTURE_LEVELS * unit
     return {
         "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
         "tiles": tiles,
@@ -40,9 +40,9 @@ def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def num_edges(change: NDArray[np.int64], first_px: int, levels: float) -> int:
+def num_edges(change: NDArray[np.int64], first_px: int, unit: int) -> int:
     """Segments of horizontal lines, every 16 pixels from `first_px` on, across which the change differs."""
     num = change.shape[1] // SQUARE_PX
     jumps = change[first_px::SQUARE_PX, : num * SQUARE_PX] - change[first_px - 1 : -1 : SQUARE_PX, : num * SQUARE_PX]
-    means = jumps.reshape(len(jumps), num, SQUARE_PX).sum(axis=2)
-    return int(np.count_nonzero(np.abs(means) > EDGE_LEVELS * SQUARE_PX / levels))
+    sums = jumps.reshape(len(jumps), num, SQUARE_PX).sum(axis=2)
+    return int(np.count_nonzero(np.abs(sums) > EDGE_LEVELS * SQUARE_PX * unit))

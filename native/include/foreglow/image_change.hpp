@@ -42,7 +42,7 @@ private:
         PixelType pixel_type = PixelType::u8;
         std::vector<std::uint32_t> blocks;  // sums of pixels
         std::vector<std::uint16_t> samples;
-        // Sum behind a line less the sum before it: [segment of the rows][line] and [line][segment of the columns].
+        // Sum behind a line less the sum before it: [segment][line], of the vertical and of the horizontal lines.
         // Lines are 8 pixels apart; every other one, beginning with the second, is on the grid of encoders.
         std::vector<std::int32_t> vertical, horizontal;
     };
@@ -51,7 +51,6 @@ private:
     void digest(const ImageView& image);
 
     Digest before_, now_;
-    std::vector<std::uint32_t> column_sums_;
     std::vector<std::uint32_t> changes_;
 };
 
