@@ -12,9 +12,8 @@ namespace foreglow {
 namespace {
 
 constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
-constexpr std::int32_t edge_levels = 10;    // 8-bit grey levels, in the mean along the edge
-constexpr std::int32_t texture_levels = 6;  // between the brightest and the darkest pixel of a row
-constexpr std::int64_t rare = 1000;         // one block of so many changes more than the strongest change
+constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
+constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
 
 struct Grid {
     std::int64_t block_height, block_width, num_down, num_across;  // blocks
@@ -58,10 +57,9 @@ void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t nu
 }
 
 template <typename Pixel>
-bool repeats(const Pixel* row, const Pixel* below, std::int64_t width) {
-    if (std::memcmp(row, below, static_cast<std::size_t>(width) * sizeof(Pixel)) != 0) return false;
-    const auto [darkest, brightest] = std::minmax_element(row, row + width);
-    return *brightest - *darkest >= texture_levels * units<Pixel>;
+bool repeats(const ImageView& image, std::int64_t y) {
+    const auto num_bytes = static_cast<std::size_t>(image.width_px) * sizeof(Pixel);
+    return std::memcmp(image.row<Pixel>(y), image.row<Pixel>(y + 1), num_bytes) == 0;
 }
 
 // Counts where the two differ by more than `limit`, at every other place on its own: counts[0] and counts[1].
@@ -135,21 +133,24 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     changes_.resize(now_.blocks.size());
     for (std::size_t i = 0; i < changes_.size(); ++i) {
         changes_[i] = std::max(now_.blocks[i], before_.blocks[i]) - std::min(now_.blocks[i], before_.blocks[i]);
-        change.num_changed += now_.samples[i] != before_.samples[i];
     }
     change.num_samples = static_cast<std::int64_t>(changes_.size());
-    for (std::int64_t j = 0; j < grid.num_down; ++j) {
-        double* tiles = change.tiles.data() + j * num_change_tiles / grid.num_down * num_change_tiles;
-        for (std::int64_t tile = 0; tile < num_change_tiles; ++tile) {
-            const auto column = [&](std::int64_t t) {  // the first one i with i * num_change_tiles / num_across == t
-                return j * grid.num_across + (t * grid.num_across + num_change_tiles - 1) / num_change_tiles;
-            };
-            std::uint32_t most = 0;
-            for (std::int64_t i = column(tile); i < column(tile + 1); ++i) {
-                most = std::max(most, changes_[static_cast<std::size_t>(i)]);
-            }
-            tiles[tile] = std::max(tiles[tile], most * mean_levels);
+    const auto first = [](std::int64_t tile, std::int64_t num) {
+        return static_cast<std::size_t>((tile * num + num_change_tiles - 1) / num_change_tiles);
+    };
+    for (std::int64_t tile = 0; tile < num_change_tiles * num_change_tiles; ++tile) {
+        const std::int64_t down = tile / num_change_tiles, across = tile % num_change_tiles;
+        const std::size_t left = first(across, grid.num_across), right = first(across + 1, grid.num_across);
+        std::int64_t num_changed = 0, num_samples = 0;
+        for (std::size_t j = first(down, grid.num_down); j < first(down + 1, grid.num_down); ++j) {
+            const std::uint16_t* now = now_.samples.data() + j * static_cast<std::size_t>(grid.num_across);
+            const std::uint16_t* before = before_.samples.data() + j * static_cast<std::size_t>(grid.num_across);
+            for (std::size_t i = left; i < right; ++i) num_changed += now[i] != before[i];
+            num_samples += static_cast<std::int64_t>(right - left);
         }
+        change.num_changed += num_changed;
+        change.tiles[static_cast<std::size_t>(tile)] =
+            num_samples ? static_cast<double>(num_changed) / static_cast<double>(num_samples) : 1.0;
     }
     std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
     std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
@@ -168,9 +169,7 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     change.num_edges = counts[1];
     for (std::int64_t y = 0; y + 1 < image.height_px; y += block_px) {
         ++change.num_rows;
-        change.num_repeated_rows +=
-            is_u8 ? repeats(image.row<std::uint8_t>(y), image.row<std::uint8_t>(y + 1), image.width_px)
-                  : repeats(image.row<std::uint16_t>(y), image.row<std::uint16_t>(y + 1), image.width_px);
+        change.num_repeated_rows += is_u8 ? repeats<std::uint8_t>(image, y) : repeats<std::uint16_t>(image, y);
     }
     return true;
 }

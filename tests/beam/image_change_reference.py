@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_PX, SQUARE_PX, NUM_TILES = 8, 16, 8
-EDGE_LEVELS, TEXTURE_LEVELS, RARE = 10, 6, 1000
+EDGE_LEVELS, RARE = 10, 1000
 
 
 def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
@@ -19,24 +20,24 @@ def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
     num_down, num_across = now.shape[0] // height, now.shape[1] // width
     blocks = wide[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
     changes = np.abs(blocks.sum(axis=(1, 3))) * (1.0 / (unit * height * width))
-    tiles = np.zeros((NUM_TILES, NUM_TILES))
+    is_changed = blocks[:, height // 2, :, width // 2] != 0
     down, across = np.arange(num_down) * NUM_TILES // num_down, np.arange(num_across) * NUM_TILES // num_across
-    np.maximum.at(tiles, (down[:, np.newaxis], across), changes)
+    tiles = np.ones((NUM_TILES, NUM_TILES))
+    for row, column in itertools.product(set(down), set(across)):
+        tiles[row, column] = is_changed[down == row][:, across == column].mean()
     edges, other_edges = (
-        num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit)
-        for first_px in (SQUARE_PX, SQUARE_PX // 2)
+        num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit) for first_px in (SQUARE_PX, SQUARE_PX // 2)
     )
-    rows = now[: now.shape[0] - 1 : BLOCK_PX].astype(np.int64), now[1::BLOCK_PX].astype(np.int64)
-    is_textured = (rows[0].max(axis=1) - rows[0].min(axis=1)) >= TEXTURE_LEVELS * unit
+    rows = now[: now.shape[0] - 1 : BLOCK_PX], now[1::BLOCK_PX]
     return {
         "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
         "tiles": tiles,
         "num_samples": changes.size,
-        "num_changed": np.count_nonzero(blocks[:, height // 2, :, width // 2]),
+        "num_changed": np.count_nonzero(is_changed),
         "num_edges": edges,
         "num_other_edges": other_edges,
         "num_rows": len(rows[0]),
-        "num_repeated_rows": np.count_nonzero(is_textured & (rows[0] == rows[1]).all(axis=1)),
+        "num_repeated_rows": np.count_nonzero((rows[0] == rows[1]).all(axis=1)),
     }
 
 

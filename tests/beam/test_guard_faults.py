@@ -114,7 +114,9 @@ def test_saturated_image(share: float, is_low: bool) -> None:
 @pytest.mark.parametrize(
     ("white_level", "value", "faults"),
     [
-        (None, 4095, ()),
+        (None, 4095, (GuardFault.SATURATED,)),
+        (None, 3685, ()),
+        (None, 940, (GuardFault.SATURATED, GuardFault.BLACK)),
         (4095, 4095, (GuardFault.SATURATED,)),
         (4095, 4094, ()),
         (None, 3276, (GuardFault.BLACK,)),
@@ -148,7 +150,7 @@ def test_any_sampled_part_of_the_image_is_looked_at() -> None:
     guard = running()
     for number in range(25, 29):
         image = IMAGES[0].copy()
-        image[-64:, -64:] = number
+        image[-64:, -64:] = 3 * number
         assert not next_check(guard, frame_at(number, image=image)).faults
 
 

@@ -10,16 +10,17 @@
 
 namespace foreglow {
 
-// Tiles across and down for which the greatest change is told apart.
+// Tiles across and down for which the share of changed samples is told apart.
 constexpr std::int64_t num_change_tiles = 8;
 
 // Changes are in 8-bit grey levels, whatever the type of the pixels.
 struct ImageChange {
     double strongest = 0.0;  // change of the mean that one block of 1,000 exceeds
-    std::array<double, num_change_tiles * num_change_tiles> tiles{};  // greatest change in each tile, row by row
     std::int64_t num_samples = 0, num_changed = 0;    // pixels compared one by one, and those that are not as before
     std::int64_t num_edges = 0, num_other_edges = 0;  // on the grid of encoders, and on one shifted by half a square
-    std::int64_t num_rows = 0, num_repeated_rows = 0;  // rows looked at, and those that repeat (see `compare`)
+    std::int64_t num_rows = 0, num_repeated_rows = 0;  // rows looked at, and those that repeat
+    // Of each tile, row by row, the share of its samples that are not as before; 1 where a tile has none.
+    std::array<double, num_change_tiles * num_change_tiles> tiles{};
 };
 
 // Compares each image with the one before, of which it keeps a digest of 1 / 16 of its pixels. One object a thread.
@@ -27,7 +28,7 @@ struct ImageChange {
 // Blocks have 8 x 8 pixels; what is left over at the right and at the bottom is ignored, and an image that is smaller
 // than a block is one. From each block one pixel is compared, too. An edge is a segment of 16 pixels between two
 // squares of 16 x 16, across which the change differs by more than 10 grey levels in the mean. A row repeats if it is
-// the same as the one below and its pixels differ by at least 6 grey levels; every eighth one is looked at.
+// the same as the one below; every eighth one is looked at.
 class ImageComparer {
 public:
     // Returns whether there was an image before, of the same size and type; only then `change` is written.

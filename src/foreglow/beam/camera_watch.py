@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-import zlib
 from collections import deque
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,55 +15,64 @@ from foreglow.config import GuardConfig
 from foreglow.types import Image
 
 NUM_SAMPLES = 1200
-"""About so many pixels of an image are sampled, on a grid."""
+"""About so many pixels of an image are sampled, on a grid, for how bright they are."""
 
-CEILING_SHARE = 0.98
-"""Pixels at least this bright, of the brightest one, are at the format's top if there are many of them."""
+BIT_DEPTHS = (8, 10, 12, 14, 16)
+"""Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
+
+NEAR_TOP = 0.9
+"""A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
 
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
 
-STILL_SHARE, STILL_LEVELS = 0.4, 1.0
-"""An image is still if its strongest change is less than this share of the least of the recent ones, or no more than
-so many grey levels. Measured (`python -m benchmarks.image_faults`): moving, the least ratio is .57 in simulated drives;
-frozen behind an encoder of 0.3 to 8 Mbit/s it is below .1, then at most 2 levels."""
+STILL_SHARE = 0.4
+"""An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
+cameras, two images in a row stay above .6 of it; frozen behind an encoder of 0.3 to 8 Mbit/s they are below .1."""
 
-REFINED_LEVELS = 2.0
-"""What an encoder's refinement of a still picture changes, once it has begun to be still."""
+REFINED_AT_MOST_LEVELS = 8.0
+"""But never if it is more than so many grey levels: an encoder refines a still picture by 6 at 0.3 Mbit/s."""
+
+STILL_LEVELS, STAYS_STILL_LEVELS = 1.0, 2.0
+"""An image is still in any case if its strongest change is no more than so many grey levels; the second number holds
+after a still image, because of key frames."""
 
 MIN_STILL_S = 0.1
-"""Nor is it frozen before it was still for so long: cameras of 60 Hz bring images twice."""
+"""A camera is not frozen before it was still for so long: those of 60 Hz may bring images twice."""
 
-FRESH_SHARE = 0.3
-"""Where more of the samples change from image to image than this, the noise is new: the camera lives."""
+FRESH_SHARE, NUM_FRESH = 0.4, 3
+"""Noise is new, and so the camera alive, where more of the samples than this changed in each of so many images.
+Measured: raw, MJPEG and 8 Mbit/s above .65 when moving; frozen below .35, but for single key frames."""
 
-NUM_FRESH = 3
-"""In so many images in a row."""
-
-NUM_RELEASED = 5
-"""After so many images with more change than refinement, what is usual is learnt anew: the scene has become calmer."""
+NUM_RELEASED = 9
+"""After so many still images in a row that changed by more than `STAYS_STILL_LEVELS`, the scene has become calmer."""
 
 NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
-"""More new edges on the encoder's grid than this are damage; both have to be exceeded."""
+"""Damage: more new edges on the encoder's grid than this, by both measures."""
 
 REPEATED_SHARE = 0.4
-"""So many more repeated rows than usual are damage."""
+"""Damage: so many more rows than usual are like the row below, such as where a decoder fills in black."""
 
 ONE_VALUE_SHARE = 0.05
-"""So many more samples than usual of one and the same value, and not a dark one, are damage: what a decoder fills in."""
+"""Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
 
-STUCK_SHARE = 0.5
-"""A band without any change is stuck if the bands that change do so by at least this share of what is usual."""
+STUCK_SHARE, NUM_STUCK_TILES = 0.25, 4
+"""Damage: in so many of the 64 tiles where the noise is usually new, the share of changed samples falls below this
+share of the least recent one, in two images in a row. Measured: moving and raw, MJPEG or 8 Mbit/s, no tile is below .5;
+most of those stuck behind an encoder of 8 Mbit/s fall below .1. At 1 Mbit/s noise is not transmitted."""
 
-STUCK_LEVELS = 4.0
-"""And if it usually changes by so many grey levels."""
+ALIVE_SHARE, NUM_ALIVE = 0.75, 0.25
+"""But only while so large a share of these tiles stays above this share: less light has less noise everywhere."""
 
 DAMAGE_HOLD_S = 0.5
-"""What was damaged once is taken for damaged as long: later images of a stream follow from it."""
+"""What was damaged is taken for damaged for so long: later images of a stream follow from it."""
+
+RELEARN_S = 10.0
+"""What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
 
 
 class CameraWatch:
-    """Judges each image by a sample of its pixels, and by how it differs from the one before."""
+    """Judges each image by how bright a sample of its pixels is, and by how it differs from the image before."""
 
     def __init__(self, config: GuardConfig) -> None:
         self._config = config
@@ -76,128 +83,167 @@ class CameraWatch:
 
     def reset(self) -> None:
         """Forgets the images so far."""
-        self._fingerprint: int | None = None
-        self._num_same = 0
+        self._brightest = 0
         self._comparer.reset()
         self._stillness.reset()
         self._damage.reset()
 
     def faults(
-        self, image: Image, timestamp_ns: int = 0, *, is_moving: bool | None = None, is_damaged: bool = False
+        self, image: Image, timestamp_ns: int, *, is_moving: bool | None = None, is_damaged: bool = False
     ) -> list[GuardFault]:
         """What is wrong with the next image.
 
         Args:
             image: The image.
             timestamp_ns: When it was exposed.
-            is_moving: Whether our vehicle moves, as far as that is known.
+            is_moving: Whether our vehicle is so fast that every image must differ; None where that is not known.
             is_damaged: Whether the source says that it is.
         """
         step = max(1, math.isqrt(image.size // NUM_SAMPLES))
-        sample: NDArray[Any] = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])
-        fingerprint = zlib.crc32(sample.data)
-        self._num_same = self._num_same + 1 if fingerprint == self._fingerprint else 1
-        self._fingerprint = fingerprint
+        sample = image[step // 2 :: step, step // 2 :: step].ravel()
+        brightest = int(sample.max())
+        self._brightest = max(self._brightest, brightest)
+        top = _top(image, self._brightest)
         change = self._comparer.compare(image)
-        is_still = self._stillness.update(change, timestamp_ns, is_moving)
-        white = self._config.white_level or np.iinfo(image.dtype).max
-        brightest = int(np.maximum.reduce(sample, axis=None))
-        is_black = brightest <= self._config.min_bright * white
         faults = []
-        if self._num_same > self._config.max_same_images or is_still:
+        if self._stillness.update(change, timestamp_ns, is_moving):
             faults.append(GuardFault.FROZEN)
-        if self._damage.update(image, sample, change, timestamp_ns) or is_damaged:
+        one_value = _share_of_one_value(sample, top)
+        if self._damage.update(change, one_value, timestamp_ns, is_still=self._stillness.is_still) or is_damaged:
             faults.append(GuardFault.DAMAGED)
-        num_bright = np.count_nonzero(sample >= min(white, CEILING_SHARE * brightest))
-        if not is_black and num_bright > self._config.max_saturated * sample.size:
+        white = self._config.white_level
+        num_white = np.count_nonzero(sample >= (NEAR_TOP * top if white is None else white))
+        if num_white > self._config.max_saturated * sample.size:
             faults.append(GuardFault.SATURATED)
-        if is_black:
+        if brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max):
             faults.append(GuardFault.BLACK)
         return faults
 
 
 class _Stillness:
-    """Whether images stay as they are although the camera should move."""
+    """Whether images stay as they are although they should not."""
 
-    def __init__(self, max_still: int) -> None:
-        self._max_still = max_still
+    def __init__(self, max_same: int) -> None:
+        self._max_same = max_same
         self.reset()
 
     def reset(self) -> None:
         self._recent: deque[float] = deque(maxlen=NUM_RECENT)
         self._fresh: deque[float] = deque(maxlen=NUM_FRESH)
-        self._num_still = self._num_released = 0
-        self._moved_ns: int | None = None
+        self._num_same = self._num_still = self._num_released = 0
+        self._moved_ns = 0
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the latest image was like the one before."""
+        return self._num_still > 0
 
     def update(self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None) -> bool:
-        """Whether the camera is frozen, by how the next image has changed."""
-        if self._moved_ns is None or change is None or timestamp_ns < self._moved_ns:
+        """Whether the camera is frozen, by how the next image has changed.
+
+        A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
+        not known, as long as the noise is new.
+        """
+        if change is None or timestamp_ns < self._moved_ns:
+            self.reset()
             self._moved_ns = timestamp_ns
             return False
         self._fresh.append(change.share_changed)
-        limit = STILL_SHARE * min(self._recent) if len(self._recent) == NUM_RECENT else 0.0
-        limit = max(limit, REFINED_LEVELS if self._num_still else STILL_LEVELS)
-        if change.strongest <= limit:
-            self._num_still += 1
-            self._num_released = self._num_released + 1 if change.strongest > REFINED_LEVELS else 0
-        if change.strongest > limit or self._num_released >= NUM_RELEASED:
-            self._num_still = self._num_released = 0
-            self._moved_ns = timestamp_ns
+        is_fresh = len(self._fresh) == NUM_FRESH and min(self._fresh) > FRESH_SHARE
+        limit = STAYS_STILL_LEVELS if self._num_still else STILL_LEVELS
+        if len(self._recent) == NUM_RECENT and not is_fresh:
+            limit = max(limit, min(STILL_SHARE * min(self._recent), REFINED_AT_MOST_LEVELS))
+        self._num_same = self._num_same + 1 if change.strongest == change.share_changed == 0 else 0
+        if change.strongest > limit or self._num_released == NUM_RELEASED:
             if change.strongest <= limit:
                 self._recent.clear()
-        if not self._num_still:
             self._recent.append(change.strongest)
-            return False
-        is_long = self._num_still >= self._max_still and timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9
-        is_fresh = len(self._fresh) == NUM_FRESH and min(self._fresh) > FRESH_SHARE
-        return is_long and is_moving is not False and (is_moving is True or not is_fresh)
+            self._num_still = self._num_released = 0
+            self._moved_ns = timestamp_ns
+        else:
+            self._num_still += 1
+            self._num_released = self._num_released + 1 if change.strongest > STAYS_STILL_LEVELS else 0
+        is_long = self._num_still >= self._max_same and timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9
+        is_frozen = self._num_same >= self._max_same or (is_long and (is_moving is True or not is_fresh))
+        return is_frozen and is_moving is not False
 
 
 class _Damage:
-    """Whether an image has what no camera sees: new edges on an encoder's grid, repeated rows, filled or stuck parts."""
+    """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
+        self._forget()
+        self._damaged_ns: int | None = None
+
+    def update(self, change: ImageChange | None, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+        """Whether the image is damaged, or one shortly before it was.
+
+        Args:
+            change: What differs from the image before.
+            one_value: Share of the image with one and the same value.
+            timestamp_ns: The time of the image.
+            is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
+        """
+        if change is None:
+            self._forget()
+        elif self._is_damaged(change, one_value, timestamp_ns, is_still=is_still):
+            self._damaged_ns = timestamp_ns
+        return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
+
+    def _forget(self) -> None:
+        """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
-        self._bands: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
-        self._until_ns: int | None = None
+        self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._latest_shares: NDArray[np.float64] | None = None
+        self._could_be_stuck: NDArray[np.bool_] = np.array(False)
+        self._usual_ns: int | None = None
 
-    def update(self, image: Image, sample: NDArray[Any], change: ImageChange | None, timestamp_ns: int) -> bool:
-        """Whether the image is damaged, or one shortly before it was."""
-        repeated, one_value = (0.0 if change is None else change.share_repeated), _share_of_one_value(sample)
-        is_new = _rose(repeated, self._repeated, REPEATED_SHARE) or _rose(one_value, self._one_value, ONE_VALUE_SHARE)
-        if change is not None:
-            is_new |= change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
-            is_new |= self._has_stuck_part(change)
-            self._bands.append(change.bands)
-        self._repeated.append(repeated)
-        self._one_value.append(one_value)
-        if is_new:
-            self._until_ns = timestamp_ns + round(DAMAGE_HOLD_S * 1e9)
-        if self._until_ns is not None and not self._until_ns - DAMAGE_HOLD_S * 1e9 <= timestamp_ns <= self._until_ns:
-            self._until_ns = None
-        return self._until_ns is not None
+    def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+        could_be_stuck = self._could_be_stuck
+        self._could_be_stuck = np.array(False) if is_still else self._same_tiles(change.tile_shares)
+        is_unusual = np.count_nonzero(could_be_stuck & self._could_be_stuck) >= NUM_STUCK_TILES
+        is_unusual |= _has_risen(change.share_repeated, self._repeated, REPEATED_SHARE)
+        is_unusual |= _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+        if not is_unusual:
+            self._repeated.append(change.share_repeated)
+            self._one_value.append(one_value)
+            if self._latest_shares is not None:  # one image later, as the first one with a stuck part is not usual
+                self._tile_shares.append(self._latest_shares)
+            self._latest_shares, self._usual_ns = change.tile_shares, timestamp_ns
+        elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
+            self._forget()
+        has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
+        return is_unusual or has_edges
 
-    def _has_stuck_part(self, change: ImageChange) -> bool:
-        if len(self._bands) < NUM_RECENT:
-            return False
-        usual = np.min(np.stack(self._bands), axis=0)
-        is_stuck = (change.bands == 0) & (usual >= STUCK_LEVELS)
-        is_moving = (usual >= STUCK_LEVELS) & (change.bands >= STUCK_SHARE * usual)
-        return bool(is_stuck.any() and is_moving.any())
+    def _same_tiles(self, shares: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which tiles hardly change, of those where the noise is usually new, while others change as ever."""
+        if len(self._tile_shares) < NUM_RECENT:
+            return np.array(False)
+        least = np.minimum.reduce(list(self._tile_shares))
+        is_fresh = least > FRESH_SHARE
+        num_alive = np.count_nonzero(is_fresh & (shares > ALIVE_SHARE * least))
+        is_same: NDArray[np.bool_] = is_fresh & (shares < STUCK_SHARE * least)
+        return is_same & bool(num_alive >= NUM_ALIVE * np.count_nonzero(is_fresh))
 
 
-def _rose(share: float, recent: deque[float], by: float) -> bool:
+def _has_risen(share: float, recent: deque[float], by: float) -> bool:
     return len(recent) >= 2 and share > statistics.median(recent) + by
 
 
-def _share_of_one_value(sample: NDArray[Any]) -> float:
-    """Share of the samples with the value that most of those have that are neither dark nor at the top."""
-    top = np.iinfo(sample.dtype).max
-    values = sample[(sample > 0.1 * top) & (sample < 0.9 * top)]
+def _top(image: Image, brightest: int) -> int:
+    """The greatest value that the camera can give; of uint16, by the brightest pixel so far."""
+    if image.dtype == np.uint8:
+        return 255
+    return next(2**bits - 1 for bits in BIT_DEPTHS if brightest < 2**bits)
+
+
+def _share_of_one_value(sample: Image, top: int) -> float:
+    """Share of the samples with the value that most of those have that are neither dark nor white."""
+    values = sample[(sample > 0.1 * top) & (sample < NEAR_TOP * top)]
     if values.size == 0:
         return 0.0
-    return float(np.bincount(values.ravel()).max()) / sample.size
+    return float(np.bincount(values).max()) / sample.size

@@ -27,18 +27,18 @@ class ImageChange:
 
     Attributes:
         strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
-        bands: Shape (8,), the greatest change of such a mean in each horizontal band, the uppermost first.
         share_changed: Share of the sampled pixels, one of each block, that are not the same as before.
-        share_repeated: Share of the rows, every eighth of them, that have texture and are the same as the row below.
-            Noise makes no two rows of a camera alike.
+        tile_shares: Shape (8, 8), the same share in each tile of the image; 1 where a tile has no such pixel.
+        share_repeated: Share of the rows, every eighth of them, that are the same as the row below. Noise makes no two
+            rows of a camera alike, but where all is black.
         share_new_edges: Edges of the encoder's grid that stand out in the change, less those of a grid shifted by half
             a square, over the number of squares. Negative by chance.
         edge_deviations: The same difference in standard deviations of what chance makes of it (Poisson's).
     """
 
     strongest: float
-    bands: NDArray[np.float64]
     share_changed: float
+    tile_shares: NDArray[np.float64]
     share_repeated: float
     share_new_edges: float
     edge_deviations: float
@@ -63,8 +63,8 @@ class ImageComparer:
         num_new = change.num_edges - change.num_other_edges
         return ImageChange(
             strongest=change.strongest,
-            bands=change.tiles.max(axis=1),
             share_changed=change.num_changed / change.num_samples,
+            tile_shares=change.tiles,
             share_repeated=change.num_repeated_rows / max(1, change.num_rows),
             share_new_edges=num_new / max(1, image.size // GRID_PX**2),
             edge_deviations=num_new / math.sqrt(max(1, change.num_edges + change.num_other_edges)),
