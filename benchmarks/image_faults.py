@@ -79,7 +79,8 @@ def as_coded(images: Sequence[Image], coding: Coding | None) -> list[Image]:
     """The images after encoder and decoder; as they are without a coding."""
     if coding is None:
         return list(images)
-    with av.open(io.BytesIO(encoded(images, coding))) as container:
+    container: Any = av.open(io.BytesIO(encoded(images, coding)))
+    with container:
         return [picture.to_ndarray(format="gray") for picture in container.decode(video=0)]
 
 
@@ -93,7 +94,10 @@ def cut_jpeg(image: Image) -> Image:
 
 def _half_stuck(images: Sequence[Image], latest: Image) -> list[Image]:
     middle = images[0].shape[1] // 2
-    return [np.concatenate([latest[:, :middle], image[:, middle:]], axis=1) for image in images]
+    stuck = [image.copy() for image in images]
+    for image in stuck:
+        image[:, :middle] = latest[:, :middle]
+    return stuck
 
 
 FAULTS: dict[str, Callable[[Sequence[Image], Image], list[Image]]] = {
@@ -215,7 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for row in rows:
         shown.add_row(row["fault"], row["source"], str(row["first"] or "none"), str(row["num_missed_later"]))
     CONSOLE.print(shown)
-    losses = []
+    losses: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for name, coding in CODINGS.items():
             if coding is not None and coding.codec == "libx264":

@@ -28,6 +28,7 @@ H264 = [coding for coding in CODINGS.values() if coding is not None and coding.c
 
 NOT_SEEN = {
     ("half stuck", "H.264, 0.045 bits a pixel"),  # without noise, a dark half that does not change may well be alive
+    ("cut JPEG", "H.264, 0.045 bits a pixel"),  # nor are rows that are alike a wonder
     *(("rows repeated", coding) for coding in CODINGS if coding != "raw"),  # no longer equal after an encoder
 }
 
@@ -44,7 +45,7 @@ NAMES = {
 @pytest.fixture(scope="module")
 def drive() -> list[Image]:
     """The road ahead in the drive that ships, 480x320."""
-    return [np.ascontiguousarray(frame.image[440:760, 400:880]) for frame in open_source(shipped_drive())]
+    return [frame.image[440:760, 400:880].copy() for frame in open_source(shipped_drive())]
 
 
 def with_noise(images: Sequence[Image]) -> list[Image]:
@@ -119,13 +120,13 @@ def test_a_vehicle_that_has_passed(drive: list[Image]) -> None:
     assert not any(faults_of(images))
 
 
-def test_frozen_at_60_hz_only_after_a_tenth_of_a_second(drive: list[Image]) -> None:
+def test_frozen_at_60_hz_only_after_90_ms(drive: list[Image]) -> None:
     """Cameras of 60 Hz may bring an image twice, and then once more with an encoder's refinement."""
     twice = [image for image in drive for _ in range(2)]
     assert not any(faults_of(twice, rate_hz=60.0))
     coded = as_coded([*drive[:NUM_GOOD], *[drive[NUM_GOOD - 1]] * NUM_WRONG], H264[0])
     first = next(number for number, found in enumerate(faults_of(coded, rate_hz=60.0)) if found)
-    assert 0.1 <= (first - NUM_GOOD + 1) / 60.0 <= 0.1 + 1 / 60.0
+    assert 0.09 <= (first - NUM_GOOD + 1) / 60.0 <= 0.09 + 1 / 60.0
 
 
 # White

@@ -37,8 +37,8 @@ STILL_LEVELS, STAYS_STILL_LEVELS = 1.0, 2.0
 """An image is still in any case if its strongest change is no more than so many grey levels; the second number holds
 after a still image, because of key frames."""
 
-MIN_STILL_S = 0.1
-"""A camera is not frozen before it was still for so long: those of 60 Hz may bring images twice."""
+MIN_STILL_S = 0.045
+"""A camera is not frozen before it was still for so long times `max_same_images`: those of 60 Hz may repeat images."""
 
 FRESH_SHARE, NUM_FRESH = 0.4, 3
 """Noise is new, and so the camera alive, where more of the samples than this changed in each of so many images.
@@ -51,7 +51,8 @@ NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
 """Damage: more new edges on the encoder's grid than this, by both measures."""
 
 REPEATED_SHARE = 0.4
-"""Damage: so many more rows than usual are like the row below, such as where a decoder fills in black."""
+"""Damage: so many more rows than usual are like the row below although the noise is new, such as where a decoder fills
+in black."""
 
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
@@ -61,7 +62,7 @@ STUCK_SHARE, NUM_STUCK_TILES = 0.25, 4
 share of the least recent one, in two images in a row. Measured: moving and raw, MJPEG or 8 Mbit/s, no tile is below .5;
 most of those stuck behind an encoder of 8 Mbit/s fall below .1. At 1 Mbit/s noise is not transmitted."""
 
-ALIVE_SHARE, NUM_ALIVE = 0.75, 0.25
+ALIVE_SHARE, MIN_ALIVE = 0.75, 0.25
 """But only while so large a share of these tiles stays above this share: less light has less noise everywhere."""
 
 DAMAGE_HOLD_S = 0.5
@@ -99,23 +100,27 @@ class CameraWatch:
             is_moving: Whether our vehicle is so fast that every image must differ; None where that is not known.
             is_damaged: Whether the source says that it is.
         """
+        faults = []
         step = max(1, math.isqrt(image.size // NUM_SAMPLES))
         sample = image[step // 2 :: step, step // 2 :: step].ravel()
         brightest = int(sample.max())
         self._brightest = max(self._brightest, brightest)
         top = _top(image, self._brightest)
-        change = self._comparer.compare(image)
-        faults = []
-        if self._stillness.update(change, timestamp_ns, is_moving):
-            faults.append(GuardFault.FROZEN)
-        one_value = _share_of_one_value(sample, top)
-        if self._damage.update(change, one_value, timestamp_ns, is_still=self._stillness.is_still) or is_damaged:
-            faults.append(GuardFault.DAMAGED)
         white = self._config.white_level
         num_white = np.count_nonzero(sample >= (NEAR_TOP * top if white is None else white))
-        if num_white > self._config.max_saturated * sample.size:
+        is_saturated = num_white > self._config.max_saturated * sample.size
+        is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
+        change = self._comparer.compare(image)
+        if self._stillness.update(change, timestamp_ns, is_moving):
+            faults.append(GuardFault.FROZEN)
+        if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
+            one_value = _share_of_one_value(sample, top)
+            is_damaged |= self._damage.update(change, one_value, timestamp_ns, is_still=self._stillness.is_still)
+        if is_damaged:
+            faults.append(GuardFault.DAMAGED)
+        if is_saturated:
             faults.append(GuardFault.SATURATED)
-        if brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max):
+        if is_black:
             faults.append(GuardFault.BLACK)
         return faults
 
@@ -130,7 +135,7 @@ class _Stillness:
     def reset(self) -> None:
         self._recent: deque[float] = deque(maxlen=NUM_RECENT)
         self._fresh: deque[float] = deque(maxlen=NUM_FRESH)
-        self._num_same = self._num_still = self._num_released = 0
+        self._num_still = self._num_released = 0
         self._moved_ns = 0
 
     @property
@@ -153,7 +158,6 @@ class _Stillness:
         limit = STAYS_STILL_LEVELS if self._num_still else STILL_LEVELS
         if len(self._recent) == NUM_RECENT and not is_fresh:
             limit = max(limit, min(STILL_SHARE * min(self._recent), REFINED_AT_MOST_LEVELS))
-        self._num_same = self._num_same + 1 if change.strongest == change.share_changed == 0 else 0
         if change.strongest > limit or self._num_released == NUM_RELEASED:
             if change.strongest <= limit:
                 self._recent.clear()
@@ -163,9 +167,9 @@ class _Stillness:
         else:
             self._num_still += 1
             self._num_released = self._num_released + 1 if change.strongest > STAYS_STILL_LEVELS else 0
-        is_long = self._num_still >= self._max_same and timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9
-        is_frozen = self._num_same >= self._max_same or (is_long and (is_moving is True or not is_fresh))
-        return is_frozen and is_moving is not False
+        is_long = timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9 * self._max_same
+        is_frozen = self._num_still >= self._max_same and is_long
+        return is_frozen and is_moving is not False and (is_moving is True or not is_fresh)
 
 
 class _Damage:
@@ -203,11 +207,15 @@ class _Damage:
         self._usual_ns: int | None = None
 
     def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
-        could_be_stuck = self._could_be_stuck
-        self._could_be_stuck = np.array(False) if is_still else self._same_tiles(change.tile_shares)
-        is_unusual = np.count_nonzero(could_be_stuck & self._could_be_stuck) >= NUM_STUCK_TILES
-        is_unusual |= _has_risen(change.share_repeated, self._repeated, REPEATED_SHARE)
-        is_unusual |= _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+        could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
+        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+        if len(self._tile_shares) == NUM_RECENT:
+            least = np.minimum.reduce(list(self._tile_shares))
+            if not is_still:
+                self._could_be_stuck = _same_tiles(change.tile_shares, least)
+            is_unusual |= int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
+            has_noise = float(np.median(least)) > FRESH_SHARE
+            is_unusual |= has_noise and _has_risen(change.share_repeated, self._repeated, REPEATED_SHARE)
         if not is_unusual:
             self._repeated.append(change.share_repeated)
             self._one_value.append(one_value)
@@ -219,15 +227,13 @@ class _Damage:
         has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
         return is_unusual or has_edges
 
-    def _same_tiles(self, shares: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which tiles hardly change, of those where the noise is usually new, while others change as ever."""
-        if len(self._tile_shares) < NUM_RECENT:
-            return np.array(False)
-        least = np.minimum.reduce(list(self._tile_shares))
-        is_fresh = least > FRESH_SHARE
-        num_alive = np.count_nonzero(is_fresh & (shares > ALIVE_SHARE * least))
-        is_same: NDArray[np.bool_] = is_fresh & (shares < STUCK_SHARE * least)
-        return is_same & bool(num_alive >= NUM_ALIVE * np.count_nonzero(is_fresh))
+
+def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which tiles hardly change, of those where the noise is usually new, while others change as ever."""
+    is_fresh = least > FRESH_SHARE
+    num_alive = np.count_nonzero(is_fresh & (shares > ALIVE_SHARE * least))
+    is_same: NDArray[np.bool_] = is_fresh & (shares < STUCK_SHARE * least)
+    return is_same & np.bool_(num_alive >= MIN_ALIVE * np.count_nonzero(is_fresh))
 
 
 def _has_risen(share: float, recent: deque[float], by: float) -> bool:
@@ -238,7 +244,7 @@ def _top(image: Image, brightest: int) -> int:
     """The greatest value that the camera can give; of uint16, by the brightest pixel so far."""
     if image.dtype == np.uint8:
         return 255
-    return next(2**bits - 1 for bits in BIT_DEPTHS if brightest < 2**bits)
+    return next(top for bits in BIT_DEPTHS if brightest <= (top := 2**bits - 1))
 
 
 def _share_of_one_value(sample: Image, top: int) -> float:

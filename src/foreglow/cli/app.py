@@ -104,7 +104,7 @@ TopicOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Image topic of a recording (default: its first).")
 ]
 RecordOption = Annotated[Path | None, file(help="Also record all as MCAP, to replay and for Foxglove.")]
-OnErrorOption = Annotated[str, typer.Option(metavar="stop|skip", help="What an unreadable file does.")]
+OnErrorOption = Annotated[str, typer.Option(metavar="stop|skip|mark", help="What an unreadable or damaged frame does.")]
 JobsOption = Annotated[int, typer.Option(min=1, metavar="N", help="Processes, a sequence each; 1 stays in this one.")]
 ClusterOption = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="dask scheduler whose workers do it, such as tcp://host:8786.")
