@@ -100,12 +100,19 @@ def _half_stuck(images: Sequence[Image], latest: Image) -> list[Image]:
     return stuck
 
 
+def _rows_repeated(images: Sequence[Image], _: Image) -> list[Image]:
+    repeated = [image.copy() for image in images]
+    for image in repeated:
+        image[1::2] = image[: image.shape[0] // 2 * 2 : 2]
+    return repeated
+
+
 FAULTS: dict[str, Callable[[Sequence[Image], Image], list[Image]]] = {
     "frozen": lambda images, latest: [latest] * len(images),
     "black": lambda images, _: [image // 64 for image in images],
     "white": lambda images, _: [np.full_like(image, 254) for image in images],
     "half stuck": _half_stuck,
-    "rows repeated": lambda images, _: [np.repeat(image[::2], 2, axis=0) for image in images],
+    "rows repeated": _rows_repeated,
     "cut JPEG": lambda images, _: [cut_jpeg(image) for image in images],
 }
 """By name, what is seen in place of the given images after a latest good one; all happen before the encoder."""

@@ -244,7 +244,7 @@ def _top(image: Image, brightest: int) -> int:
     """The greatest value that the camera can give; of uint16, by the brightest pixel so far."""
     if image.dtype == np.uint8:
         return 255
-    return next(top for bits in BIT_DEPTHS if brightest <= (top := 2**bits - 1))
+    return next(top for bits in BIT_DEPTHS if brightest <= (top := (1 << bits) - 1))
 
 
 def _share_of_one_value(sample: Image, top: int) -> float:
