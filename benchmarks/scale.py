@@ -76,11 +76,11 @@ def nothing(item: int, parent: Parent) -> int:  # noqa: ARG001
 def handed_out(workers: dict[str, Workers], num_tasks: int, rounds: int, frame_ms: float) -> list[Row]:
     """The cost of a task: what many take longer than two, which have the processes started as well."""
 
-    def hand_out(by: Workers, num: int) -> None:
+    def run_tasks(by: Workers, num: int) -> None:
         list(by.each(nothing, {str(number): number for number in range(num)}, lambda *_: None))
 
     calls = {
-        (name, num): functools.partial(hand_out, by, num) for name, by in workers.items() for num in (2, num_tasks)
+        (name, num): functools.partial(run_tasks, by, num) for name, by in workers.items() for num in (2, num_tasks)
     }
     times = interleaved({f"{name} {num}": Contender(call, 1) for (name, num), call in calls.items()}, rounds, 0)
     rows: list[Row] = []

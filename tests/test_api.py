@@ -107,7 +107,7 @@ def test_all_types_of_a_result_are_public() -> None:
             waiting += {each for hint in typing.get_type_hints(kind).values() for each in types_in(hint)} - known
     assert {foreglow.Ranges, foreglow.Tracks, foreglow.BeamCommand, foreglow.BeamMode, foreglow.RoadAhead} <= known
     assert all(getattr(foreglow, kind.__name__) is kind for kind in known)
-    assert foreglow.TrackState.CONFIRMED == 1
+    assert foreglow.TrackState(1) is foreglow.TrackState.CONFIRMED
 
 
 def test_the_simulator_is_where_it_was() -> None:

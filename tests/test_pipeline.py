@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -155,3 +156,23 @@ def test_region_that_reaches_beyond_the_frame_is_cut(backend: str) -> None:
     found = Pipeline(PipelineConfig(proposals=larger)).step(night_image()).proposals.boxes_xyxy_px
     assert len(expected) > 0
     assert found.tolist() == expected.tolist()
+
+
+def test_a_second_thread_inside_is_refused() -> None:
+    inside, leave = threading.Event(), threading.Event()
+
+    def now_ns() -> int:
+        inside.set()
+        leave.wait(10.0)
+        return 0
+
+    image = np.zeros((96, 128), np.uint8)
+    pipeline = Pipeline(preset("foreglow").commanding())
+    thread = threading.Thread(target=pipeline.step, args=(image,), kwargs={"now_ns": now_ns})
+    thread.start()
+    assert inside.wait(10.0)
+    with pytest.raises(RuntimeError, match="another thread is inside"):
+        pipeline.step(image)
+    leave.set()
+    thread.join()
+    assert pipeline.step(image).frame == 0

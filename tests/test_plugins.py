@@ -176,9 +176,9 @@ def test_a_policy_needs_tracks() -> None:
     ],
 )
 def test_what_a_plug_in_returns_is_checked(section: str, kind: Any, method: str, complaint: str) -> None:
-    silent = type("Silent", (kind,), {method: lambda *_: None})
+    plugin: dict[str, Any] = {section: type("Silent", (kind,), {method: lambda *_: None})}
     with pytest.raises(ValueError, match=complaint):
-        Pipeline(**{section: silent}).step(shipped_frames(1)[0])
+        Pipeline(**plugin).step(shipped_frames(1)[0])
 
 
 # The guard

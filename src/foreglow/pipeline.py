@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.beam import BeamPolicy, BeamStage
@@ -121,6 +121,7 @@ class Pipeline:
         self.config = self._stages.config
         self._stages.build()
         self._stopwatch = Stopwatch()
+        self._lock = threading.Lock()
 
     @property
     def stage(self) -> str | None:
@@ -148,9 +149,16 @@ class Pipeline:
 
         Raises:
             ValueError: If a plain image is not grey uint8 or uint16, or a plug-in returns something of another kind.
+            RuntimeError: If another thread is inside `step` of this pipeline.
         """
-        if isinstance(frame, np.ndarray):
-            frame = Frame(frame, timestamp_ns=0)
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError("Pipeline.step: another thread is inside: use one pipeline per thread")
+        try:
+            return self._step(frame if isinstance(frame, Frame) else Frame(frame, timestamp_ns=0), now_ns, faults)
+        finally:
+            self._lock.release()
+
+    def _step(self, frame: Frame, now_ns: Callable[[], int] | None, faults: Sequence[str]) -> FrameResult:
         stages = self._stages
         stopwatch = self._stopwatch = Stopwatch()
         stopwatch.begin("proposals")

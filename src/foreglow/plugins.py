@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 Entry = TypeVar("Entry")
 
@@ -37,11 +37,11 @@ def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry
         folder = str(Path.cwd())
         if not {"", folder} & set(sys.path):
             sys.path.append(folder)  # for good: the module may import others later
-        return imported(field, name)
+        return cast("Entry", imported(field, name))
     points = {point.name: point for point in metadata.entry_points(group=group)}
     if name not in points:
         raise ValueError(f"{field}: expected one of {', '.join([*table, *points])}, or module:Name, got {name!r}")
-    return imported(field, points[name].value)
+    return cast("Entry", imported(field, points[name].value))
 
 
 def imported(field: str, target: str) -> Any:

@@ -71,7 +71,7 @@ def test_a_recording_is_not_its_own_source(tmp_path: Path) -> None:
         ("record", recording, "--out", recording),
         ("run", recording, "--out", tmp_path, "--record", recording),
     ):
-        assert f"expected a source that the recording {recording} does not overwrite" in complaint(*arguments)
+        assert f"{recording}: expected a file that does not overwrite SOURCE {recording}" in complaint(*arguments)
     assert names(tmp_path) == {"drive.mcap"}
 
 

@@ -263,9 +263,9 @@ def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.Dat
     suffix, whole = seed
     damaged = bytearray(whole)
     # Half of the damage goes to the header, where it hurts most.
-    places = st.integers(0, min(200, len(whole) - 1)) | st.integers(0, len(whole) - 1)
-    for place in data.draw(st.lists(places, min_size=1, max_size=6)):
-        damaged[place] ^= data.draw(st.integers(1, 255))
+    indices = st.integers(0, min(200, len(whole) - 1)) | st.integers(0, len(whole) - 1)
+    for index in data.draw(st.lists(indices, min_size=1, max_size=6)):
+        damaged[index] ^= data.draw(st.integers(1, 255))
     _read_or_refused(bytes(damaged[: data.draw(st.integers(len(whole) // 2, len(whole)))]), suffix)
     _read_or_refused(bytes(damaged), suffix)
 

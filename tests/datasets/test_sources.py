@@ -61,7 +61,7 @@ def test_one_bad_image_stops_or_is_skipped(folder: Path) -> None:
 
 def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match=r"expected a folder with images .* found none"):
+    with pytest.raises(ValueError, match=r"expected images .* found none"):
         ImageFolder(tmp_path / "empty")
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         ImageFolder(tmp_path / "absent")
@@ -271,3 +271,13 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match=r"pip install 'foreglow\[download\]'"):
         download_pvdn(tmp_path / "data")
     assert not (tmp_path / "data").exists()
+
+
+def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), _image(0))
+    (tmp_path / "b.HEIC").touch()
+    with pytest.raises(ValueError, match=r"b\.HEIC: expected an image that is PNG"):
+        ImageFolder(tmp_path)
+    source = ImageFolder(tmp_path, on_error="skip")
+    assert len(list(source)) == 1
+    assert "b.HEIC" in source.skipped[0]

@@ -70,10 +70,10 @@ def test_simulated_frames_carry_calibration_motion_and_road() -> None:
     assert frame.motion is not None
     assert (frame.motion.speed_mps, frame.motion.yaw_rate_radps) == (truth.ego_speed_mps, truth.ego_yaw_rate_radps)
     assert np.isnan(frame.motion.pitch_rad)
-    told = road_from_message(truth.street)
+    expected = road_from_message(truth.street)
     assert frame.road is not None
-    assert told is not None
-    assert np.array_equal(frame.road.points_m, told.points_m)
+    assert expected is not None
+    assert np.array_equal(frame.road.points_m, expected.points_m)
 
 
 def test_a_set_without_vehicle_data(tmp_path: Path) -> None:

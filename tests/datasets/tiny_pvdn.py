@@ -99,8 +99,8 @@ def documents() -> tuple[dict[str, Any], dict[str, Any]]:
 def labelled_vehicle(oid: int, *instances: tuple[int, int, bool], is_rear: bool = False) -> dict[str, Any]:
     """A vehicle of a keypoint file: column, row and whether it is direct of each of its lights."""
     listed = [
-        {"pos": [x, y], "iid": place, "direct": is_direct, "rear": is_rear}
-        for place, (x, y, is_direct) in enumerate(instances)
+        {"pos": [x, y], "iid": number, "direct": is_direct, "rear": is_rear}
+        for number, (x, y, is_direct) in enumerate(instances)
     ]
     return {"pos": [50, 50], "oid": oid, "direct": False, "instances": listed}
 

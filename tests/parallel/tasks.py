@@ -14,7 +14,7 @@ from foreglow.types import Frame
 
 
 def square(item: int, parent: Parent) -> int:
-    parent.tell("squared", item)
+    parent.report_progress("squared", item)
     return item * item
 
 
@@ -42,7 +42,7 @@ def die_once(item: Path, parent: Parent) -> int:
     """Notes each attempt in a folder; the first of an item called `fatal` ends its process as the kernel would."""
     (item / f"{time.monotonic_ns()}").touch()
     num_attempts = len(list(item.iterdir()))
-    parent.tell(item.name, num_attempts)
+    parent.report_progress(item.name, num_attempts)
     if item.name == "fatal" and num_attempts == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.3)
@@ -57,7 +57,7 @@ def die(item: str, parent: Parent) -> None:  # noqa: ARG001
 def wait_for_stop(item: Path, parent: Parent) -> str:
     """Notes its process in a file, works until it is told to stop, and notes that, too."""
     item.with_suffix(".started").write_text(str(os.getpid()))
-    parent.tell("started", item.name)
+    parent.report_progress("started", item.name)
     until_s = time.monotonic() + 30.0
     while not parent.is_stopped and time.monotonic() < until_s:
         time.sleep(0.01)

@@ -16,7 +16,7 @@ LEVELS = _native.available_dispatch()
 
 def equal_boxes(image: Image, config: ProposalConfig, where: str) -> list[list[int]]:
     """The reference's boxes, once every dispatch level has been found to have the same."""
-    wanted = ReferenceProposer(config).propose(image).boxes_xyxy_px.tolist()
+    wanted: list[list[int]] = ReferenceProposer(config).propose(image).boxes_xyxy_px.tolist()
     for level in LEVELS:
         proposer = NativeProposer(config.model_copy(update={"dispatch": level}))
         found = proposer.propose(image).boxes_xyxy_px.tolist()

@@ -33,7 +33,7 @@ ELEVATIONS_DEG = np.arange(-10.0, 15.0 + STEP_DEG / 2, STEP_DEG)
 """The grid. LEDs must not shine beyond it; the matrix light of headlamps is narrower."""
 
 DARK_CD = 1.0
-"""An LED may shine so much at the edges of the grid: it counts as nothing."""
+"""Up to this intensity, an LED counts as dark at the edges of the grid."""
 
 MAX_NUM_CELLS = 8
 """Greatest number of cells along each axis in (3)."""

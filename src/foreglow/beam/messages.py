@@ -126,12 +126,12 @@ class LevelsPart(NamedTuple):
 
     Attributes:
         header: The same in all frames of a command.
-        index: 0..3, which of the four frames it is.
+        number: 0..3, which of the four frames it is.
         codes: One byte for each LED; 255 is full.
     """
 
     header: Header
-    index: int
+    number: int
     codes: bytes
 
 
@@ -282,9 +282,9 @@ def join_levels(parts: Iterable[LevelsPart]) -> LevelsMessage:
     Raises:
         MessageError: If a part is missing or there twice, or they belong to different commands.
     """
-    ordered = sorted(parts, key=lambda part: part.index)
-    if [part.index for part in ordered] != list(range(len(LEVELS_IDS))):
-        raise MessageError(LinkFault.TORN, f"levels: expected parts 0 to 3, got {[part.index for part in ordered]}")
+    ordered = sorted(parts, key=lambda part: part.number)
+    if [part.number for part in ordered] != list(range(len(LEVELS_IDS))):
+        raise MessageError(LinkFault.TORN, f"levels: expected parts 0 to 3, got {[part.number for part in ordered]}")
     if len({part.header for part in ordered}) > 1:
         raise MessageError(LinkFault.TORN, "levels: expected parts of one command, got several")
     codes = np.frombuffer(b"".join(part.codes for part in ordered), np.uint8)

@@ -34,8 +34,8 @@ UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
 
 MIN_COMING_DIRECT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
-"""A lamp that comes into sight is believed before its track is confirmed if it is this likely to be a lamp, this likely
-to be light at all, and this far away: nearer lamps would have been seen earlier."""
+"""A lamp that comes into sight gets a gap before its track is confirmed if it is this likely to be a lamp, this
+likely to be light at all, and this far away: nearer lamps would have been seen earlier."""
 
 HIDDEN = -1
 """Stands for the track id in a gap for a hidden vehicle; smaller numbers stand for further such gaps."""
@@ -52,7 +52,7 @@ class BeamPolicy(Protocol):
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
-        ...
+        return
 
 
 class LowBeam:
@@ -144,7 +144,7 @@ class ForeglowPolicy:
     * Light on the road or the roadside needs no protection, but its vehicle does, which is further along the road: the
       gap covers most of the probability of where it will appear (`occurrence`). Without a road, it is at the light.
     * While a lamp is in sight, any other light is attributed to it, and gets no gap.
-    * While a gap is open, lamps are believed before their tracks are confirmed. A vehicle that comes into sight needs a
+    * While a gap is open, lamps get gaps before their tracks are confirmed. A vehicle that comes into sight needs a
       few frames to be confirmed, and its gap must not close in the meantime.
 
     Attributes:
@@ -225,9 +225,9 @@ class ForeglowPolicy:
             )
             expected = self.expected = occurrence(frame.road, farthest_m)
             if expected is not None:
-                rest = 0.5 * (1.0 - self._config.coverage)
-                right, left = expected.quantiles_rad((rest, 1.0 - rest))
-                near_m = expected.nearest_m(rest)
+                tail = 0.5 * (1.0 - self._config.coverage)
+                right, left = expected.quantiles_rad((tail, 1.0 - tail))
+                near_m = expected.nearest_m(tail)
                 half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
                 return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
         return [_around(bearing, bearing.half_width_rad + self._margin_rad) for bearing in acted]

@@ -134,17 +134,17 @@ class LampReceiver:
             MessageError: If the part belongs to no acceptable command, or leaves another command incomplete.
         """
         if part.header == self._latest:
-            raise MessageError(LinkFault.REPEATED, f"part {part.index}: expected another command")
+            raise MessageError(LinkFault.REPEATED, f"part {part.number}: expected another command")
         known = next(iter(self._parts.values())).header if self._parts else part.header
         step = (part.header.counter - known.counter) % NUM_COUNTS
         if step >= NUM_COUNTS // 2 and not self.is_low:  # at low beam, the sender may have been restarted
-            raise MessageError(LinkFault.DISORDER, f"part {part.index}: expected no older command")
+            raise MessageError(LinkFault.DISORDER, f"part {part.number}: expected no older command")
         if part.header != known:
-            self._parts = {part.index: part}
-            raise MessageError(LinkFault.TORN, f"part {part.index}: expected the rest of the command before")
-        if part.index in self._parts:
-            raise MessageError(LinkFault.REPEATED, f"part {part.index}: expected it once")
-        self._parts[part.index] = part
+            self._parts = {part.number: part}
+            raise MessageError(LinkFault.TORN, f"part {part.number}: expected the rest of the command before")
+        if part.number in self._parts:
+            raise MessageError(LinkFault.REPEATED, f"part {part.number}: expected it once")
+        self._parts[part.number] = part
         if len(self._parts) < len(LEVELS_IDS):
             return None
         message = join_levels(self._parts.values())

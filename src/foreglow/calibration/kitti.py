@@ -5,8 +5,8 @@ A line is `key: numbers`. For camera NN the first kind of file has
     S_NN, K_NN, D_NN                   size, camera matrix and distortion k1 k2 p1 p2 k3 of the images as taken
     S_rect_NN, P_rect_NN               size and projection (3x4) of the rectified images
 
-and the second `P0` to `P3` alone: projections of rectified images, whose size it does not know. Of a projection the
-left 3x3 is the camera matrix; its last column, the way between the cameras, is the mount's affair and not used.
+and the second has only `P0` to `P3`: projections of rectified images, without their size. The left 3x3 of a projection
+is the camera matrix; its last column, the offset between the cameras, belongs to the mount and is not used.
 
 Source: Geiger et al., Vision meets Robotics: The KITTI Dataset, IJRR 2013.
 """
@@ -23,12 +23,12 @@ from foreglow.geometry import Floats
 
 
 def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
-    """The camera in a file of KITTI's; a `calib.txt` always means rectified images.
+    """The camera in a file of KITTI's; a `calib.txt` is always about rectified images.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no text, an entry is missing or holds anything but the right count of finite numbers, a
-            focal length is not positive, or a size is missing or another than asked for.
+        ValueError: If it is not text, an entry is missing or does not have the right count of finite numbers, a focal
+            length is not positive, or the size is missing or differs from that asked for.
     """
     entries = _Entries(path)
     number = f"{choice.camera:02d}"

@@ -1,4 +1,4 @@
-"""Which reader a calibration file has, by its ending."""
+"""Calibration files of all formats, by their endings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read_intrinsics(path: Path | str, choice: ImageChoice | None = None) -> Intr
 
     Args:
         path: The file.
-        choice: Which images, where the file knows of several; None for images as the camera 0 took them.
+        choice: The kind of images, where the file has several; None for images as camera 0 took them.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -43,11 +43,11 @@ def read_calibration(path: Path | str, mount: Mount | None = None) -> Camera:
 
     Args:
         path: A file as `read_intrinsics` takes it, for images as they were taken.
-        mount: How the camera sits in the vehicle, in place of what a TOML file says; other files do not know it.
+        mount: The camera's mount, in place of that of a TOML file; other files have none.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be used, or nobody says how the camera is mounted; the message names path and field.
+        ValueError: If it cannot be used, or there is no mount; the message names path and field.
     """
     path = Path(path)
     if mount is not None:
@@ -57,6 +57,6 @@ def read_calibration(path: Path | str, mount: Mount | None = None) -> Camera:
         return intrinsics.camera(own)
     read_intrinsics(path)
     raise ValueError(
-        f"{path}: mount: missing, such a file does not know it; give one, or write a TOML file that has it with "
+        f"{path}: mount: missing, such a file has none; give a mount, or write a TOML file with a mount with "
         "`foreglow calibrate convert`"
     )

@@ -9,8 +9,8 @@
     rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
     projection_matrix: {rows: 3, cols: 4, data: [1300, 0, 639.5, 0, 0, 1300, 479.5, 0, 0, 0, 1, 0]}
 
-Images as taken have `camera_matrix` and the distortion, rectified ones `projection_matrix` and none. The
-`rectification_matrix` turns a camera of a stereo pair: it belongs to the mount, and is not used.
+Images as taken have `camera_matrix` and the distortion, rectified images have `projection_matrix` and no distortion.
+The `rectification_matrix` turns a camera of a stereo pair: it belongs to the mount, and is not used.
 
 Source: sensor_msgs/CameraInfo, docs.ros.org.
 """
@@ -29,13 +29,13 @@ from foreglow.config import FrozenModel, validated
 from foreglow.files import read_text
 
 MODELS = ("plumb_bob", "rational_polynomial")
-"""Distortion models that can be read; the second only where its terms beyond k3 are 0."""
+"""Distortion models that can be read; the second only if its terms beyond k3 are 0."""
 
 NUM_TERMS = 5
 
 
 def _number(value: Any) -> Any:
-    """YAML 1.1 takes 1e-05 for a text, as it has no dot; the C++ tools of ROS write such numbers."""
+    """A number that YAML 1.1 reads as a text, such as 1e-05 without a dot; the C++ tools of ROS write it."""
     if isinstance(value, str):
         try:
             return float(value)
@@ -69,8 +69,8 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not YAML, a field is missing, unknown, no finite number or of the wrong count, the
-            distortion model is another or needs terms beyond k3, or the size is another than asked for.
+        ValueError: If it is not YAML, a field is missing, unknown, not a finite number or of the wrong count, the
+            distortion model is unknown or needs terms beyond k3, or the size differs from that asked for.
     """
     file = _read(path)
     size_px = choice.checked_size_px((file.image_width, file.image_height), f"{path}: image_width, image_height")
@@ -104,10 +104,10 @@ def _read(path: Path) -> _File:
 
 
 def distortion_of(model: str, terms: tuple[float, ...], origin: str) -> Five:
-    """k1, k2, p1, p2, k3 of the distortion that ROS calls `model`.
+    """k1, k2, p1, p2, k3 of ROS's distortion `model`.
 
     Raises:
-        ValueError: If it is another model, or needs terms beyond k3; the message begins with `origin`.
+        ValueError: If the model is unknown, or needs terms beyond k3; the message begins with `origin`.
     """
     if model not in MODELS:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""A camera's calibration as a TOML file that people read and write.
+"""A camera's calibration as a TOML file.
 
     [image]
     width_px = 1280
@@ -30,8 +30,8 @@ from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.geometry import Camera, rotation_angles_rad
 
 ANGLE_DECIMALS = 12
-"""Of a degree, in a file: far below any calibration, and coarse enough that angles survive the way to a matrix and
-back.
+"""Decimals of a degree in a file: far finer than any calibration, and coarse enough that angles survive the conversion
+to a matrix and back.
 """
 
 
@@ -61,7 +61,7 @@ def read_toml_calibration(path: Path) -> tuple[Intrinsics, Mount]:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML, or a field is missing, unknown, no finite number or out of range; the message
+        ValueError: If it is not TOML, or a field is missing, unknown, not a finite number or out of range; the message
             names path and field.
     """
     file = validated(_CameraFile, read_toml(path), str(path))
@@ -69,7 +69,7 @@ def read_toml_calibration(path: Path) -> tuple[Intrinsics, Mount]:
 
 
 def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
-    """The camera in the TOML file `path`, whether it has a mount or not; it knows one kind of image only.
+    """The camera in the TOML file `path`, with or without a mount; it has a single kind of images.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -77,7 +77,7 @@ def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
             for.
     """
     if choice.camera != 0 or choice.is_rectified:
-        raise ValueError(f"{path}: camera: expected no choice for a TOML file, which knows one kind of image")
+        raise ValueError(f"{path}: camera: expected no choice for a TOML file, which has a single kind of images")
     intrinsics = _intrinsics(validated(_IntrinsicsFile, read_toml(path), str(path)))
     choice.checked_size_px((intrinsics.width_px, intrinsics.height_px), f"{path}: image")
     return intrinsics
@@ -86,7 +86,7 @@ def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
 def calibration_to_toml(camera: Camera) -> str:
     """`camera` as TOML text that `read_calibration` reads back: all numbers exactly, angles to `ANGLE_DECIMALS`.
 
-    A camera whose angles have no more decimals than that, such as one that was read, comes back exactly.
+    A camera whose angles have no more decimals than that, such as a camera that was read, comes back exactly.
     """
     yaw, pitch, roll = (
         round(float(np.degrees(angle)), ANGLE_DECIMALS) + 0.0  # no -0.0

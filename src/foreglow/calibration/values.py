@@ -1,4 +1,4 @@
-"""The two halves of a calibration, the camera itself and its mount, and which images a file is asked about."""
+"""The two halves of a calibration, the camera itself and its mount, and the choice of images that a file has."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ NO_DISTORTION: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Mount(FrozenModel):
-    """How a camera sits in its vehicle.
+    """How a camera is mounted in its vehicle.
 
     Attributes:
         position_m: Forward of the rear axle, left of the middle, above the road.
-        yaw_deg: How far its axis points to the left.
-        pitch_deg: How far its axis points upwards.
-        roll_deg: How far it is turned to the right about its axis.
+        yaw_deg: Angle of its axis to the left.
+        pitch_deg: Angle of its axis upwards.
+        roll_deg: Rotation to the right about its axis.
     """
 
     position_m: Three
@@ -67,7 +67,7 @@ class Intrinsics(FrozenModel):
     def of_matrix(
         cls, values: Floats, size_px: tuple[int, int], field: str, distortion: Five = NO_DISTORTION
     ) -> Intrinsics:
-        """The camera that a matrix of OpenCV's convention means, with the centre of the first pixel at (0, 0).
+        """The camera of a matrix in OpenCV's convention, with the centre of the first pixel at (0, 0).
 
         Args:
             values: The matrix by rows: 9 numbers of a camera matrix, or 12 of a projection, whose last column is not
@@ -80,7 +80,7 @@ class Intrinsics(FrozenModel):
             ValueError: If a focal length is not positive, or the matrix is not fx 0 cx, 0 fy cy, 0 0 1.
         """
         matrix = values.reshape(3, -1)[:, :3]
-        fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
         for name, focal_px in (("fx", fx), ("fy", fy)):
             if not focal_px > 0:
                 raise ValueError(f"{field}: {name}: expected a positive focal length, got {focal_px:g}")
@@ -107,12 +107,12 @@ class Intrinsics(FrozenModel):
 
 
 class ImageChoice(FrozenModel):
-    """Which images a calibration is wanted for, where a file knows of several.
+    """The images that a calibration is wanted for, where a file has several kinds.
 
     Attributes:
         camera: Number of the camera, in a file of KITTI: 0 and 1 grey, 2 and 3 colour.
-        is_rectified: Whether the images were rectified: then they have no distortion, and a projection of their own.
-        size_px: Width and height, where the file does not know them; otherwise they must be the file's.
+        is_rectified: Whether the images were rectified: then they have no distortion, and their own projection.
+        size_px: Width and height, if the file does not have them; otherwise they must be the file's.
     """
 
     camera: Annotated[int, Field(ge=0, le=99)] = 0
@@ -120,14 +120,14 @@ class ImageChoice(FrozenModel):
     size_px: Annotated[tuple[Side, Side], Field(strict=False)] | None = None
 
     def checked_size_px(self, file_px: tuple[int, int] | None, field: str) -> tuple[int, int]:
-        """The size that the file says, or else the one asked for.
+        """The size in the file, or else the size asked for.
 
         Args:
-            file_px: Width and height in the file; None where it has none.
+            file_px: Width and height in the file; None if it has none.
             field: Path and field, for messages.
 
         Raises:
-            ValueError: If nobody says a size, or the two differ.
+            ValueError: If there is no size, or the two differ.
         """
         size_px = file_px or self.size_px
         if size_px is None:

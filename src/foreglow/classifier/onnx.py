@@ -44,7 +44,7 @@ class OnnxClassifier:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
         self._path = model_path(config.model)
-        self._session = _open(self._path, config.num_threads)
+        self._session = open_session(self._path, config.num_threads)
         self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
         self._outputs = [_checked_output(self._path, self._session)]
         self._maker = InputMaker(self.spec)
@@ -104,8 +104,13 @@ def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     return scores
 
 
-def _open(path: Path, num_threads: int) -> InferenceSession:
-    """A sequential session on the CPU that does not spin while it waits."""
+def open_session(path: Path, num_threads: int) -> InferenceSession:
+    """A sequential session on the CPU that does not spin while it waits.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not an ONNX model that can be run.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
     # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.

@@ -1,13 +1,14 @@
-"""The command `foreglow`: parses, calls, and turns errors into one line and an exit code.
+"""The command `foreglow`: a module for each command, or for a few that belong together.
 
-Exit codes: 0 done, 2 bad input or arguments, 130 interrupted by Ctrl-C. What a command needs is imported when it runs,
-so that help is there at once. A module a subject; their order here is that of the help.
+Exit codes: 0 done, 2 bad input or arguments, 70 a fault of this program, 130 interrupted. What a command needs is
+imported when it runs, so that the help is there at once.
 """
 
 from foreglow.cli.app import app
 
-from foreglow.cli import running, recording, beaming, living, networking, reporting  # noqa: F401  isort: skip
-from foreglow.cli import calibrating, tracking, evaluating, simulating, learning, experimenting  # noqa: F401  isort: skip
+# In the order of the help.
+from foreglow.cli import run, demo, record, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
+from foreglow.cli import evaluate, download, simulate, learning, yolo, experiment  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]
 

@@ -1,162 +1,243 @@
-"""`annotate`, `tune`, `train`, `fit-ranges`, `import-weights` and the YOLO commands: what makes a model."""
+"""`annotate`, `tune`, `train`, `fit-ranges` and `import-weights`: what makes a model."""
 
 from __future__ import annotations
 
-import contextlib
-import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from foreglow.cli.app import ClusterOption, JobsOption, app, argument, configuration_of, file, folder, yolo
+from foreglow.cli.app import app
+from foreglow.options import (
+    ConfigOption,
+    DeviceOption,
+    PatienceOption,
+    PipelineOptions,
+    WorkerOptions,
+    argument,
+    file,
+    folder,
+    option,
+    output_file,
+    with_options,
+)
 
-BOXES_HELP = "Boxes of this preset (default: those that `annotate` wrote, else of paper)."
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from foreglow.lab.learning.annotate import Annotation
+    from foreglow.lab.learning.training_run import TrainedModel
+    from foreglow.lab.learning.tuning import Tuning
 
 
 @app.command()
+@with_options
 def annotate(
-    data: Annotated[Path, argument(metavar="DATA", help="A data set in PVDN's format, or one split of it.")],
-    preset: Annotated[str, typer.Option(metavar="paper|baseline", help="Parameters of the boxes.")] = "paper",
-    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
-    split: Annotated[
-        list[str] | None, typer.Option(metavar="train|val|test", help="Only this split; repeatable.")
-    ] = None,
-    jobs: JobsOption = 1,
-    cluster: ClusterOption = None,
-    json_file: Annotated[Path | None, file("--json", help="Also write the numbers as JSON.")] = None,
+    data: Annotated[Path, argument("DATA", "A data set in PVDN's format, or one of its splits.")],
+    work: WorkerOptions,
+    preset: Annotated[str, option("paper|baseline", "Preset of the proposals.")] = "paper",
+    config: ConfigOption = None,
+    split: Annotated[list[str] | None, option("train|val|test", "Only this split; repeatable.")] = None,
+    json_file: Annotated[Path | None, output_file("Also write the numbers as JSON.", "--json")] = None,
 ) -> None:
-    """Turn key points into labelled boxes, labels/bounding_boxes/*.json, and rate them."""
+    """Make labelled boxes of the key points, labels/bounding_boxes/*.json, and rate them."""
     import rich
 
     from foreglow.display.progress import StepProgress
     from foreglow.files import write_json_results
     from foreglow.lab.learning.annotate import annotate_split, splits_to_annotate
-    from foreglow.lab.reports.tables import annotation_table
-    from foreglow.parallel import workers_at
 
-    workers = workers_at(jobs, cluster)
-    configuration = configuration_of(preset, config, None)
+    workers = work.workers()
+    configuration = PipelineOptions(preset=preset, config=config).configuration()
     roots = splits_to_annotate(data, tuple(split or ()))
-    with contextlib.closing(StepProgress()) as progress:
-        made = [annotate_split(one, configuration, preset, workers=workers, progress=progress) for one in roots]
+    with StepProgress() as progress:
+        annotations = [
+            annotate_split(root, configuration, preset, workers=workers, progress=progress) for root in roots
+        ]
     if json_file is not None:
-        numbers = {one.root.name: one.to_json() for one in made}
+        numbers = {annotation.root.name: annotation.to_json() for annotation in annotations}
         write_json_results(json_file, numbers, indent=2)
-    rich.print(annotation_table(made, preset if config is None else f"{preset} with {config}"))
+    rich.print(_annotation_table(annotations, preset if config is None else f"{preset} with {config}"))
+
+
+def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Table:
+    """The generated boxes, and how well the positive ones explain the key points: one column per split."""
+    from rich.table import Table
+
+    from foreglow.lab.reports.numbers import number
+
+    caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
+    table = Table("", title=f"boxes of {parameters}", caption=caption, title_justify="left", caption_justify="left")
+    for split in annotations:
+        table.add_column(split.root.resolve().name, justify="right")
+    table.add_row("images", *(str(split.num_images) for split in annotations))
+    table.add_row("boxes", *(str(split.num_boxes) for split in annotations))
+    table.add_row("boxes an image", *(number(split.boxes_per_image, 4) for split in annotations))
+    table.add_row("positive boxes", *(str(split.num_positive) for split in annotations))
+    table.add_row("left out: doubtful light only", *(str(split.num_ignored) for split in annotations), end_section=True)
+    for label, name in (("P", "precision"), ("R", "recall"), ("F", "f1"), ("q", "q")):
+        table.add_row(label, *(number(getattr(split.quality, name), 4) for split in annotations))
+    for label, name in (("q_K", "q_k"), ("q_B", "q_b")):
+        pairs = ((getattr(split.quality, name), getattr(split.quality, f"{name}_std")) for split in annotations)
+        table.add_row(label, *(f"{number(mean, 4)} ± {number(spread, 4)}" for mean, spread in pairs))
+    return table
 
 
 @app.command()
+@with_options
 def tune(
-    data: Annotated[Path, argument(metavar="DATA", help="A data set in PVDN's format: train, and val and test.")],
-    trials: Annotated[int, typer.Option(min=1, metavar="N", help="Trials in total, earlier calls included.")] = 200,
-    images: Annotated[int, typer.Option(min=1, metavar="N", help="Images of train, spread over its scenes.")] = 600,
-    objective: Annotated[str, typer.Option(metavar="q|q-only|light", help="What is minimised.")] = "q",
-    space: Annotated[
-        str | None, typer.Option(metavar="paper|wide", help="What is varied (default: the objective's own).")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="With one job: the same seed, the same trials.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Processes, on one study.")] = 1,
-    cluster: ClusterOption = None,
+    data: Annotated[Path, argument("DATA", "A data set in PVDN's format with train, and perhaps val and test.")],
+    work: WorkerOptions,
+    trials: Annotated[int, option("N", "Total number of trials, including those of earlier calls.", min=1)] = 200,
+    images: Annotated[int, option("N", "Number of images of train, spread over its scenes.", min=1)] = 600,
+    objective: Annotated[str, option("q|q-only|light", "What to minimise.")] = "q",
+    space: Annotated[str | None, option("paper|wide", "Parameters to vary (default: those of the objective).")] = None,
+    seed: Annotated[int, option("N", "Seed of the search; with one job it repeats the same trials.", min=0)] = 0,
     storage: Annotated[
-        str | None,
-        typer.Option(metavar="FILE|URL", help="Optuna's journal or database, for many machines (default: in DIR)."),
+        str | None, option("FILE|URL", "Optuna's journal or database, for many machines (default: in DIR).")
     ] = None,
-    out: Annotated[Path, folder(help="Folder for the results; the same one goes on.")] = Path("tune_output"),
+    out: Annotated[Path, folder("Folder for the results; a search that was interrupted in it is continued.")] = Path(
+        "tune_output"
+    ),
 ) -> None:
-    """Search the parameters of the proposals: on train, chosen on val, reported on test."""
+    """Search the best parameters of the proposals: trials on train, choice on val, report on test."""
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.tuning import TuningSettings
     from foreglow.lab.learning.tuning import tune as search
     from foreglow.lab.reports.figures import require_matplotlib
-    from foreglow.lab.reports.tables import tuning_lines
     from foreglow.lab.reports.tuning_page import write_report
-    from foreglow.parallel import workers_at
 
     require_matplotlib()
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
     )
-    with contextlib.closing(StepProgress()) as progress:
-        tuning = search(data, out, settings, progress, workers=workers_at(jobs, cluster))
-    typer.echo("\n".join(tuning_lines(tuning)))
+    with StepProgress() as progress:
+        tuning = search(data, out, settings, progress, workers=work.workers())
+    typer.echo("\n".join(_tuning_lines(tuning)))
     typer.echo(f"look in {write_report(tuning, out)}; use it with --config {out / 'best.toml'}")
 
 
+def _tuning_lines(tuning: Tuning) -> list[str]:
+    """What came of a parameter search, compared with the paper's parameters."""
+    from foreglow.display.summary_lines import counted
+
+    chosen, paper = tuning.chosen, tuning.paper
+    num_pruned = sum(trial.state == "PRUNED" for trial in tuning.trials)
+    papers = paper.config.model_dump()
+    changes = ", ".join(
+        f"{name} {value}" for name, value in chosen.config.model_dump().items() if value != papers[name]
+    )
+    lines = [
+        f"{counted(len(tuning.trials), 'trial')} ({num_pruned} ended early), objective {tuning.settings.objective}; "
+        f"the trials of this call took {tuning.seconds['trials']:.0f} s",
+        f"chosen: {changes}" if changes else "chosen: the paper's parameters",
+    ]
+    for split in ("train", "val", "test"):
+        found, beside = getattr(chosen, split), getattr(paper, split)
+        if found is not None:
+            names = {"q": "q", "recall": "R", "boxes_per_image": "boxes an image"}
+            parts = (f"{label} {found.figures[n]:.3f} (paper {beside.figures[n]:.3f})" for n, label in names.items())
+            lines.append(f"{split}: {', '.join(parts)}")
+    return lines
+
+
 @app.command()
+@with_options
 def train(
-    data: Annotated[list[Path], argument(metavar="DATA...", help="Data sets in PVDN's format, with train and val.")],
-    out: Annotated[Path, folder(help="Folder for the model; an interrupted training in it goes on.")],
-    recipe: Annotated[
-        str, typer.Option(metavar="paper|foreglow", help="How to train, and which network.")
-    ] = "foreglow",
-    recipe_file: Annotated[Path | None, file(help="TOML whose fields override the recipe.")] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, metavar="N", help="Passes over the data, at most.")] = None,
-    patience: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop N epochs after the best.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is drawn.")] = None,
+    data: Annotated[list[Path], argument("DATA...", "Data sets in PVDN's format, with train and val.")],
+    out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
+    recipe: Annotated[str, option("paper|foreglow", "How to train, and which network.")] = "foreglow",
+    recipe_file: Annotated[Path | None, file("TOML file whose fields override the recipe.")] = None,
+    epochs: Annotated[int | None, option("N", "Train for at most N epochs.", min=1)] = None,
+    patience: PatienceOption = None,
+    seed: Annotated[int | None, option("N", "Seed of weights, order and augmentation.", min=0)] = None,
     max_negatives: Annotated[
-        float | None, typer.Option(min=0.01, metavar="X", help="At most X boxes without light for each with, an epoch.")
+        float | None,
+        option("X", "At most X boxes without light per box with light in each epoch.", min=0.01, max=1000.0),
     ] = None,
     precision: Annotated[
-        str | None, typer.Option(metavar="fp32|bf16", help="bf16 is faster where there is it.")
+        str | None, option("fp32|bf16", "Number format; bf16 is faster on hardware that has it.")
     ] = None,
-    preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Preset of the proposals (default: the recipe's name).")
-    ] = None,
-    config: Annotated[Path | None, file(help="TOML whose fields override the preset.")] = None,
-    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
-    cache: Annotated[Path | None, folder(help="Where samples are kept (default: in the folder).")] = None,
+    preset: Annotated[str | None, option("NAME", "Preset of the proposals (default: the recipe's name).")] = None,
+    config: ConfigOption = None,
+    device: DeviceOption = "auto",
+    cache: Annotated[Path | None, folder("Folder for the samples (default: in that of the model).")] = None,
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
-    from foreglow.display.progress import TrainingBar
     from foreglow.lab.learning import recipes
+    from foreglow.lab.learning.training_bar import TrainingBar
     from foreglow.lab.learning.training_run import train_model
-    from foreglow.lab.reports.tables import training_lines
     from foreglow.lab.reports.training_curves import draw_training
 
     chosen = recipes.recipe(recipe) if recipe_file is None else recipes.read_recipe(recipe_file, recipes.recipe(recipe))
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
-    configuration = configuration_of(preset or recipe, config, None)
+    configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
     try:
-        with contextlib.closing(TrainingBar()) as progress:
+        with TrainingBar() as progress:
             trained = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
     except KeyboardInterrupt:
-        typer.echo(f"{out}: the same command goes on from the last whole epoch", err=True)
+        typer.echo(f"{out}: the same command continues from the last whole epoch", err=True)
         raise
-    finally:  # also of a training that was interrupted
+    finally:  # also for a training that was interrupted
         draw_training(out)
-    typer.echo("\n".join(training_lines(trained)))
+    typer.echo("\n".join(_training_lines(trained)))
+
+
+def _training_lines(trained: TrainedModel) -> list[str]:
+    """What came of a training; the last line says how to use it."""
+    from foreglow.display.summary_lines import counted
+
+    summary = trained.summary
+    counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
+    lines = [
+        f"{name}: {counted(counts[name]['positive'], 'box')} with light, {counts[name]['negative']} without, "
+        f"{counts[name]['ignored']} doubtful and left out"
+        for name in ("train", "val")
+    ]
+    lines += [
+        f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}; on the validation boxes "
+        f"P {best['precision']:.3f}, R {best['recall']:.3f}, F {best['f1']:.3f} at a score of 0.5",
+        f"calibrated with temperature {figures['temperature']:.2f}: calibration error "
+        f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
+    ]
+    if not (trained.folder / "curves.png").is_file():
+        lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")
+    return [*lines, f"look in {trained.folder}; use it with foreglow run SOURCE --config {trained.folder}/config.toml"]
 
 
 @app.command("fit-ranges")
+@with_options
 def fit_ranges(
-    data: Annotated[Path, argument(metavar="DATA", help="Simulated drives, with train and val.")],
-    out: Annotated[Path, file(help="The model to write, TOML for `distance.model`.")],
-    config: Annotated[Path | None, file(help="TOML whose fields override the preset foreglow.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the order of the images.")] = 0,
+    data: Annotated[Path, argument("DATA", "Simulated drives, with train and val.")],
+    out: Annotated[Path, output_file("The model to write, a TOML file for `distance.model`.")],
+    config: ConfigOption = None,
+    seed: Annotated[int, option("N", "Seed of the order of the images.", min=0)] = 0,
 ) -> None:
     """Fit the model of the road-surface ranges to lights whose ranges are known."""
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.ranges import fit_ranges, write_hypotheses
 
-    with contextlib.closing(StepProgress()) as progress:
-        model = fit_ranges(data, configuration_of("foreglow", config, None), seed=seed, progress=progress)
+    with StepProgress() as progress:
+        model = fit_ranges(data, PipelineOptions(config=config).configuration(), seed=seed, progress=progress)
     write_hypotheses(out, model)
     typer.echo(f"wrote {out}: fitted to {model.origin}")
 
 
 @app.command("import-weights")
+@with_options
 def import_weights(
-    weights: Annotated[
-        Path, argument(metavar="WEIGHTS", help="The published classifier's weights, a plain state dict.")
-    ],
-    out: Annotated[Path, file(help="The ONNX model to write.")],
+    weights: Annotated[Path, argument("WEIGHTS", "Weights of the published classifier, a plain state dict.")],
+    out: Annotated[Path, output_file("The ONNX model to write.")],
     fold: Annotated[
         float | None,
-        typer.Option(
-            metavar="TOLERANCE", help="Remove channels while no score changes by more than this, such as 1e-3."
+        option(
+            "TOLERANCE",
+            "Remove channels as long as no score changes by more than this, such as 1e-3.",
+            min=0.0,
+            max=1.0,
         ),
     ] = None,
 ) -> None:
@@ -166,67 +247,3 @@ def import_weights(
     model = import_weights(weights, out, fold)
     millions = model.num_multiply_adds / 1e6
     typer.echo(f"wrote {model.path}: {model.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")
-
-
-@app.command("export-yolo")
-def export_yolo(
-    data: Annotated[Path, argument(metavar="DATA", help="A data set with train, val and test, such as PVDN/day.")],
-    out: Annotated[Path, folder(help="Folder of the YOLO data set.")],
-    preset: Annotated[str | None, typer.Option(metavar="NAME", help=BOXES_HELP)] = None,
-    size: Annotated[int, typer.Option(min=32, max=4096, help="Side of the square images, pixels.")] = 960,
-) -> None:
-    """Write the labelled boxes of DATA as a YOLO data set."""
-    from foreglow.display.progress import StepProgress
-    from foreglow.lab.learning.yolo import export_yolo
-
-    with contextlib.closing(StepProgress()) as progress:
-        told = functools.partial(progress, "images")
-        export = export_yolo(data, out, preset_name=preset, size_px=size, progress=told)
-    counts = ", ".join(f"{name} {count} ({export.num_boxes[name]} boxes)" for name, count in export.num_images.items())
-    typer.echo(f"wrote {export.data_file}: images of {counts}; boxes: {export.settings.boxes}")
-
-
-@yolo.command("train")
-def yolo_train(
-    data: Annotated[Path, argument(metavar="DATA", help="A data set, or what export-yolo made of one.")],
-    out: Annotated[Path, folder(help="Folder of the run; an interrupted one goes on.")],
-    size: Annotated[str, typer.Option(metavar="n|t|s|m|l|x", help="Size of the network; s and x in the paper.")] = "s",
-    image_size: Annotated[int, typer.Option(help="Side of the images, a multiple of 32; 960 in the paper.")] = 320,
-    epochs: Annotated[int, typer.Option(help="Passes over the training split.")] = 3,
-    batch: Annotated[int, typer.Option(help="Images a step.")] = 16,
-    seed: Annotated[int, typer.Option(help="Of weights, order and augmentation.")] = 0,
-    device: Annotated[str, typer.Option(metavar="auto|cpu|N", help="Where to train; N is a GPU.")] = "auto",
-    backend: Annotated[str, typer.Option(metavar="libreyolo|ultralytics", help="Which library.")] = "libreyolo",
-    preset: Annotated[str | None, typer.Option(metavar="NAME", help=BOXES_HELP)] = None,
-) -> None:
-    """Train a YOLO from random weights on the labelled boxes of DATA."""
-    from foreglow.config import validated
-    from foreglow.display.progress import StepProgress
-    from foreglow.lab.learning.yolo import YoloConfig, train_yolo
-
-    fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
-    config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
-    with contextlib.closing(StepProgress()) as progress:
-        told = functools.partial(progress, "images exported")
-        run = train_yolo(data, out, config, preset_name=preset, progress=told)
-    millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
-    typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
-
-
-@yolo.command("predict")
-def yolo_predict(
-    trained: Annotated[Path, argument(metavar="RUN", help="Folder of a finished `yolo train`.")],
-    split: Annotated[Path, argument(metavar="SPLIT", help="A PVDN split, such as PVDN/day/val.")],
-    out: Annotated[Path, file(help="The predictions to write, JSON for `evaluate --predictions`.")],
-) -> None:
-    """Write what a trained YOLO finds in a split."""
-    from foreglow.datasets import PVDN
-    from foreglow.display.progress import StepProgress
-    from foreglow.lab.learning.yolo import predict_yolo, read_yolo_run
-    from foreglow.runs.predictions import write_predictions
-
-    with contextlib.closing(StepProgress()) as progress:
-        told = functools.partial(progress, "images")
-        found = predict_yolo(read_yolo_run(trained), PVDN(split), progress=told)
-    write_predictions(out, found.predictions)
-    typer.echo(f"wrote {out}: {len(found.frame_ms)} images, {found.frame_ms.mean():.1f} ms an image")

@@ -1,4 +1,4 @@
-"""One frozen model per stage, and the `PipelineConfig` made of them; TOML in, and the used configuration out."""
+"""A frozen model for each stage, and `PipelineConfig` with all of them; they are read from and written to TOML."""
 
 from foreglow.config.fields import (
     FrozenModel,

@@ -1,4 +1,4 @@
-"""What all configurations are made of: strict frozen fields, TOML in, and one clear complaint."""
+"""The base of all configurations: strict frozen fields, read from TOML, and errors of one line."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class FrozenModel(BaseModel):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What the TOML file `path` holds.
+    """The content of the TOML file `path`.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML; the message names the path and the place.
+        ValueError: If it is not TOML; the message names the path and the line.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such configuration file")
@@ -38,7 +38,7 @@ def validated(model: type[Model], fields: Any, origin: str) -> Model:
     """`fields` as a `model`.
 
     Raises:
-        ValueError: If a field is unknown, missing, of another type or out of range; the message names `origin`, the
+        ValueError: If a field is unknown, missing, of the wrong type or out of range; the message names `origin`, the
             first such field and what was expected.
     """
     try:
@@ -48,10 +48,10 @@ def validated(model: type[Model], fields: Any, origin: str) -> Model:
 
 
 def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
-    """The first field that is wrong, what was expected and what was found, as one line."""
+    """One line about the first wrong field: what was expected, and what was found."""
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"]) or "configuration"
-    if first["type"] == "value_error":  # one of our own checks, which says all of it
+    if first["type"] == "value_error":  # a check of our own, whose message is complete
         return f"{field}.{first['ctx']['error']}"
     if first["type"] == "missing" and isinstance(first["input"], dict):
         return f"{field}: missing"

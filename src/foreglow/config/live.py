@@ -10,20 +10,20 @@ from foreglow.config.fields import FrozenModel
 
 
 class LiveConfig(FrozenModel):
-    """Parameters of the live loop; `docs/live.md` says what it does about what goes wrong.
+    """Parameters of the live loop; `docs/live.md` describes the faults and what follows from them.
 
-    A frame's time is one over the source's rate. With the defaults each fault means low beam at most two frames' time
-    after a frame was missing, late, or the second in a row that is wrong.
+    A frame period is one over the source's rate. With the defaults there is low beam at most two frame periods after a
+    frame was missing or late, or after the second wrong frame in a row.
 
     Attributes:
-        rate_hz: Frames a second that are expected of a source that does not tell its own rate.
-        silent_frames: After so many frames' time without a frame the camera is gone.
-        slow_frames: Two frames in a row that each come later than so many frames' time are of a slow camera.
-        num_steady: So many frames in time, in a row, end that.
-        max_step_s: A stage that keeps a frame longer hangs.
-        abandon_s: After this further time the pipeline that hangs is left alone, and a new one is made.
-        max_failures: After so many frames in a row at which a stage raised, a new pipeline is made.
-        retry_s: Between attempts to open a source that was lost, or to make a pipeline.
+        rate_hz: The expected frame rate of a source that does not know its own.
+        silent_frames: After so many frame periods without a frame the camera is gone.
+        slow_frames: The camera is slow when two frames in a row each come later than so many frame periods.
+        num_steady: It no longer is after so many punctual frames in a row.
+        max_step_s: A stage that takes longer for a frame hangs.
+        abandon_s: After this further time the pipeline that hangs is abandoned, and a new one is made.
+        max_failures: After errors in so many frames in a row a new pipeline is made.
+        retry_s: Pause between attempts to open a lost source, or to make a pipeline.
     """
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0

@@ -1,4 +1,4 @@
-"""The `PipelineConfig` made of all stages', its presets, and the way into a file and back."""
+"""The configuration of the whole pipeline, its presets, and how it is read from and written to a file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from foreglow.config.stages import (
 
 
 class PipelineConfig(FrozenModel):
-    """The configuration of the whole pipeline, one section a stage, and that of the live loop around it."""
+    """The configuration of the whole pipeline: a section for each stage, for the guard and for the live loop."""
 
     proposals: ProposalConfig = ProposalConfig()
     classifier: ClassifierConfig = ClassifierConfig()
@@ -34,21 +34,21 @@ class PipelineConfig(FrozenModel):
 
     @property
     def detector_only(self) -> PipelineConfig:
-        """The same without the stages that follow the detector."""
+        """This configuration without the stages after the detector."""
         return self.changed("distance", estimator="none").changed("tracker", method="none")
 
     def changed(self, section: str, **fields: Any) -> PipelineConfig:
-        """The same with other `fields` in a section; they are not checked."""
+        """This configuration with other values for some fields of a section; the values are not checked."""
         return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
     def commanding(self, **beam: Any) -> PipelineConfig:
-        """The same with beam commands: with the policy `foreglow` where it has none.
+        """This configuration with beam commands, by the policy `foreglow` if it has none.
 
         Args:
-            beam: Fields of the beam that shall be others.
+            beam: Other values for some fields of the section `beam`.
 
         Raises:
-            ValueError: If there are no tracks to make them of.
+            ValueError: If it has no model or no tracker: commands are made from tracks.
         """
         if self.classifier.model is None or self.tracker.method == "none":
             raise ValueError("beam: expected a model (--model FILE) and a tracker: without them there are no tracks")
@@ -96,7 +96,7 @@ def preset(name: str) -> PipelineConfig:
 
 
 def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfig:
-    """The configuration in the TOML file `path`; what it does not mention comes from `base` (default: paper).
+    """The configuration in the TOML file `path`; fields that it does not have are those of `base` (default: paper).
 
     Raises:
         FileNotFoundError: If there is no such file.

@@ -1,6 +1,6 @@
-"""One frozen model a stage.
+"""The configuration of each stage, as a frozen model.
 
-Sizes are given for the paper's camera and scale with the image's width; `ProposalConfig` says how.
+Sizes in pixels are those of the paper's camera and scale with the image's width, as `ProposalConfig` describes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 
 
 RangeLimit: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
-"""From which range on, metres, and the limit there."""
+"""The range from which a limit holds, metres, and the limit."""
 
 
 class ProposalConfig(FrozenModel):
@@ -55,7 +55,7 @@ class ProposalConfig(FrozenModel):
         blur_sigma_px: Standard deviation of the Gaussian, both axes.
         window: `published` reads columns x-h+1..x+h and rows y-h+1..y+h without row 0 and column 0, h = window_px//2,
             as the published code does; `centred` reads x-h..x+h, y-h..y+h.
-        region_xyxy_px: Part of the frame that is looked at, half-open, full-frame pixels of the actual frame; None
+        region_xyxy_px: The part of the frame in which boxes are proposed, half-open, pixels of the actual frame; None
             for all of it. A region larger than the frame is cut; one outside the frame is an error.
 
     Source: Ewecker et al., arXiv 2107.11302, eq. for T and the parameter table; published code for the rest.
@@ -100,10 +100,10 @@ class ClassifierConfig(FrozenModel):
     Attributes:
         model: Path of the ONNX model, relative to the working directory (also in a file), or the name of one that
             ships, `foreglow`; None leaves the proposals unclassified.
-        support: The crop is this many times the box's width and height to either side of its centre; None for what
-            the model was trained with, or the paper's M = 2 where it does not say.
-        score_threshold: A proposal is accepted when its score is above this.
-        num_threads: Threads of the inference.
+        support: The crop reaches this many times the box's width and height to either side of its centre; None for
+            the value in the model's metadata, or the paper's M = 2 if there is none.
+        score_threshold: A proposal is accepted if its score is above this.
+        num_threads: Threads used for inference.
     """
 
     model: Annotated[Path, Field(strict=False)] | None = None
@@ -119,12 +119,14 @@ class DistanceConfig(FrozenModel):
         estimator: `gp` (ground plane), `psd_3d`, `psd_3d_plus`, `psd_2d` (predictive street data), `road_surface`,
             `none` for no ranges, or an estimator of your own, `module:Name`. Those that need a road give no range where
             the frame has none.
-        heuristic: Which range stands for a box, of those of its pixels (paper); `road_surface` has its own rule.
-        pitch: The body's pitch against the road: `fixed` takes that of the calibration, `motion` adds what
-            `Frame.motion` tells, `markings` estimates it from the markings in the image.
-        align: Whether `road_surface` corrects how we stand on the road: yaw and offset by the markings in the image,
-            the place along it by how we turn; else it takes the map's word, and a driver who keeps the lane.
-        model: TOML file of the model of `road_surface`, as `fit-ranges` writes it; None for the one that ships.
+        heuristic: How the ranges of a box's pixels become the range of the box (paper); `road_surface` has its own
+            rule.
+        pitch: The body's pitch against the road: `fixed` takes the calibration's, `motion` adds that of
+            `Frame.motion`, `markings` estimates it from the markings in the image.
+        align: Whether `road_surface` corrects our pose on the road: yaw and lateral offset from the markings in the
+            image, the position along the road from our yaw rate. Otherwise it trusts the map, and assumes that we
+            keep the lane.
+        model: TOML file with the model of `road_surface`, as `fit-ranges` writes it; None for the one that ships.
     """
 
     estimator: str = "gp"
@@ -135,39 +137,42 @@ class DistanceConfig(FrozenModel):
 
 
 class TrackerConfig(FrozenModel):
-    """Parameters of the tracking stage; the defaults are the paper's, `docs/tracking.md` has the equations.
+    """Parameters of the tracking stage; the defaults are the paper's. `docs/tracking.md` has the equations.
+
+    The parameters marked with (p) are those of the published tracker, too.
 
     Attributes:
-        method: `alpha_beta` (paper, and ours by other parameters), `published` (as the published code behaves; takes
-            the parameters marked with p alone), `none` for no tracks, or a tracker of your own, `module:Name`.
-        clock: `frames` takes every frame as 1 / `rate_hz` after the one before (paper); `time` reads the timestamps.
-        rate_hz: Frames a second that all counts of frames refer to.
-        min_score: A detection is considered when its score is above this (p).
+        method: `alpha_beta` (paper, and ours with other parameters), `published` (behaves like the published code),
+            `none` for no tracks, or a tracker of your own, `module:Name`.
+        clock: `frames` assumes 1 / `rate_hz` between frames (paper); `time` uses the timestamps.
+        rate_hz: The frame rate that all numbers of frames here refer to.
+        min_score: A detection is used if its score is above this (p).
         alpha_centre: Gain of the box's centre, in each frame (p).
         alpha_size: Gain of the box's width and height (p).
         alpha_range: Gain of the range (p).
         alpha_confidence: Weight of the newest score in the moving mean (p).
         range_filter: `alpha_beta` (paper), or `mean` or `median` of the last five ranges.
-        use_looming: Whether growing boxes speak for the range, too, where our speed is known; off in all presets, since
-            glare does not grow as lamps do.
+        use_looming: Whether the growth of boxes also contributes to the range, if our speed is known; off in all
+            presets, since glare does not grow like lamps.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
-        enlargement: Boxes are this many times as wide and high when they are compared (p).
-        min_iou: A detection may take a track when the IoU of their enlarged boxes is above this (p).
-        range_gate: And when their ranges are at most this many standard deviations apart; infinity for no gate.
-        merge_iou: A track that was not detected ends when its IoU with another one is above this; 1 for never.
-        compensate_yaw: Whether predicted boxes are moved by our rate of turn, where camera and motion are known.
-        max_misses: Frames in a row without a detection that a track outlives (p); the time of so many with `time`.
+        enlargement: Boxes are enlarged by this factor before they are compared (p).
+        min_iou: A detection may take a track if the IoU of their enlarged boxes is above this (p).
+        range_gate: And if their ranges are at most this many standard deviations apart; infinity for no gate.
+        merge_iou: A track without a detection ends if its IoU with another track is above this; 1 for never.
+        compensate_yaw: Whether predicted boxes are shifted by our yaw rate, if camera and motion are known.
+        max_misses: A track survives so many frames in a row without a detection (p); with `time`, as long as these
+            frames would take.
         max_gap_s: After a longer gap between two frames all tracks are forgotten.
         confirmation: `frames` (paper), `m_of_n` or `evidence`.
-        min_hits: Detections that make a track plausible (p): in all (`frames`) or of the last (`m_of_n`).
-        min_confidence: And its confidence must be above this (p; as `min_hits`).
-        num_looks: Frames that `m_of_n` looks back on.
-        neutral_score: Score that speaks neither for nor against light (`evidence`).
-        detection_probability: That light is detected in a frame while its track lives (`evidence`).
+        min_hits: Detections that make a track plausible (p): in total (`frames`), or of the last frames (`m_of_n`).
+        min_confidence: And its confidence must be above this (p; used with `min_hits`).
+        num_looks: The number of last frames for `m_of_n`.
+        neutral_score: The score that is evidence neither for nor against light (`evidence`).
+        detection_probability: Probability that light is detected in a frame while its track exists (`evidence`).
         confirm_evidence: Log-likelihood ratio above which a track becomes plausible (`evidence`).
-        reject_evidence: Log-likelihood ratio down to which it stays so (`evidence`).
-        company_evidence: How much more a track needs beside one that is or just was plausible (`evidence`).
-        company_s: How long ago that may have been (`evidence`).
+        reject_evidence: Log-likelihood ratio down to which it stays plausible (`evidence`).
+        company_evidence: Additional ratio that a second track needs near a plausible one (`evidence`).
+        company_s: A track that was plausible so recently counts as a plausible one there (`evidence`).
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
@@ -227,26 +232,27 @@ OUR_TRACKER = TrackerConfig(
     neutral_score=0.34,
     confirm_evidence=1.0,
 )
-"""Chosen on the validation drives of `make drives`; decision 8 says how."""
+"""Chosen on the validation drives of `make drives`, as decision 8 describes."""
 
 
 class BeamConfig(FrozenModel):
-    """Parameters of the beam stage; `docs/beam.md` has the policies.
+    """Parameters of the beam stage; `docs/beam.md` describes the policies.
 
     Attributes:
         policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone),
             `foreglow` (all tracks, and the place where a hidden vehicle will appear), or a policy of your own,
             `module:Name`.
-        headlamps: TOML file of the lamps, see `foreglow.photometry`; None for those that ship.
-        latency_s: From a frame's exposure to the light that follows from it: vehicles are led by so much.
-        margin_deg: A gap reaches so much beyond what it is for, to either side; also for lamps that are aimed badly.
-        led_limit_lx: What a single LED may give at the eyes that a gap is for.
-        coverage: Of the probability of where a hidden vehicle will appear, the share that the gap for it covers.
-        min_direct: A track is a lamp itself when its probability of that is above this.
-        min_confidence: A lamp's gap begins once the confidence of its track was so high.
-        min_hidden_confidence: Likewise that for the vehicle whose light alone is seen.
-        hold_s: A gap stays for so long after what it is for was last followed, and an LED dark after its gap has gone.
-        restore_s: Time in which an LED goes from off to full.
+        headlamps: TOML file that describes the lamps, see `foreglow.photometry`; None for those that ship.
+        latency_s: Time from a frame's exposure to the light that follows from it; gaps are placed where vehicles will
+            be after it.
+        margin_deg: Margin of a gap to either side, also for lamps that are aimed badly.
+        led_limit_lx: Largest illuminance by a single LED at the eyes that a gap protects.
+        coverage: The gap for a hidden vehicle covers this share of the probability of where it will appear.
+        min_direct: A track is taken for a lamp itself if its probability of that is above this.
+        min_confidence: A gap for a lamp opens when its track has this confidence.
+        min_hidden_confidence: A gap for a hidden vehicle opens when the track of its light has this confidence.
+        hold_s: A gap stays so long after its track was last seen, and an LED stays dark so long after its gap has gone.
+        restore_s: Time in which an LED brightens from off to full.
     """
 
     policy: str = "none"
@@ -263,26 +269,27 @@ class BeamConfig(FrozenModel):
 
 
 class GuardConfig(FrozenModel):
-    """Parameters of the guard, which checks every beam command; `docs/guard.md` says what it enforces.
+    """Parameters of the guard, which checks every beam command; `docs/guard.md` describes what it enforces.
 
     Attributes:
-        max_age_s: An image that is older when its command is checked is too old.
-        max_gap_s: After a longer time between two frames there is low beam, from which light returns slowly.
-        brightening_s: Time of an LED from dark to full, at least; dimming is at once.
-        low_below_mps: Low beam below this speed: 32 km/h, as public notes of 49 CFR 571.108 have it.
-        high_above_mps: And until above this one.
-        needs_speed: Whether an unknown speed is a fault; else it counts as high enough.
-        max_same_images: One more image in a row with the same content is a frozen camera.
+        max_age_s: Largest age of an image when its command is checked.
+        max_gap_s: Longest time between two frames; after a longer one there is low beam, and light returns slowly.
+        brightening_s: Shortest time in which an LED brightens from dark to full; dimming is immediate.
+        low_below_mps: Low beam below this speed: 32 km/h, from public notes on 49 CFR 571.108.
+        high_above_mps: High beam is allowed again above this speed.
+        needs_speed: Whether an unknown speed is a fault; otherwise it counts as high enough.
+        max_same_images: Largest number of images in a row with the same content; one more is a frozen camera.
         max_saturated: Largest share of pixels at `white_level`.
-        min_bright: In an image of which no pixel is brighter than this share of `white_level`, nothing can be seen.
-        white_level: Greatest value of a pixel; None for that of its type: 255 or 65,535.
-        led_limits_cd: From which range on (m, the first from 0 on), and how much the LEDs of one lamp may shine towards
-            a vehicle (cd). From 50 m on what UN R123 allows a lamp towards oncoming drivers at 50, 100 and 200 m, less
-            the 350 cd that UN R112 allows its low beam; nearer, what 3.1 lx at 15 m (49 CFR 571.108) leaves of two
-            lamps with 200 cd of stray light each. All of public notes, not the official texts.
+        min_bright: An image is black if no pixel is brighter than this share of `white_level`.
+        white_level: Largest pixel value; None for that of the image's type, 255 or 65,535.
+        led_limits_cd: Ranges from which limits hold (m, the first 0), and the limits: the largest intensity of one
+            lamp's LEDs towards a vehicle (cd). From 50 m on these are what UN R123 allows a lamp towards oncoming
+            drivers at 50, 100 and 200 m, less the 350 cd that UN R112 allows its low beam. Nearer, it is what 3.1 lx
+            at 15 m (49 CFR 571.108) leaves of two lamps with 200 cd of stray light each. All are from public notes,
+            not from the official texts.
         range_sigmas: A vehicle may be nearer or farther than its range by so many standard deviations.
-        min_range_m: No vehicle is nearer; taken where no range is known.
-        eyes_above_m: Drivers' eyes are up to so far above what shines; of R123's test points.
+        min_range_m: The nearest range of a vehicle; also used if no range is known.
+        eyes_above_m: Drivers' eyes are up to so far above the lamps (R123's test points).
     """
 
     max_age_s: Annotated[float, Field(gt=0, le=10)] = 0.3

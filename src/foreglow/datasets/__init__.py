@@ -7,9 +7,10 @@ MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and `simulated` read a
 
 from foreglow.datasets.bags import Recording
 from foreglow.datasets.cache import FrameCache
-from foreglow.datasets.formats import open_source
+from foreglow.datasets.formats import open_labelled, open_source
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.images import read_image, to_grey
+from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.parts import part_names, part_of
 from foreglow.datasets.pvdn import (
     PVDN,
@@ -54,6 +55,7 @@ __all__ = [
     "ImageFolder",
     "Instance",
     "LabelledImage",
+    "LabelledSource",
     "OnError",
     "PVDNWriter",
     "Recording",
@@ -66,6 +68,7 @@ __all__ = [
     "Video",
     "Weather",
     "download_pvdn",
+    "open_labelled",
     "open_source",
     "part_names",
     "part_of",

@@ -1,4 +1,4 @@
-"""Is a video file as long as its container says: demuxers end quietly where a file was cut."""
+"""Checks that a video file is as long as its container says: demuxers end silently where a file was cut."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 _MATROSKA_SEGMENT = 0x18538067
-_MAX_BOXES = 100_000  # more top-level boxes than this are not worth following
+_MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
 
 def missing_bytes(path: Path) -> int:
-    """How many bytes the file at `path` lacks, by the sizes in an MP4/MOV, Matroska/WebM or AVI container.
+    """Number of bytes missing at the end of `path`, by the sizes in an MP4/MOV, Matroska/WebM or AVI container.
 
-    0 for a complete file, and for a container that promises no size (MPEG-TS, live Matroska, raw streams).
+    0 for a complete file, and for a container that states no size (MPEG-TS, live Matroska, raw streams).
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -27,7 +27,7 @@ def missing_bytes(path: Path) -> int:
 
 
 def _mp4_end(file: BinaryIO, size: int) -> int:
-    """Where the last top-level box ends. Source: ISO/IEC 14496-12, section 4.2."""
+    """End of the last top-level box. Source: ISO/IEC 14496-12, section 4.2."""
     position = 0
     for _ in range(_MAX_BOXES):
         if position >= size:
@@ -46,7 +46,7 @@ def _mp4_end(file: BinaryIO, size: int) -> int:
 
 
 def _matroska_end(file: BinaryIO, size: int) -> int:
-    """Where the segment ends, or `size` where it is of unknown length. Source: RFC 8794, sections 4 to 6."""
+    """End of the segment, or `size` if its length is unknown. Source: RFC 8794, sections 4 to 6."""
     file.seek(4)
     length, _ = _vint(file)
     file.seek(length, 1)

@@ -1,6 +1,6 @@
 """The formats that frames come in, and the choice among them by path.
 
-A new format is a folder of this package and a line in `FORMATS`.
+A new format is a folder of this package and a line in `FORMATS`; a format with labels reads them as a `LabelledSource`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 from foreglow.datasets.bags import Recording, is_recording
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, is_images
+from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.video import Video
@@ -34,11 +35,13 @@ class DataFormat:
     Attributes:
         is_at: Whether an existing path has this format.
         opened: The source of frames at such a path.
+        labelled: The data set with labels at such a path; None for a format without labels.
         has_topics: Whether it takes a topic.
     """
 
     is_at: Callable[[Path], bool]
     opened: Callable[[Path, OpenOptions], FrameSource]
+    labelled: Callable[[Path], LabelledSource] | None = None
     has_topics: bool = False
 
 
@@ -46,14 +49,14 @@ FORMATS: dict[str, DataFormat] = {
     "recording": DataFormat(
         is_recording, lambda path, given: Recording(path, topic=given.topic, on_error=given.on_error), has_topics=True
     ),
-    "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error, cache=given.cache)),
+    "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error, cache=given.cache), PVDN),
     "images": DataFormat(
         is_images,
         lambda path, given: ImageFolder(path, rate_hz=given.rate_hz, on_error=given.on_error, cache=given.cache),
     ),
     "video": DataFormat(Path.exists, lambda path, given: Video(path, on_error=given.on_error)),
 }
-"""The formats by name; a path has the first one that recognises it."""
+"""The formats by name; a path has the first format that recognises it."""
 
 
 def open_source(
@@ -66,9 +69,9 @@ def open_source(
 ) -> FrameSource:
     """The frames at `path`.
 
-    A folder is a PVDN split (it has `labels/sequences.json`) or holds exactly one (such as `DIR/night/train`), is one
-    PVDN sequence (`SPLIT/images/NAME`), is a ROS 2 bag (it has `metadata.yaml`), or holds images. A file is an image by
-    its ending (`IMAGE_SUFFIXES`), a recording likewise (`.mcap`, `.bag`, `.db3`), and a video otherwise.
+    A folder is a ROS 2 bag (it has `metadata.yaml`), a PVDN split (it has `labels/sequences.json`), a folder with a
+    single split (such as `DIR/night/train`), a PVDN sequence (`SPLIT/images/NAME`), or a folder of images. A file is a
+    recording (`.mcap`, `.bag`, `.db3`) or an image (`IMAGE_SUFFIXES`) by its ending, and a video otherwise.
 
     Args:
         path: A file or folder.
@@ -79,7 +82,7 @@ def open_source(
 
     Raises:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
-        ValueError: If what is there cannot be used.
+        ValueError: If it cannot be used.
     """
     path = Path(path)
     if not path.exists():
@@ -88,3 +91,17 @@ def open_source(
     if topic is not None and not chosen.has_topics:
         raise ValueError(f"{path}: expected a recording, as a topic was named ({topic}), is none")
     return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, cache=cache, topic=topic))
+
+
+def open_labelled(path: Path | str) -> LabelledSource:
+    """The data set with labels at `path`: a split, a sequence of it, or a folder with a single split.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`, or a label file is missing.
+        ValueError: If its labels cannot be used.
+    """
+    path = Path(path)
+    for each in FORMATS.values():
+        if each.labelled is not None and path.exists() and each.is_at(path):
+            return each.labelled(path)
+    return PVDN(path)  # raises, and says what is missing

@@ -1,7 +1,7 @@
-"""Is an encoded image complete, and how large is it: asked before decoding, as decoders forgive too much.
+"""Checks that an encoded image is complete, and reads its size, before decoding: decoders are too tolerant.
 
 OpenCV returns a partly grey picture for a truncated JPEG (and, before version 5, PNG), and allocates whatever
-size a header claims. The other formats have no such check here: OpenCV refuses them when they are cut short.
+size a header claims. Other formats are not checked here: OpenCV refuses them when they are cut short.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def png_size_px(data: bytes) -> tuple[int, int]:
     """Height and width of the PNG in `data`, whose critical chunks are all there and undamaged.
 
     Raises:
-        ValueError: If the file is cut short, or the checksum of a critical chunk is wrong; the message says only
-            what is wrong, for the caller to add where.
+        ValueError: If the file is cut short, or the checksum of a critical chunk is wrong; the message does
+            not say where, so that the caller can add it.
     """
     size_px: tuple[int, int] | None = None
     position = len(PNG_SIGNATURE)
@@ -53,7 +53,7 @@ def jpeg_size_px(data: bytes) -> tuple[int, int]:
     """Height and width of the JPEG in `data`, which has its end marker.
 
     Raises:
-        ValueError: If the file is cut short or its segments cannot be followed; the message says only what is wrong.
+        ValueError: If the file is cut short or its segments are malformed; the message does not say where.
     """
     size_px: tuple[int, int] | None = None
     position = 2

@@ -12,8 +12,13 @@ from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
 from foreglow.datasets.source import OnError, checked_on_error, read_each
 from foreglow.types import Frame
 
+OTHER_IMAGES = frozenset(
+    {".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf"}
+)
+"""Endings of images that are not read here; they are named, not passed over in silence."""
+
 DEFAULT_RATE_HZ = 18.0
-"""Frames a second where nothing tells: the rate of PVDN within one exposure cycle."""
+"""Frames a second if unknown: the rate of PVDN within an exposure cycle."""
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -69,7 +74,12 @@ class ImageFolder:
             raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such file or folder")
-        self._files = _images_in(self.path) if self.path.is_dir() else [self.path]
+        self._files: list[Path] = [self.path]
+        self._others: list[str] = []
+        if self.path.is_dir():
+            self._files, self._others = _images_in(self.path)
+            if self._others and on_error == "stop":
+                raise ValueError(self._others[0])
 
     @property
     def name(self) -> str:
@@ -85,7 +95,7 @@ class ImageFolder:
         return len(self._files)
 
     def __iter__(self) -> Iterator[Frame]:
-        self.skipped = []
+        self.skipped = list(self._others)
         reads = (functools.partial(self._frame, index) for index in range(len(self._files)))
         return read_each(reads, self._on_error, self.skipped)
 
@@ -99,12 +109,12 @@ def is_images(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES
 
 
-def _images_in(folder: Path) -> list[Path]:
-    files = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
+def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
+    """The images in the folder, and a message for each that cannot be read."""
+    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    files = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
+    others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)
+    messages = [f"{path}: expected an image that is {known_formats()}, got another format" for path in others]
     if not files:
-        raise ValueError(f"{folder}: expected a folder with images ({known_formats()}), found none")
-    return sorted(files, key=lambda path: (natural_key(path.name), path.name))
+        raise ValueError(messages[0] if messages else f"{folder}: expected images ({known_formats()}), found none")
+    return sorted(files, key=lambda path: (natural_key(path.name), path.name)), messages

@@ -21,7 +21,7 @@ MIN_SIDE_PX = 64
 MAX_SIDE_PX = 8192
 """Largest height and width of a frame from a file, pixels: twice 4k, and a bound on what a header can allocate."""
 
-# A .npy header is a Python literal, and reading a broken one raises whatever its parser does.
+# A .npy header is a Python literal, and reading a broken header raises whatever its parser does.
 NPY_ERRORS = (
     *(ValueError, TypeError, SyntaxError, EOFError, OverflowError, MemoryError, RecursionError),
     tokenize.TokenError,
@@ -36,8 +36,8 @@ def read_image(path: Path) -> Image:
     """The grey image in the file at `path`, shape (height, width), uint8 or uint16.
 
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are. Colour becomes grey as
-    in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` holds one array as `to_grey` takes it,
-    colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure whole may go
+    in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` has an array as `to_grey` takes it,
+    colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure intact may go
     unnoticed.
 
     Raises:
@@ -63,7 +63,7 @@ def read_image(path: Path) -> Image:
 def decode_image(data: bytes, origin: str) -> Image:
     """The grey image in `data`, a whole PNG or JPEG, as `read_image` has it.
 
-    Other formats are refused: their size cannot be asked for before memory is taken.
+    Other formats are refused: their size is not known before memory is allocated.
 
     Raises:
         ValueError: If it is neither, truncated, damaged, or of a size that is not accepted.
@@ -82,13 +82,13 @@ def png(image: Image) -> bytes:
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
-    """`array` as a grey image of shape (height, width), uint8 or uint16; itself, uncopied, where it already is one.
+    """`array` as a grey image of shape (height, width), uint8 or uint16; uncopied if it already is such an image.
 
     Args:
         array: Shape (height, width) or (height, width, channels); 1 channel is grey, 2 are grey and alpha, 3 are
             colour, 4 are colour and alpha; alpha is dropped. uint8 and uint16 keep their depth; floats in [0, 1]
             become uint16 in [0, 65535].
-        origin: Where the array came from, for messages.
+        origin: Origin of the array, for messages.
         order: Order of the colour channels.
 
     Raises:
@@ -124,7 +124,7 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
 
 
 def _without_colour(array: NDArray[Any], order: Literal["rgb", "bgr"]) -> NDArray[Any]:
-    """The channels of `array` (height, width, 1..4) as one, in the type it has."""
+    """`array` (height, width, 1..4) as a single channel of the same type."""
     if array.shape[2] <= 2:
         return array[:, :, 0]
     code = cv2.COLOR_BGR2GRAY if order == "bgr" else cv2.COLOR_RGB2GRAY
@@ -132,7 +132,7 @@ def _without_colour(array: NDArray[Any], order: Literal["rgb", "bgr"]) -> NDArra
 
 
 def _checked_floats(array: NDArray[Any], prefix: str) -> NDArray[Any]:
-    """`array` as float32, all in [0, 1]; 24 bits of mantissa lose nothing of the 16 that are kept."""
+    """`array` as float32, all in [0, 1]; its 24 bits of mantissa are enough for the 16 that are kept."""
     colour = array[:, :, :3] if array.ndim == 3 else array
     low, high = float(colour.min()), float(colour.max())
     if not (low >= 0.0 and high <= 1.0):
@@ -147,7 +147,7 @@ def _checked_size(image: Image, path: Path) -> Image:
 
 
 def check_size(height: int, width: int, origin: str) -> None:
-    """Passes a frame size that the readers accept.
+    """Checks that the readers accept a frame size.
 
     Raises:
         ValueError: If a side is shorter than `MIN_SIDE_PX` or longer than `MAX_SIDE_PX`.
@@ -159,7 +159,7 @@ def check_size(height: int, width: int, origin: str) -> None:
 
 
 def _decoded(data: bytes, origin: str) -> NDArray[Any]:
-    """What OpenCV makes of the complete image in `data`: grey or B, G, R, any depth."""
+    """The complete image in `data`, decoded by OpenCV: grey or B, G, R, any depth."""
     try:
         if data.startswith(PNG_SIGNATURE):
             check_size(*png_size_px(data), "header")
@@ -179,7 +179,7 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """While entered OpenCV writes nothing to standard error: the message is ours to give."""
+    """Keeps OpenCV from writing to standard error, as our own message says what is wrong."""
     logging = cv2.utils.logging
     level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
@@ -194,7 +194,7 @@ def known_formats() -> str:
 
 
 def _npy_array(path: Path) -> NDArray[Any]:
-    """The array in the file at `path`; mapped first, so that a header that claims too much allocates nothing."""
+    """The array in the file at `path`; mapped first, so that an exaggerated size in the header allocates nothing."""
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected an image, the file is empty")
     try:

@@ -16,6 +16,9 @@ from foreglow.files import write_atomic
 
 Model = TypeVar("Model")
 
+adapter: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
+"""Reads and writes the JSON of a pydantic model or a dataclass; made once for each."""
+
 
 _MESSAGES = {
     "missing": "field is missing",
@@ -26,7 +29,7 @@ _MESSAGES = {
 
 
 class Record(BaseModel):
-    """A frozen JSON object: types are strict, and keys that nobody knows are kept."""
+    """A frozen JSON object: types are strict, and unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="allow", allow_inf_nan=False)
 
@@ -37,8 +40,8 @@ class StoredAs:
 
     Attributes:
         stored: The type in the file; pydantic must know it.
-        read: Makes the value from what is stored.
-        write: Makes what is stored from the value.
+        read: Converts the stored value to that in Python.
+        write: Converts back.
     """
 
     stored: Any
@@ -71,12 +74,6 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         message = _MESSAGES.get(first["type"], plain)
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
     return value
-
-
-@functools.cache
-def adapter(model: type) -> TypeAdapter[Any]:
-    """Reads and writes a pydantic model or a dataclass; made once."""
-    return TypeAdapter(model)
 
 
 def read_json(path: Path, model: type[Model]) -> Model:

@@ -11,7 +11,7 @@ def shipped_drive(name: str = DEMO_DRIVE) -> Path:
     """The folder of the drive called `name`, a split that `PVDN` reads.
 
     Raises:
-        FileNotFoundError: If none of this name was installed.
+        FileNotFoundError: If no drive of this name is installed.
     """
     folder = Path(__file__).resolve().parents[1] / "shipped_drives" / name
     if not folder.is_dir():

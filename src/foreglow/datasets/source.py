@@ -1,4 +1,4 @@
-"""What every source of frames offers, and how it treats a bad one."""
+"""The interface of every source of frames, and the treatment of bad frames."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ class FrameSource(Protocol):
 
     @property
     def rate_hz(self) -> float | None:
-        """Nominal frames a second; None where the source does not tell."""
+        """Nominal frames a second; None if unknown."""
         ...
 
     @property
     def num_frames(self) -> int | None:
-        """Frames that iterating yields if none is bad; a video's header may be off by a few, None if it is silent."""
+        """Number of frames if none is bad; by a video's header it may be wrong by a few. None if unknown."""
         ...
 
     @property
     def skipped(self) -> Sequence[str]:
-        """One line for each frame that the latest iteration left out so far; empty with `stop`."""
+        """A line for each frame that the latest iteration left out so far; empty with `stop`."""
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...
 
 
 def read_each(reads: Iterable[Callable[[], Frame]], on_error: OnError, skipped: list[str]) -> Iterator[Frame]:
-    """What `reads` return, one by one; with `skip`, the message of each that raises goes to `skipped` instead."""
+    """The frames that `reads` return; with `skip`, the message of a read that raises is added to `skipped` instead."""
     for read in reads:
         try:
             frame = read()
@@ -52,7 +52,7 @@ def read_each(reads: Iterable[Callable[[], Frame]], on_error: OnError, skipped: 
 
 
 def checked_on_error(on_error: OnError) -> OnError:
-    """`on_error` if it is a known one, as Python callers may pass any string.
+    """`on_error` if it is valid, as Python callers may pass any string.
 
     Raises:
         ValueError: If it is none of them.

@@ -1,4 +1,4 @@
-"""What the car knew while a drive was recorded: calibration, motion and the road ahead, put beside the images."""
+"""What the car knew while a drive was recorded: calibration, motion and the road ahead, added to its frames."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from foreglow.types import EgoMotion, Frame, RoadAhead
 
 
 class VehicleData(Protocol):
-    """Answers for each frame of a source, by its sequence and its time."""
+    """Looks up what the car knew at a frame, by its sequence and its time."""
 
     def camera(self, frame: Frame) -> Camera | None:
         """Calibration of the camera that took `frame`, for images of its size; None where unknown."""
         ...
 
     def motion(self, frame: Frame) -> EgoMotion | None:
-        """How the vehicle moved at the time of `frame`; None where unknown."""
+        """Motion of the vehicle at the time of `frame`; None where unknown."""
         ...
 
     def road(self, frame: Frame) -> RoadAhead | None:
@@ -28,13 +28,13 @@ class VehicleData(Protocol):
 
 
 class Equipped:
-    """The frames of another source, each with what a `VehicleData` knows of it.
+    """The frames of another source with vehicle data.
 
-    What a frame already carries stays where the data know nothing.
+    A frame keeps what it already carries where the data know nothing.
 
     Attributes:
         source: The other source.
-        data: What is known of its frames.
+        data: The vehicle data of its frames.
     """
 
     def __init__(self, source: FrameSource, data: VehicleData) -> None:
@@ -67,7 +67,7 @@ class Equipped:
 
 
 def equip(frame: Frame, data: VehicleData) -> Frame:
-    """`frame` with what `data` knows of it.
+    """`frame` with what `data` knows about it.
 
     Raises:
         ValueError: If the calibration is for images of another size, or a file behind the data is broken.

@@ -19,11 +19,11 @@ from foreglow.datasets.source import OnError, checked_on_error
 from foreglow.types import Frame
 
 _LEAST_SHARE = 0.95
-"""An MP4 that yields less than this share of the frames that it promises counts as damaged."""
+"""An MP4 that yields less than this share of its stated number of frames counts as damaged."""
 
 
 class Video:
-    """The frames of a file's first video stream, decoded one at a time, grey.
+    """The frames of a file's first video stream, decoded as they are asked for, grey.
 
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
     stream's own presentation times; a frame without one follows the frame before at the stream's rate.
@@ -32,9 +32,9 @@ class Video:
 
     Attributes:
         path: The file.
-        rate_hz: Average frames a second by the container; None where it does not tell.
-        num_frames: Number of frames by the container, which may be off by a few; None where it does not tell.
-        skipped: One line for each thing that the latest iteration left out so far.
+        rate_hz: Average frames a second by the container; None if unknown.
+        num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
+        skipped: A line for each part that the latest iteration left out so far.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -95,7 +95,7 @@ class Video:
             return
         if index < 0:
             self._refuse(f"{self.path}: expected a video with at least one frame, none could be decoded")
-        # An MP4's sample table is exact; a damaged one lets the demuxer end early without a word.
+        # An MP4's sample table is exact; if it is damaged, the demuxer ends early and silently.
         elif self._is_counted and self.num_frames and index + 1 < _LEAST_SHARE * self.num_frames - 2:
             self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
 
@@ -138,7 +138,7 @@ class Video:
 
 
 def _num_frames(stream: Any) -> int | None:
-    """How many frames the stream's header promises; an edit list can hide some, which the duration tells."""
+    """Number of frames by the stream's header; an edit list can hide some, which shows in the duration."""
     num_frames: int | None = stream.frames or None
     if num_frames and stream.duration and stream.time_base and stream.average_rate:
         return min(num_frames, round(int(stream.duration) * Fraction(stream.time_base) * Fraction(stream.average_rate)))

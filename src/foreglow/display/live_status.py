@@ -1,4 +1,4 @@
-"""A live run on the screen: a line that changes, one for each change of the faults, and what came of it."""
+"""A live run on the terminal: a status line, a line for each change of the faults, and what came of the run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from rich.console import Console
 from rich.status import Status
 
-from foreglow.lab.reports.tables import beam_lines
+from foreglow.display.summary_lines import beam_lines
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import FaultEvent, LiveSummary
 from foreglow.types import BeamMode, Frame, FrameResult
@@ -16,7 +16,7 @@ PARTS = ("capture", "queue", "proposals", "classifier", "distance", "tracking", 
 
 
 class LiveStatus:
-    """A live sink that shows the health on stderr: on a terminal one line that changes, elsewhere only new faults."""
+    """A live sink that shows the health on stderr: a status line on a terminal, elsewhere changes of the faults."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
@@ -27,10 +27,10 @@ class LiveStatus:
             self._status.start()
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Results come too quickly to be read."""
+        """Shows nothing: results come too fast to read."""
 
     def write_health(self, health: Health) -> None:
-        """Shows what is known now."""
+        """Shows the present state."""
         if health.faults != self._faults:
             self._faults = health.faults
             what = ", ".join(health.faults) or "all is well again"
@@ -49,16 +49,16 @@ class LiveStatus:
             )
 
     def close(self) -> None:
-        """Takes the line away."""
+        """Removes the status line."""
         self._status.stop()
 
     def discard(self) -> None:
-        """Takes the line away."""
+        """Removes the status line."""
         self._status.stop()
 
 
 def live_lines(summary: LiveSummary) -> list[str]:
-    """What came of a live run, one fact a line."""
+    """What came of a live run."""
     run = summary.run
     lines = [
         f"{run.num_frames} frames, {summary.num_dropped} dropped for a newer one, {summary.num_late} late; "

@@ -1,20 +1,19 @@
-"""Progress bars on stderr: of a run, of scenes that are driven, of the steps of a long command, of a training."""
+"""Progress bars on stderr: of a run, of simulated scenes, of the steps of a long command."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import functools
+from collections.abc import Callable
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from foreglow.types import Frame, FrameResult
 
-if TYPE_CHECKING:
-    from foreglow.lab.learning.training import Epoch
 
-
-class _Bar:
-    """A bar on stderr; nothing where stderr is not a terminal."""
+class Bar:
+    """A progress bar on stderr, shown only on a terminal; it closes at the end of a `with` block."""
 
     def __init__(self, description: str = "", total: int | None = None) -> None:
         self._console = Console(stderr=True)
@@ -23,8 +22,14 @@ class _Bar:
         self._progress = Progress(*columns, console=self._console, transient=True, disable=not is_shown)
         self._task = self._progress.add_task(description, total=total)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
-        """Takes the bar away; it comes back when there is more to show."""
+        """Removes the bar until there is more to show."""
         self._progress.stop()
 
     def _show(self, description: str, num_done: int, total: int | None) -> None:
@@ -32,11 +37,11 @@ class _Bar:
         self._progress.update(self._task, description=description, completed=num_done, total=total)
 
 
-class ProgressSink(_Bar):
-    """Shows how many frames of a run are done."""
+class ProgressSink(Bar):
+    """A result sink that shows how many frames of a run are done."""
 
     def __init__(self, num_frames: int | None) -> None:
-        """A bar over `num_frames`, or a mere count where their number is unknown."""
+        """A bar over `num_frames`, or a mere count if their number is unknown."""
         super().__init__("frames", num_frames)
 
     def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
@@ -45,27 +50,27 @@ class ProgressSink(_Bar):
         self._progress.advance(self._task)
 
     def discard(self) -> None:
-        """Takes the bar away."""
+        """Removes the bar."""
         self.close()
 
 
-class PartsProgress(_Bar):
-    """Shows how many frames of a run are done whose sequences are run apart."""
+class PartsProgress(Bar):
+    """Shows how many frames are done of a run that works on several sequences at once."""
 
     def __init__(self, num_frames: int | None) -> None:
-        """A bar over `num_frames`, or a mere count where their number is unknown."""
+        """A bar over `num_frames`, or a mere count if their number is unknown."""
         super().__init__()
         self._num_frames = num_frames
         self._done: dict[str, int] = {}
 
     def __call__(self, sequence: str, num_done: int) -> None:
-        """Takes note that `num_done` frames of a sequence are done."""
+        """Shows that `num_done` frames of a sequence are done."""
         self._done[sequence] = num_done
         self._show("frames", sum(self._done.values()), self._num_frames)
 
 
-class SceneProgress(_Bar):
-    """Shows how many frames of how many scenes are driven."""
+class SceneProgress(Bar):
+    """Shows how many frames and how many scenes are simulated."""
 
     def __init__(self, num_scenes: int, num_frames: int) -> None:
         """A bar over all frames of all scenes."""
@@ -75,49 +80,26 @@ class SceneProgress(_Bar):
         self.num_finished = 0
 
     def __call__(self, sequence: int, num_done: int, num_frames: int) -> None:
-        """Takes note that `num_done` of a scene's frames are there."""
+        """Shows that `num_done` of a scene's frames are done."""
         self._done[sequence] = num_done
         self.num_finished += num_done == num_frames
         self._show(f"scenes {self.num_finished}/{self._num_scenes}, frames", self.num_done, self._num_frames)
 
     @property
     def num_done(self) -> int:
-        """Frames that are there."""
+        """Number of frames that are done."""
         return sum(self._done.values())
 
 
-class StepProgress(_Bar):
-    """Shows how far the present step of a long command is."""
+class StepProgress(Bar):
+    """Shows the progress of the current step of a long command."""
 
     def __call__(self, step: str, num_done: int, num_all: int) -> None:
-        """Takes note that `num_done` of the `num_all` of a step, such as `images`, are done."""
+        """Shows that `num_done` of `num_all` items of a step, such as `images`, are done."""
         self._show(step, num_done, num_all)
         if num_done == num_all:
             self.close()
 
-
-class TrainingBar(_Bar):
-    """Shows how far a training is, and one line an epoch; without a terminal the lines alone."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._best = 0.0
-
-    def samples(self, split: str, num_done: int, num_images: int) -> None:
-        """Takes note that the samples of `num_done` images are there."""
-        self._show(f"{split} images", num_done, num_images)
-
-    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """Takes note of a step."""
-        self._show(f"epoch {epoch}, steps", num_done, num_steps)
-
-    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """Writes the epoch's line."""
-        self._best = max(self._best, epoch.f1)
-        self._console.print(
-            f"epoch {epoch.number}/{num_epochs}: loss {epoch.train_loss:.4f}, validation {epoch.val_loss:.4f}, "
-            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
-            f"{epoch.seconds:.0f} s",
-            highlight=False,
-            soft_wrap=True,
-        )
+    def of(self, step: str) -> Callable[[int, int], None]:
+        """The callback for a single step."""
+        return functools.partial(self, step)

@@ -40,7 +40,7 @@ class RangeEstimator(Protocol):
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
-        ...
+        return
 
 
 ESTIMATORS: dict[str, type[RangeEstimator]] = {

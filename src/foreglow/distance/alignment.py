@@ -1,7 +1,7 @@
 """Map matching: where the vehicle really stands on the mapped road, as a filter over time.
 
-A vehicle that follows the road turns with it. If the curvature driven is not the map's at the believed position, but
-that of a position a little further on or back, then that is where the vehicle is.
+A vehicle that follows the road turns with it. If the curvature that it drives is not that of the map at its position,
+but that of the map a little further on or back, then that is where the vehicle is.
 
 State: the shift d along the road beyond the map's position, on a grid of 1 m within the bound B of the map's error,
 with a probability P(d) each (a histogram filter); and yaw and offset in the lane, each with a mean and a variance (two

@@ -12,9 +12,9 @@ A marking that is Y to the left of the vehicle is seen in the strip at x, for a 
     y(x) = Y - x (yaw + Y pitch / h) + x^2 curvature / 2                                                        (2)
 
 Yaw turns all markings alike; pitch makes them converge or diverge, so it needs two. (2) is linear in
-theta = (Y_1, Y_2, curvature, yaw, pitch): the curvature is what the map's lacks, since the map's course is taken off
-before the fit, and Y in the term of the pitch is taken from the lane's width. With a row a_i for each ridge at y_i, and
-a diagonal prior precision Q about 0,
+theta = (Y_1, Y_2, curvature, yaw, pitch): the curvature is the road's minus the map's, since the map's course is taken
+off before the fit, and Y in the term of the pitch is taken from the lane's width. With a row a_i for each ridge
+at y_i, and a diagonal prior precision Q about 0,
 
     theta = S A' y / sigma^2,   S = (A' A / sigma^2 + Q)^-1                                                     (3)
 

@@ -2,15 +2,15 @@
 
 Units: metres, radians, curvature 1/m positive to the left, slopes as rise per metre. The vehicle's frame is x forward,
 y left, z up. The map gives the centre line P(s) = (X, Y, Z) with the heading psi(s) over the arc length s, in the frame
-of a vehicle that stands where the map believes it to be. The alignment says that the vehicle really stands `shift`
-further along the road, `left` to the left of the believed lane position, and is turned by `yaw` to the left.
+of a vehicle that stands at its mapped pose: where the localisation puts it on the map. The alignment says that the
+vehicle really stands `shift` further along the road, `left` further to the left, and is turned by `yaw` to the left.
 
-The piece of road that begins `shift` further on takes the believed position and heading, and is then seen by a vehicle
-that is moved to the left and turned, with the plane rotation R(angle) to the left:
+The piece of road that begins `shift` further on is moved to the mapped pose, and is then seen from a vehicle that is
+moved to the left and turned, with the plane rotation R(angle) to the left:
 
     P'(s) = R(-yaw) (R(psi(0) - psi(shift)) (P(shift + s) - P(shift)) + P(0) - (0, left))                       (1)
 
-Its heights are tilted so that the slope under the vehicle is the believed one, over the distance x ahead:
+Its heights are tilted so that the slope under the vehicle is that of the mapped pose, over the distance x ahead:
 
     Z'(s) = Z(shift + s) - Z(shift) + Z(0) - (Z_s(shift) - Z_s(0)) x                                            (2)
 
@@ -142,26 +142,26 @@ def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
     curvatures = _curvatures(samples[num : 2 * num], samples[2 * num : 3 * num])
     bankings, crowns = _cross_slopes(curvatures, samples[:num, 6], line.has_cross_slopes)
     curvature, under_banking, under_crown = float(curvatures[-1]), float(bankings[-1]), float(crowns[-1])
-    ahead, start, believed = samples[: num - 1], samples[num - 1].tolist(), samples[-1].tolist()
+    ahead, start, mapped = samples[: num - 1], samples[num - 1].tolist(), samples[-1].tolist()
     # R(psi(0) - psi(shift)) of (1)
-    turn_cos = start[3] * believed[3] + start[4] * believed[4]
-    turn_sin = start[3] * believed[4] - start[4] * believed[3]
+    turn_cos = start[3] * mapped[3] + start[4] * mapped[4]
+    turn_sin = start[3] * mapped[4] - start[4] * mapped[3]
     from_start_x, from_start_y = ahead[:, 0] - start[0], ahead[:, 1] - start[1]
-    x = turn_cos * from_start_x - turn_sin * from_start_y + believed[0]
-    y = turn_sin * from_start_x + turn_cos * from_start_y + (believed[1] - alignment.left_m)
-    z = ahead[:, 2] + (believed[2] - start[2]) - (start[5] - believed[5]) * x  # (2)
+    x = turn_cos * from_start_x - turn_sin * from_start_y + mapped[0]
+    y = turn_sin * from_start_x + turn_cos * from_start_y + (mapped[1] - alignment.left_m)
+    z = ahead[:, 2] + (mapped[2] - start[2]) - (start[5] - mapped[5]) * x  # (2)
     # R(-yaw) of (1)
     cos, sin = math.cos(alignment.yaw_rad), math.sin(alignment.yaw_rad)
     x, y = cos * x + sin * y, cos * y - sin * x
     turn_cos, turn_sin = turn_cos * cos + turn_sin * sin, turn_sin * cos - turn_cos * sin
-    offset_m = -(believed[1] * believed[3] - believed[0] * believed[4]) + alignment.left_m
+    offset_m = -(mapped[1] * mapped[3] - mapped[0] * mapped[4]) + alignment.left_m
     return Ribbon(
         x_m=x[:, None],
         y_m=y[:, None],
         z_m=z[:, None],
         cos=(turn_cos * ahead[:, 3] - turn_sin * ahead[:, 4])[:, None],
         sin=(turn_sin * ahead[:, 3] + turn_cos * ahead[:, 4])[:, None],
-        slope=(ahead[:, 5] - start[5] + believed[5])[:, None],
+        slope=(ahead[:, 5] - start[5] + mapped[5])[:, None],
         banking=bankings[:-1, None],
         crown=crowns[:-1, None],
         is_known=(PLACES_M + shift_m <= line.length_m)[:, None],
@@ -171,7 +171,7 @@ def ribbon(road: RoadAhead, alignment: Alignment) -> Ribbon:
         curvature_per_m=curvature,
         start_cos=turn_cos * start[3] - turn_sin * start[4],
         start_sin=turn_sin * start[3] + turn_cos * start[4],
-        start_slope=believed[5],
+        start_slope=mapped[5],
         shift_sigma_m=alignment.shift_sigma_m,
         yaw_sigma_rad=alignment.yaw_sigma_rad,
         left_sigma_m=alignment.left_sigma_m,

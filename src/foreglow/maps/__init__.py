@@ -1,4 +1,4 @@
-"""Maps of roads, the road ahead by them, and where the vehicle is on them.
+"""Maps of roads, the road ahead on them, and the poses of a vehicle on them.
 
 road_map = read_road_map("town.geojson")
 poses = read_poses("drive.csv", road_map.origin)

@@ -1,4 +1,4 @@
-"""One road of a map, and the way to the road ahead of a vehicle that stands on it."""
+"""A road of a map, and the road ahead of a vehicle on it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from foreglow.geometry import Floats, Pose
 from foreglow.types import RoadAhead
 
 MAX_OFFSET_M = 20.0
-"""A road whose centre line is further away, horizontally, is not the one that we drive on."""
+"""We do not drive on a road whose centre line is horizontally further away than this."""
 
 MAX_HEIGHT_OFFSET_M = 5.0
-"""Nor is one that is further above or below us: at a bridge the two roads are about this far apart."""
+"""Nor on a road that is further above or below us: at a bridge the two roads are about this far apart."""
 
 MIN_ALONG = 0.5
-"""Nor one across our way: cosine of the largest angle between our way and the road's, 60 degrees."""
+"""Nor on a road across our way: cosine of the largest angle between our heading and the road's, 60 degrees."""
 
 STEP_M = 1.0
 _AXLES_M = 1.4
-"""Half the distance between the axles: how far to either side the slope under the vehicle is taken."""
+"""Half the distance between the axles, between which the slope under the vehicle is measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class Foot:
-    """The place of a road that is nearest to a vehicle.
+    """The point of a road that is nearest to a vehicle.
 
     Attributes:
         distance_m: Horizontal distance of the vehicle from it.
@@ -42,11 +42,11 @@ class Foot:
 
 @dataclass(frozen=True, eq=False)
 class CentreLine:
-    """The centre line of a carriageway, straight between its points; either direction may be driven.
+    """The centre line of a carriageway, straight between its points; it can be driven in either direction.
 
     Attributes:
-        points_m: Shape (N, 3), N >= 2, in the map's frame: x east, y north, z up, metres, horizontally no two
-            neighbours alike.
+        points_m: Shape (N, 3), N >= 2, in the map's frame: x east, y north, z up, metres, without neighbours
+            at the same horizontal position.
         half_width_m: From the centre line to either edge.
         cross_slopes: Shape (N,), rise for each metre to the left as the points run; an empty array becomes zeros.
 
@@ -76,7 +76,7 @@ class CentreLine:
 
     @cached_property
     def ways_m(self) -> Floats:
-        """Horizontal way to each point from the first, shape (N,)."""
+        """Horizontal distance of each point from the first along the line, shape (N,)."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points_m[:, :2], axis=0), axis=1))])
 
     @property
@@ -85,19 +85,19 @@ class CentreLine:
         return float(self.ways_m[-1])
 
     def reversed(self) -> CentreLine:
-        """The same road, run the other way."""
+        """The same road in the other direction."""
         return CentreLine(self.points_m[::-1], self.half_width_m, -self.cross_slopes[::-1])
 
     def at(self, ways_m: Floats) -> Floats:
-        """Points, shape (..., 3), at ways along the line, shape (...); its ends beyond them."""
+        """Points, shape (..., 3), at distances along the line, shape (...); beyond an end, that end."""
         return np.stack([np.interp(ways_m, self.ways_m, values) for values in self.points_m.T], -1)
 
     def foot(self, pose: Pose, *, knows_height: bool = True) -> Foot | None:
-        """The place nearest to a vehicle whose way it is; None if there is none near.
+        """The nearest point of the road to a vehicle that drives on it; None if it does not.
 
         Args:
             pose: map_from_vehicle.
-            knows_height: Whether heights of pose and map may be compared.
+            knows_height: Whether the heights of pose and map can be compared.
         """
         starts, steps = self.points_m[:-1], np.diff(self.points_m, axis=0)
         lengths_m = np.linalg.norm(steps[:, :2], axis=1)
@@ -119,38 +119,38 @@ class CentreLine:
     def ahead(
         self, pose: Pose, length_m: float = 400.0, error_bound_m: float = math.inf, *, is_on_road: bool = False
     ) -> RoadAhead | None:
-        """The road ahead of a vehicle, from the place beside it on, a point each metre, in the vehicle's frame.
+        """The road ahead of a vehicle, from the point beside it on, a point each metre, in the vehicle's frame.
 
         None if the road is not near, runs across our way, or ends here.
 
         Args:
             pose: map_from_vehicle.
-            length_m: How far; the road may end before.
-            error_bound_m: How far the position may be off along the road; infinite where unknown.
-            is_on_road: The vehicle is put onto the road: height, pitch and roll of `pose` are taken from the map, for
-                poses or maps that know nothing of heights.
+            length_m: Length; the road may end earlier.
+            error_bound_m: Largest error of the position along the road; infinite where unknown.
+            is_on_road: Whether to put the vehicle on the road: height, pitch and roll come from the map, not from
+                `pose`. For poses or maps without heights.
         """
         foot = self.foot(pose, knows_height=not is_on_road)
         if foot is None:
             return None
         line, way_m = (self.reversed(), self.length_m - foot.way_m) if foot.is_against else (self, foot.way_m)
-        places_m = np.arange(way_m, min(way_m + length_m, line.length_m) + 1e-9, STEP_M)
-        if len(places_m) < 2:
+        ways_m = np.arange(way_m, min(way_m + length_m, line.length_m) + 1e-9, STEP_M)
+        if len(ways_m) < 2:
             return None
         stands = line.standing(pose, way_m) if is_on_road else pose
-        slopes = np.interp(places_m, line.ways_m, line.cross_slopes)
-        return RoadAhead(stands.to_body(line.at(places_m)), self.half_width_m, slopes, error_bound_m)
+        slopes = np.interp(ways_m, line.ways_m, line.cross_slopes)
+        return RoadAhead(stands.to_body(line.at(ways_m)), self.half_width_m, slopes, error_bound_m)
 
     def standing(self, pose: Pose, way_m: float) -> Pose:
-        """`pose` with the height, pitch and roll of a vehicle that stands on the road beside the place `way_m`."""
-        behind, place, before = self.at(np.array([way_m - _AXLES_M, way_m, way_m + _AXLES_M]))
+        """`pose` with the height, pitch and roll of a vehicle on the road, beside the point at `way_m`."""
+        behind, beside, before = self.at(np.array([way_m - _AXLES_M, way_m, way_m + _AXLES_M]))
         step = before - behind
         along = step[:2] / np.hypot(step[0], step[1])
         cross_slope = float(np.interp(way_m, self.ways_m, self.cross_slopes))
         # Rise for each metre east and north of the plane that touches the road here.
         gradient = step[2] / np.hypot(step[0], step[1]) * along + cross_slope * np.array([-along[1], along[0]])
         position_m = pose.position_m.copy()
-        position_m[2] = place[2] + gradient @ (position_m - place)[:2]
+        position_m[2] = beside[2] + gradient @ (position_m - beside)[:2]
         heading = pose.rotation[:2, 0] / np.hypot(*pose.rotation[:2, 0])
         forward = np.array([*heading, gradient @ heading])
         forward /= np.linalg.norm(forward)
@@ -159,6 +159,6 @@ class CentreLine:
 
 
 def without_repeats(points_m: Floats) -> Floats:
-    """`points_m` without those that lie within a millimetre of the one before, horizontally."""
+    """`points_m` without points that are horizontally within a millimetre of the point before."""
     steps_m = np.linalg.norm(np.diff(points_m[:, :2], axis=0), axis=1)
     return np.asarray(points_m[np.concatenate([[True], steps_m > 1e-3])])

@@ -1,4 +1,4 @@
-"""From latitude and longitude to metres east and north of a place."""
+"""From latitude and longitude to metres east and north of an origin."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ FLATTENING = 1 / 298.257223563
 
 @dataclass(frozen=True, slots=True)
 class GeographicOrigin:
-    """The place at x = 0, y = 0 of a map; x points east and y north there. Heights stay as they are.
+    """The position of x = 0, y = 0 of a map; x points east and y north there. Heights are not changed.
 
-    A place is projected along the origin's plumb line onto the plane that touches the ellipsoid there: exact at the
-    origin, and d metres away distances are too short by a share of (d / 6370 km)^2 / 2: 1.2e-6 at 10 km, 1.2e-4 at
-    100 km.
+    Positions are projected along the origin's plumb line onto the plane that touches the ellipsoid there. That is exact
+    at the origin, and d metres away distances are too short by a share of (d / 6370 km)^2 / 2: 1.2e-6 at 10 km,
+    1.2e-4 at 100 km.
 
     Attributes:
         latitude_deg: WGS 84, -90 to 90.
@@ -31,7 +31,7 @@ class GeographicOrigin:
     longitude_deg: float
 
     def local(self, latitudes_deg: ArrayLike, longitudes_deg: ArrayLike) -> Floats:
-        """Metres east and north, shape (..., 2), of places on the ellipsoid.
+        """Metres east and north, shape (..., 2), of positions on the ellipsoid.
 
         >>> GeographicOrigin(48.0, 9.0).local(48.0, 9.0).tolist()
         [0.0, 0.0]
@@ -41,18 +41,18 @@ class GeographicOrigin:
         return np.asarray((there - here) @ _axes(self.latitude_deg, self.longitude_deg)[:, :2])
 
     def yaw_rad(self, latitude_deg: float, longitude_deg: float, heading_deg: float) -> float:
-        """Yaw in the map, to the left of x, of a heading at a place: clockwise from its own north."""
+        """Yaw in the map, to the left of x, of a heading at a position, clockwise from its own north."""
         heading = np.radians(heading_deg)
         forward = _axes(latitude_deg, longitude_deg) @ [np.sin(heading), np.cos(heading), 0.0]
         east, north, _ = _axes(self.latitude_deg, self.longitude_deg).T @ forward
         return float(np.arctan2(north, east))
 
 
-def check_place(latitude_deg: float, longitude_deg: float, origin: str) -> None:
-    """Passes a latitude and a longitude in degrees.
+def check_position(latitude_deg: float, longitude_deg: float, origin: str) -> None:
+    """Checks a latitude and a longitude in degrees.
 
     Raises:
-        ValueError: If one is NaN or out of range; the message begins with `origin`.
+        ValueError: If either is NaN or out of range; the message begins with `origin`.
     """
     if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
         raise ValueError(
@@ -62,7 +62,7 @@ def check_place(latitude_deg: float, longitude_deg: float, origin: str) -> None:
 
 
 def _earth_centred_m(latitudes_deg: ArrayLike, longitudes_deg: ArrayLike) -> Floats:
-    """Places on the ellipsoid, shape (..., 3), metres from the middle of the earth."""
+    """Positions on the ellipsoid, shape (..., 3), metres from the centre of the earth."""
     latitude, longitude = np.radians(latitudes_deg), np.radians(longitudes_deg)
     eccentricity2 = FLATTENING * (2 - FLATTENING)
     radius_m = SEMI_MAJOR_M / np.sqrt(1 - eccentricity2 * np.sin(latitude) ** 2)

@@ -1,8 +1,8 @@
 """Roads in a Lanelet2 file (.osm): carriageways between the borders of lanelets.
 
-Two lanelets on either side of the same left border are the two directions of one carriageway; any other is one of its
-own. Read are the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a road for cars; projections
-and regulatory elements are not.
+Two lanelets on either side of the same left border are the two directions of a carriageway; any other lanelet is a
+carriageway of its own. The reader takes the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a
+road for cars; it ignores projections and regulatory elements.
 
 Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.maps.centre_line import CentreLine, without_repeats
-from foreglow.maps.geographic import GeographicOrigin, check_place
+from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 
@@ -31,8 +31,8 @@ def read_lanelet2(path: Path) -> RoadMap:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no OSM XML, a lanelet lacks a border, a border a node, a number is broken, only some nodes
-            have heights, or there is no lanelet; the message names path and element.
+        ValueError: If it is not OSM XML, a lanelet lacks a border, a border lacks a node, a number is broken, only some
+            nodes have heights, or there is no lanelet; the message names path and element.
     """
     root = read_xml(path, "osm")
     nodes, earth = _nodes(root, path)
@@ -51,12 +51,12 @@ def read_lanelet2(path: Path) -> RoadMap:
 
 
 def _nodes(root: Element, path: Path) -> tuple[dict[str, Floats], GeographicOrigin]:
-    """Every node as a place, shape (3,), with NaN for a height that is not there; and the first as the origin."""
+    """The position of every node, shape (3,), with NaN for a missing height; and the first node as the origin."""
     ids, degrees, heights_m = [], [], []
     for node in root.findall("node"):
         origin = f"{path}: node {node.get('id')}"
         latitude_deg, longitude_deg = number_of(node, "lat", origin), number_of(node, "lon", origin)
-        check_place(latitude_deg, longitude_deg, origin)
+        check_position(latitude_deg, longitude_deg, origin)
         ele = [tag for tag in node.findall("tag") if tag.get("k") == "ele"]
         ids.append(str(node.get("id")))
         degrees.append((latitude_deg, longitude_deg))
@@ -75,9 +75,8 @@ def _lanelets(root: Element, path: Path) -> list[tuple[str, str]]:
         tags = {tag.get("k"): tag.get("v") for tag in relation.findall("tag")}
         if tags.get("type") != "lanelet" or tags.get("subtype", "road") not in DRIVEN_SUBTYPES:
             continue
-        ways = {
-            side: [one.get("ref") for one in relation.findall("member") if one.get("role") == side] for side in SIDES
-        }
+        members = relation.findall("member")
+        ways = {side: [member.get("ref") for member in members if member.get("role") == side] for side in SIDES}
         for side, refs in ways.items():
             if len(refs) != 1:
                 raise ValueError(f"{path}: lanelet {relation.get('id')}: expected one {side} border, got {len(refs)}")
@@ -86,7 +85,7 @@ def _lanelets(root: Element, path: Path) -> list[tuple[str, str]]:
 
 
 def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path: Path) -> Floats:
-    """The places of a border, shape (N, 3)."""
+    """The points of a border, shape (N, 3)."""
     missing = [node for node in ways.get(way, []) if node not in nodes]
     if way not in ways or missing:
         raise ValueError(f"{path}: way {way}: expected it with all its nodes, {missing[:1] or 'it'} is missing")
@@ -97,7 +96,7 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
 
 
 def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[Floats, Floats]]:
-    """The outer borders of each: of two lanelets on either side of the same left border, both right ones."""
+    """The outer borders of each carriageway: both right borders of two lanelets with their left border in common."""
     rights_of: dict[str, list[str]] = {}
     for left, right in lanelets:
         rights_of.setdefault(left, []).append(right)
@@ -112,13 +111,13 @@ def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -
 
 
 def _side(line: Floats, other: Floats) -> float:
-    """1 if `other` lies to the left of `line` as that runs, -1 if to the right."""
+    """1 if `other` lies to the left of `line` in its direction, -1 if to the right."""
     along, away = line[-1] - line[0], other.mean(axis=0) - line.mean(axis=0)
     return 1.0 if along[0] * away[1] - along[1] * away[0] > 0 else -1.0
 
 
 def _line(first: Floats, second: Floats) -> CentreLine:
-    """The middle between two borders, which may run either way."""
+    """The middle between two borders, which may have either direction."""
     if np.linalg.norm(first[0] - second[0]) > np.linalg.norm(first[0] - second[-1]):
         second = second[::-1]
     num = 1 + math.ceil(max(_ways_m(first)[-1], _ways_m(second)[-1]) / STEP_M)
@@ -126,18 +125,20 @@ def _line(first: Floats, second: Floats) -> CentreLine:
     points = (first + second) / 2
     across, along = second - first, np.gradient(points, axis=0)
     widths_m = np.hypot(across[:, 0], across[:, 1])
-    is_left = across[:, 1] * along[:, 0] - across[:, 0] * along[:, 1] > 0  # the second one, as the points run
+    is_left = (
+        across[:, 1] * along[:, 0] - across[:, 0] * along[:, 1] > 0
+    )  # the second border, in the direction of the points
     cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
     whole = without_repeats(np.column_stack([points, cross_slopes]))
     return CentreLine(whole[:, :3], float(widths_m.mean()) / 2, whole[:, 3])
 
 
 def _ways_m(border: Floats) -> Floats:
-    """Horizontal way to each place from the first."""
+    """Horizontal distance of each point from the first along the border."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(border[:, :2], axis=0).T))])
 
 
 def _spread(border: Floats, num: int) -> Floats:
-    """`num` places at equal ways along the border."""
+    """`num` points at equal distances along the border."""
     ways_m = _ways_m(border)
     return np.stack([np.interp(np.linspace(0.0, ways_m[-1], num), ways_m, values) for values in border.T], -1)

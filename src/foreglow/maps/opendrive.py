@@ -1,8 +1,8 @@
 """Roads in an OpenDRIVE file (.xodr).
 
-Read are the reference line (line, arc, spiral, paramPoly3), elevation, superelevation, the lane offset and the widths
-of the driving lanes: the centre line is the middle of these. Lane heights, crossfall and shape are not. The frame is
-the file's own; its geo-reference is not evaluated, so that poses must be in the same metres.
+The reader takes the reference line (line, arc, spiral, paramPoly3), elevation, superelevation, the lane offset and the
+widths of the driving lanes, whose middle is the centre line. It ignores lane heights, crossfall and shape. The frame is
+the file's own; its geo-reference is not evaluated, so poses must be in the same metres.
 
 Source: ASAM OpenDRIVE 1.4 to 1.8.
 """
@@ -27,12 +27,12 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def read_opendrive(path: Path) -> RoadMap:
-    """The roads of an OpenDRIVE file that have a driving lane, or no lanes at all: these are two lanes wide.
+    """The roads of an OpenDRIVE file with a driving lane, or with no lanes at all: these are taken as two lanes wide.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no OpenDRIVE, a number is missing or broken, a geometry is of another kind, or there is no
-            road; the message names path and road.
+        ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, or there is
+            no road; the message names path and road.
     """
     roads = read_xml(path, "OpenDRIVE").findall("road")
     lines = [line for road in roads if (line := _line(road, f"{path}: road {road.get('id')}")) is not None]
@@ -42,24 +42,24 @@ def read_opendrive(path: Path) -> RoadMap:
 
 
 def _line(road: Element, origin: str) -> CentreLine | None:
-    """The middle of a road's driving lanes; None where it has other lanes only."""
+    """The middle of a road's driving lanes; None if it has other lanes only."""
     length_m = number_of(road, "length", origin)
     if length_m < 1e-3:
         return None
-    places_m = np.append(np.arange(0.0, length_m - 1e-3, STEP_M), length_m)
-    reference = _reference(road, places_m, origin)
-    widths = _widths_m(road, places_m, origin)
+    ways_m = np.append(np.arange(0.0, length_m - 1e-3, STEP_M), length_m)
+    reference = _reference(road, ways_m, origin)
+    widths = _widths_m(road, ways_m, origin)
     if widths is None:
         return None
     left_m, right_m = widths
-    middle_m = _cubics(road.findall("lanes/laneOffset"), places_m, "s", origin) + (left_m - right_m) / 2
-    roll_rad = _cubics(road.findall("lateralProfile/superelevation"), places_m, "s", origin)
+    middle_m = _cubics(road.findall("lanes/laneOffset"), ways_m, "s", origin) + (left_m - right_m) / 2
+    roll_rad = _cubics(road.findall("lateralProfile/superelevation"), ways_m, "s", origin)
     level_m = middle_m * np.cos(roll_rad)
     points = np.stack(
         [
             reference[:, 0] - level_m * np.sin(reference[:, 2]),
             reference[:, 1] + level_m * np.cos(reference[:, 2]),
-            _cubics(road.findall("elevationProfile/elevation"), places_m, "s", origin) + middle_m * np.sin(roll_rad),
+            _cubics(road.findall("elevationProfile/elevation"), ways_m, "s", origin) + middle_m * np.sin(roll_rad),
         ],
         -1,
     )
@@ -70,19 +70,18 @@ def _line(road: Element, origin: str) -> CentreLine | None:
     return CentreLine(whole[:, :3], float(np.mean(left_m + right_m)) / 2, whole[:, 3])
 
 
-def _reference(road: Element, places_m: Floats, origin: str) -> Floats:
-    """x, y and heading of the reference line, shape (N, 3), at places along it."""
-    geometries = sorted(
-        ((number_of(one, "s", origin), one) for one in road.findall("planView/geometry")), key=lambda pair: pair[0]
-    )
+def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
+    """x, y and heading of the reference line, shape (N, 3), at distances along it."""
+    found_geometries = ((number_of(geometry, "s", origin), geometry) for geometry in road.findall("planView/geometry"))
+    geometries = sorted(found_geometries, key=lambda pair: pair[0])
     if not geometries:
         raise ValueError(f"{origin}: planView: expected at least one <geometry>, got none")
-    numbers = np.clip(np.searchsorted([s for s, _ in geometries], places_m, side="right") - 1, 0, None)
-    found = np.empty((len(places_m), 3))
+    numbers = np.clip(np.searchsorted([s for s, _ in geometries], ways_m, side="right") - 1, 0, None)
+    found = np.empty((len(ways_m), 3))
     for number in np.unique(numbers).tolist():
         begin_m, geometry = geometries[number]
         x, y, heading = (number_of(geometry, name, origin) for name in ("x", "y", "hdg"))
-        own = _curve(geometry, places_m[numbers == number] - begin_m, origin)
+        own = _curve(geometry, ways_m[numbers == number] - begin_m, origin)
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
         found[numbers == number] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
@@ -90,7 +89,7 @@ def _reference(road: Element, places_m: Floats, origin: str) -> Floats:
 
 
 def _curve(geometry: Element, ways_m: Floats, origin: str) -> Floats:
-    """x, y and heading of a piece in its own frame, shape (N, 3), at ways from its beginning."""
+    """x, y and heading of a geometry in its own frame, shape (N, 3), at distances from its beginning."""
     length_m = number_of(geometry, "length", origin)
     for shape in geometry:
         if shape.tag == "line":
@@ -108,7 +107,7 @@ def _curve(geometry: Element, ways_m: Floats, origin: str) -> Floats:
 
 
 def _clothoid(curvature_per_m: float, change_per_m2: float, ways_m: Floats) -> Floats:
-    """x, y and heading of a curve whose curvature changes evenly, at rising ways from its beginning."""
+    """x, y and heading of a curve with linear curvature, at rising distances from its beginning."""
     starts, steps = np.concatenate([[0.0], ways_m[:-1]]), np.diff(ways_m, prepend=0.0)
     nodes = starts[:, None] + steps[:, None] * (_GAUSS_NODES + 1) / 2
     headings = curvature_per_m * nodes + change_per_m2 / 2 * nodes**2
@@ -118,39 +117,39 @@ def _clothoid(curvature_per_m: float, change_per_m2: float, ways_m: Floats) -> F
 
 
 def _parametric(shape: Element, parameters: Floats, origin: str) -> Floats:
-    """x, y and heading of two cubics of a parameter."""
+    """x, y and heading of a curve whose x and y are cubics of a parameter."""
     powers = np.stack([parameters**k for k in range(4)])
     slopes = np.stack([k * parameters ** max(k - 1, 0) for k in range(4)])
     u, v = (np.array([number_of(shape, name + axis, origin) for name in _COEFFICIENTS]) for axis in "UV")
     return np.stack([u @ powers, v @ powers, np.arctan2(v @ slopes, u @ slopes)], -1)
 
 
-def _cubics(pieces: list[Element], places_m: Floats, begin: str, origin: str) -> Floats:
-    """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its place `begin` on, shape (N,); 0 before the first."""
-    values = np.zeros(len(places_m))
-    for piece in sorted(pieces, key=lambda one: number_of(one, begin, origin)):
-        ways_m = places_m - number_of(piece, begin, origin)
+def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> Floats:
+    """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its `begin` on, shape (N,); 0 before the first."""
+    values = np.zeros(len(ways_m))
+    for piece in sorted(pieces, key=lambda piece: number_of(piece, begin, origin)):
+        ds_m = ways_m - number_of(piece, begin, origin)
         a, b, c, d = (number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS)
-        values = np.where(ways_m >= -1e-9, a + ways_m * (b + ways_m * (c + ways_m * d)), values)
+        values = np.where(ds_m >= -1e-9, a + ds_m * (b + ds_m * (c + ds_m * d)), values)
     return values
 
 
-def _widths_m(road: Element, places_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
-    """Width of the driving lanes left and right of the lanes' zero, shape (N,) each; None where there are none."""
+def _widths_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
+    """Widths of the driving lanes left and right of the lane offset, shape (N,) each; None without such lanes."""
     sections = road.findall("lanes/laneSection")
     if not sections:
-        return np.full(len(places_m), LANE_WIDTH_M), np.full(len(places_m), LANE_WIDTH_M)
-    sections = sorted(sections, key=lambda one: number_of(one, "s", origin))
+        return np.full(len(ways_m), LANE_WIDTH_M), np.full(len(ways_m), LANE_WIDTH_M)
+    sections = sorted(sections, key=lambda section: number_of(section, "s", origin))
     begins_m = np.array([number_of(section, "s", origin) for section in sections])
-    numbers = np.clip(np.searchsorted(begins_m, places_m + 1e-9, side="right") - 1, 0, None)
-    sides = {"left": np.zeros(len(places_m)), "right": np.zeros(len(places_m))}
+    numbers = np.clip(np.searchsorted(begins_m, ways_m + 1e-9, side="right") - 1, 0, None)
+    sides = {"left": np.zeros(len(ways_m)), "right": np.zeros(len(ways_m))}
     for number, section in enumerate(sections):
         is_here = numbers == number
         for side, sums_m in sides.items():
             for lane in section.findall(f"{side}/lane"):
                 if lane.get("type", "driving") in DRIVEN_LANES:
                     sums_m[is_here] += _cubics(
-                        lane.findall("width"), places_m[is_here] - begins_m[number], "sOffset", origin
+                        lane.findall("width"), ways_m[is_here] - begins_m[number], "sOffset", origin
                     )
     if not (sides["left"] + sides["right"] > 0).any():
         return None

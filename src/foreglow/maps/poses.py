@@ -1,16 +1,16 @@
-"""Where the vehicle was, over time: files of poses, and the pose at any time between.
+"""Poses of the vehicle over time, read from files and interpolated in between.
 
-CSV with a header line, a row a pose, times rising; either in the map's metres
+CSV with a header line and a row for each pose, times rising; either in the map's metres
 
     timestamp_s,x_m,y_m,z_m,qx,qy,qz,qw          (or timestamp_ns)
 
-or on the earth, with what may be left out in brackets
+or on the earth, with optional columns in brackets
 
     timestamp_s,lat_deg,lon_deg,heading_deg[,height_m[,pitch_deg,roll_deg]]
 
 heading clockwise from north, pitch upwards, roll to the right. Any other ending is TUM's format: `t x y z qx qy qz qw`
-in seconds and metres, separated by blanks, `#` begins a comment. All are poses of the vehicle's frame: x forward,
-y left, z up, origin on the road under the middle of the rear axle; an antenna's place must be moved there first.
+in seconds and metres, separated by blanks; `#` begins a comment. All are poses of the vehicle's frame: x forward,
+y left, z up, origin on the road under the middle of the rear axle. Positions of an antenna must be converted first.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from foreglow.files import read_text
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.maps.geographic import GeographicOrigin, check_place
+from foreglow.maps.geographic import GeographicOrigin, check_position
 
 MAX_GAP_S = 1.0
-"""Between poses further apart in time nothing is interpolated."""
+"""There is no interpolation between poses that are further apart in time."""
 
 TUM_COLUMNS = ("timestamp_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 METRIC_COLUMNS = TUM_COLUMNS[1:]
@@ -42,8 +42,8 @@ class PoseTrack:
 
     Attributes:
         times_ns: Shape (N,), int64, rising.
-        has_attitude: Whether height, pitch and roll are known; otherwise they are 0, and the vehicle is to be put onto
-            the road of a map.
+        has_attitude: Whether height, pitch and roll are known; otherwise they are 0, and should be taken from the road
+            of a map.
     """
 
     def __init__(self, times_ns: np.ndarray, poses: list[Pose], *, has_attitude: bool) -> None:
@@ -81,13 +81,12 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
 
     Args:
         path: The file.
-        origin: Where the map's frame is on the earth; None for a map in metres of its own.
+        origin: Position of the map's frame on the earth; None for a map in metres of its own.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If a column is missing or unknown, a number is broken, times do not rise, there are fewer than two
-            poses, or they are on the earth and the map is not, or the other way round; the message names path and
-            line.
+            poses, or only the poses or only the map are on the earth; the message names path and line.
     """
     path = Path(path)
     columns, rows = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
@@ -113,7 +112,9 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
         times_ns.append(_time_ns(words[columns.index(time_columns[0])], time_columns[0], where))
         poses.append(_metric_pose(row, where) if origin is None else _earth_pose(row, origin, where))
         if len(times_ns) > 1 and times_ns[-1] <= times_ns[-2]:
-            raise ValueError(f"{where}: {time_columns[0]}: expected times that rise, got one not after the line before")
+            raise ValueError(
+                f"{where}: {time_columns[0]}: expected times that rise, got a time not after that of the line before"
+            )
     if len(poses) < 2:
         raise ValueError(f"{path}: expected at least two poses, got {len(poses)}")
     has_attitude = origin is None or all(name in columns for name in EARTH_OPTIONS)
@@ -121,7 +122,7 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
 
 
 def _csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Names of the columns, and each row with its line's number."""
+    """Names of the columns, and each row with its line number."""
     lines = list(csv.reader(io.StringIO(read_text(path)), skipinitialspace=True))
     if not lines:
         raise ValueError(f"{path}: expected a header line, the file is empty")
@@ -148,7 +149,7 @@ def _numbers(columns: list[str], words: list[str], where: str) -> dict[str, floa
 
 
 def _time_ns(word: str, column: str, where: str) -> int:
-    """A time in nanoseconds, exact also for seconds since 1970, of which a float loses the last hundreds."""
+    """A time in nanoseconds, exact also for seconds since 1970, which as a float are exact to hundreds only."""
     try:
         return int(Decimal(word) * TIMES[column])
     except (InvalidOperation, ValueError, OverflowError):
@@ -165,7 +166,7 @@ def _metric_pose(row: dict[str, float], where: str) -> Pose:
 
 def _earth_pose(row: dict[str, float], origin: GeographicOrigin, where: str) -> Pose:
     latitude_deg, longitude_deg = row["lat_deg"], row["lon_deg"]
-    check_place(latitude_deg, longitude_deg, where)
+    check_position(latitude_deg, longitude_deg, where)
     yaw_rad = origin.yaw_rad(latitude_deg, longitude_deg, row["heading_deg"])
     angles = np.radians([row.get("pitch_deg", 0.0), row.get("roll_deg", 0.0)])
     position_m = [*origin.local(latitude_deg, longitude_deg), row.get("height_m", 0.0)]

@@ -1,4 +1,4 @@
-"""Which reader a map has, by its ending."""
+"""Maps of all formats, by their endings."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ def read_road_map(path: Path | str) -> RoadMap:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If its ending is another, it is broken, or there is no road in it; the message names path and
-            place.
+        ValueError: If its ending is unknown, it is broken, or it has no road; the message names path and element.
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())

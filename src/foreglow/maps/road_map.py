@@ -1,4 +1,4 @@
-"""The roads of a map together: which of them is ours, and how it goes on where its line ends."""
+"""The roads of a map: the choice of the road that we drive on, and its continuation where its line ends."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
 
 JOIN_M = 2.5
-"""Ends of two lines that are this near are one place: through a junction a map may have single lanes, whose middle is
-half a lane beside the road's.
+"""Ends of two lines that are this near are joined: through a junction a map may have single lanes, whose middle is half
+a lane beside the road's.
 """
 
 MIN_GOING_ON = 0.5
-"""A road goes on in another one only if it turns by less than 60 degrees there; the cosine of it."""
+"""Cosine of the largest turn between a road and its continuation, 60 degrees."""
 
 
 class RoadMap:
-    """Roads in one frame: x east, y north, z up, metres.
+    """Roads in a common frame: x east, y north, z up, metres.
 
     Attributes:
         lines: The roads.
-        origin: Where on earth the frame's zero is; None for a map in metres of its own.
-        has_heights: Whether its z means anything; otherwise it is 0.
+        origin: Position of the frame's origin on earth; None for a map in metres of its own.
+        has_heights: Whether z is known; otherwise it is 0.
     """
 
     def __init__(
@@ -44,47 +44,48 @@ class RoadMap:
         self.origin = origin
         self.has_heights = has_heights
         level = [line.points_m[:, :2] for line in lines]
-        self._lows, self._highs = np.array([one.min(0) for one in level]), np.array([one.max(0) for one in level])
-        # Two rows a line: run as its points are, and run the other way.
-        begins = np.array([[one[0], one[-1]] for one in level]).reshape(-1, 2)
-        steps = np.array([[one[1] - one[0], one[-2] - one[-1]] for one in level]).reshape(-1, 2)
+        self._lows = np.array([points.min(0) for points in level])
+        self._highs = np.array([points.max(0) for points in level])
+        # Two rows for each line: in the direction of its points, and in the other direction.
+        begins = np.array([[points[0], points[-1]] for points in level]).reshape(-1, 2)
+        steps = np.array([[points[1] - points[0], points[-2] - points[-1]] for points in level]).reshape(-1, 2)
         self._begins, self._directions = begins, steps / np.linalg.norm(steps, axis=1, keepdims=True)
 
     def ahead(
         self, pose: Pose, length_m: float = 400.0, error_bound_m: float = math.inf, *, is_on_road: bool = False
     ) -> RoadAhead | None:
-        """The road ahead on the nearest road with our heading; where its line ends, it goes on in the straightest.
+        """The road ahead on the nearest road with our heading, continued on the straightest line where that ends.
 
-        Width as of the nearest road. None as in `CentreLine.ahead`, whose arguments these are.
+        The width is that of the nearest road. Arguments and None are as in `CentreLine.ahead`.
         """
         is_level = is_on_road or not self.has_heights
         near = np.flatnonzero(self._distances_to_boxes_m(pose.position_m[:2]) <= MAX_OFFSET_M)
         feet = [(foot, int(k)) for k in near if (foot := self.lines[k].foot(pose, knows_height=not is_level))]
         if not feet:
             return None
-        foot, number = min(feet, key=lambda one: one[0].distance_m)
+        foot, number = min(feet, key=lambda candidate: candidate[0].distance_m)
         line = self.lines[number]
         left_m = foot.way_m if foot.is_against else line.length_m - foot.way_m
         joined = self._joined(number, foot.is_against, length_m - left_m)
         return joined.ahead(pose, length_m, error_bound_m, is_on_road=is_level)
 
     def distance_m(self, position_m: Floats) -> float:
-        """Horizontal distance of a place, shape (2,) or (3,), from the nearest point of a line; rough, for messages."""
+        """Rough horizontal distance of a position, shape (2,) or (3,), from the nearest line; for messages."""
         return min(float(np.hypot(*(line.points_m[:, :2] - position_m[:2]).T).min()) for line in self.lines)
 
-    def _distances_to_boxes_m(self, place: Floats) -> Floats:
-        """Distance of a place from the box around each line, shape (L,)."""
-        away = np.maximum(np.maximum(self._lows - place, place - self._highs), 0.0)
+    def _distances_to_boxes_m(self, position_m: Floats) -> Floats:
+        """Distance of a position from the box around each line, shape (L,)."""
+        away = np.maximum(np.maximum(self._lows - position_m, position_m - self._highs), 0.0)
         return np.asarray(np.linalg.norm(away, axis=1))
 
     def _joined(self, number: int, is_against: bool, missing_m: float) -> CentreLine:
-        """The line `number` as it is driven, and those that it goes on in for at least `missing_m` more."""
+        """The line `number` as it is driven, with its continuation for at least `missing_m`."""
         line = self._driven(2 * number + is_against)
         points, slopes, seen = [line.points_m], [line.cross_slopes], {number}
         while missing_m > 0 and (row := self._next(line, seen)) is not None:
             step = line.points_m[-1] - line.points_m[-2]
             line = self._driven(row)
-            # Ends that overlap would lead back a little.
+            # Where the ends overlap, the line would lead back a little.
             begin = int(np.argmax((line.points_m - points[-1][-1])[:, :2] @ step[:2] > 1e-3 * np.hypot(*step[:2])))
             points.append(line.points_m[begin:])
             slopes.append(line.cross_slopes[begin:])
@@ -97,7 +98,7 @@ class RoadMap:
         return line.reversed() if row % 2 else line
 
     def _next(self, line: CentreLine, seen: set[int]) -> int | None:
-        """Row of the straightest line that begins where `line` ends; None where the map ends."""
+        """Row of the straightest line that begins at the end of `line`; None if the map ends there."""
         before, end = line.points_m[-2:, :2]
         step = end - before
         turns = self._directions @ (step / np.linalg.norm(step))

@@ -1,4 +1,4 @@
-"""XML files and the numbers in them, with errors that say where."""
+"""XML files and the numbers in them, with errors that name the element."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def read_xml(path: Path, root: str) -> Element:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no XML, or of another kind.
+        ValueError: If it is not XML, or has another root.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
@@ -32,11 +32,11 @@ def number_of(element: Element, name: str, origin: str, default: float | None = 
     Args:
         element: The element.
         name: The attribute.
-        origin: Where the element is, for messages.
-        default: What a missing attribute means; None if it must be there.
+        origin: Path and element, for messages.
+        default: Value of a missing attribute; None if it must not be missing.
 
     Raises:
-        ValueError: If it is missing, or no finite number.
+        ValueError: If it is missing, or not a finite number.
     """
     text = element.get(name)
     if text is None and default is not None:

@@ -1,4 +1,4 @@
-"""Items on the workers of a dask cluster: many machines that see the same files at the same paths."""
+"""Work on a dask cluster: many machines that see the same files at the same paths."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foreglow.parallel.pool import given_up, hand_out
-from foreglow.parallel.workers import Item, Result, Told, Work
+from foreglow.parallel.pool import given_up, schedule
+from foreglow.parallel.workers import Item, ProgressCallback, Result, Work
 
 if TYPE_CHECKING:
     from distributed import Client
 
 CONNECT_S = 10.0
-"""A scheduler that does not answer for so long is taken for absent, and so is one whose workers do not come."""
+"""How long to wait for the scheduler to answer, and for its first worker."""
 
 COUNT_S = 1.0
-"""How often workers are counted; those that join get their share."""
+"""How often the workers are counted; those that join later are given work, too."""
 
 LOST_S = 60.0
-"""A cluster that has been without workers for so long gets none any more; nannies start theirs again in seconds."""
+"""How long a cluster may be without workers; dask's nannies restart theirs in seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +36,16 @@ class Cluster:
     """A dask cluster: `Workers` at a scheduler's address, such as `tcp://127.0.0.1:8786`.
 
     Its workers run one task at a time (`dask worker --nthreads 1`), have this version of Foreglow, and work in the
-    folder that this process runs in, so that a path means the same everywhere. Scheduler, workers and we trust each
-    other: dask sends Python's pickles between them. Encryption and authentication are those of dask's configuration.
+    folder that this process runs in, so that a path means the same everywhere. Scheduler, workers and this process
+    trust each other, since dask sends pickles between them. Encryption and authentication are set up in dask's
+    configuration.
     """
 
     address: str
 
     @property
     def num_workers(self) -> int:
-        """The workers that are there now."""
+        """The number of workers now."""
         with contextlib.closing(_connected(self.address)) as client:
             return len(client.nthreads())
 
@@ -52,18 +53,18 @@ class Cluster:
         self,
         work: Work[Item, Result],
         items: Mapping[str, Item],
-        told: Told,
+        progress: ProgressCallback,
         *,
         is_stopped: Callable[[], bool] = lambda: False,
         paths: Sequence[Path] = (),
     ) -> Iterator[tuple[str, Result]]:
         """As `Workers.each`."""
         if items:
-            yield from hand_out(_DaskWorkers(self.address, work, paths), items, told, is_stopped)
+            yield from schedule(_DaskWorkers(self.address, work, paths), items, progress, is_stopped)
 
 
 def _connected(address: str) -> Client:
-    """A client of the scheduler at `address`, which has workers."""
+    """A client of the scheduler at `address`, once it has a worker."""
     from distributed import Client
 
     try:
@@ -83,14 +84,14 @@ def _connected(address: str) -> Client:
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """What a worker has to know beside the item.
+    """What a worker has to know besides the item.
 
     Attributes:
-        token: Of this call of `each`.
-        key: Of the task.
-        version: Foreglow's.
-        folder: Where the first process runs.
-        paths: What must be there.
+        token: Names this call of `each`.
+        key: Names the task.
+        version: Version of Foreglow.
+        folder: Working folder of the first process.
+        paths: Files and folders that must be there.
     """
 
     token: str
@@ -101,7 +102,7 @@ class _Order:
 
 
 class _DaskWorkers:
-    """A crew: whoever is at the scheduler."""
+    """The pool of a scheduler's workers."""
 
     def __init__(self, address: str, work: Work[Any, Any], paths: Sequence[Path]) -> None:
         self._address, self._work = address, work
@@ -110,25 +111,25 @@ class _DaskWorkers:
         self._make_order = functools.partial(
             _Order, self._token, version=version("foreglow"), folder=Path.cwd(), paths=tuple(paths)
         )
-        self._news: deque[tuple[Any, ...]] = deque()
-        self._client.subscribe_topic(self._token, lambda event: self._news.append(tuple(event[1])))
-        self._num_workers, self._asked_s, self._seen_s = 0, -math.inf, time.monotonic()
+        self._reports: deque[tuple[Any, ...]] = deque()
+        self._client.subscribe_topic(self._token, lambda event: self._reports.append(tuple(event[1])))
+        self._num_workers, self._counted_s, self._seen_s = 0, -math.inf, time.monotonic()
 
-    def num_places(self) -> int:
+    def num_slots(self) -> int:
         now_s = time.monotonic()
-        if now_s - self._asked_s > COUNT_S:
-            self._num_workers, self._asked_s = len(self._client.nthreads()), now_s
+        if now_s - self._counted_s > COUNT_S:
+            self._num_workers, self._counted_s = len(self._client.nthreads()), now_s
         if self._num_workers:
             self._seen_s = now_s
         elif now_s - self._seen_s > LOST_S:
             raise ChildProcessError(f"--cluster {self._address}: all workers are gone, and none came back")
         return self._num_workers
 
-    def begin(self, name: str, item: Any) -> Any:
+    def submit(self, name: str, item: Any) -> Any:
         key = f"foreglow-{name}-{uuid.uuid4().hex}"
         return self._client.submit(_call, self._work, item, self._make_order(key=key), key=key, pure=False)
 
-    def result_of(self, name: str, task: Any) -> Any:
+    def result(self, name: str, task: Any) -> Any:
         from distributed import CancelledError, KilledWorker
 
         try:
@@ -137,21 +138,21 @@ class _DaskWorkers:
             raise given_up(name) from error
         except CancelledError as error:
             raise ConnectionError(f"--cluster {self._address}: the scheduler is gone") from error
-        task.release()  # or it would be worked out again when the worker dies that has the result
+        task.release()  # else dask would compute it again if the worker that holds the result died
         return result
 
-    def news(self) -> Iterable[tuple[Any, ...]]:
-        return [self._news.popleft() for _ in range(len(self._news))]
+    def reports(self) -> Iterable[tuple[Any, ...]]:
+        return [self._reports.popleft() for _ in range(len(self._reports))]
 
     def stop(self) -> None:
         self._client.run(_stop, self._token, on_error="ignore")
 
-    def end(self) -> None:
-        self._client.close()  # and the scheduler forgets our tasks
+    def close(self) -> None:
+        self._client.close()  # the scheduler then forgets our tasks
 
 
 _STOPPED: set[str] = set()
-"""Tokens of the calls whose work shall stop, in a worker's process."""
+"""In a worker's process: tokens of the calls that should stop."""
 
 
 def _stop(token: str) -> None:
@@ -160,17 +161,17 @@ def _stop(token: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Scheduler:
-    """The parent of work on a worker."""
+    """The parent of work on a dask worker."""
 
     worker: Any
     order: _Order
 
-    def tell(self, *news: Any) -> None:
-        self.worker.log_event(self.order.token, news)
+    def report_progress(self, *values: Any) -> None:
+        self.worker.log_event(self.order.token, values)
 
     @property
     def is_stopped(self) -> bool:
-        """Also where nobody waits for the result any more, as when the first process was killed."""
+        """True, too, when nobody waits for the result any more, as after the first process was killed."""
         task = self.worker.state.tasks.get(self.order.key)
         return self.order.token in _STOPPED or task is None or task.state == "cancelled"
 

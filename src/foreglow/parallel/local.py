@@ -1,8 +1,8 @@
-"""Items in this process, or in several processes of this machine.
+"""Work in this process, or in several processes of this machine.
 
-Every process is an executor of its own (joblib's loky), so that one that dies takes none of the others with it. It is a
-new program, not a fork: the threads and devices of a renderer do not survive one. A pipe joins it to the first process;
-when that is gone, even by `kill -9`, the pipe breaks, and the process ends at once.
+Each process is an executor of its own (joblib's loky), so one that dies does not take the others with it. It is a new
+program, not a fork, because the threads and devices of a renderer do not survive a fork. A pipe connects it to the
+first process; when that is gone, even by `kill -9`, the pipe breaks and the process ends at once.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from foreglow.parallel.pool import LostError, hand_out
-from foreglow.parallel.workers import Item, Parent, Result, Told, Work
+from foreglow.parallel.pool import LostProcessError, schedule
+from foreglow.parallel.workers import Item, Parent, ProgressCallback, Result, Work
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Of the processes: as many of them as cores, each with as many threads as cores, are slower than one."""
+"""Environment of the processes: with one process per core, several threads in each only slow each other down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Local:
     """This machine: `Workers` with `jobs` processes.
 
     Attributes:
-        jobs: Number of processes; 1 stays in this one, as does a single item.
+        jobs: Number of processes; 1 stays in this process, as does a single item.
     """
 
     jobs: int = 1
@@ -51,16 +51,16 @@ class Local:
         self,
         work: Work[Item, Result],
         items: Mapping[str, Item],
-        told: Told,
+        progress: ProgressCallback,
         *,
         is_stopped: Callable[[], bool] = lambda: False,
-        paths: Sequence[Path] = (),  # noqa: ARG002  they are where they are
+        paths: Sequence[Path] = (),  # noqa: ARG002  this machine has them
     ) -> Iterator[tuple[str, Result]]:
         """As `Workers.each`."""
         if self.jobs > 1 and len(items) > 1:
-            yield from hand_out(_Processes(min(self.jobs, len(items)), work), items, told, is_stopped)
+            yield from schedule(_Processes(min(self.jobs, len(items)), work), items, progress, is_stopped)
             return
-        here = _Here(told, is_stopped)
+        here = _Here(progress, is_stopped)
         for name, item in items.items():
             if is_stopped():
                 return
@@ -71,19 +71,19 @@ class Local:
 class _Here:
     """The parent of work in the same process."""
 
-    told: Told
-    asked: Callable[[], bool]
+    progress: ProgressCallback
+    check: Callable[[], bool]
 
-    def tell(self, *news: Any) -> None:
-        self.told(*news)
+    def report_progress(self, *values: Any) -> None:
+        self.progress(*values)
 
     @property
     def is_stopped(self) -> bool:
-        return self.asked()
+        return self.check()
 
 
 class _Processes:
-    """A crew of processes, made as they are needed."""
+    """A pool of processes, started as they are needed."""
 
     def __init__(self, jobs: int, work: Work[Any, Any]) -> None:
         from joblib.externals import loky
@@ -92,65 +92,65 @@ class _Processes:
         self._make_executor = loky.ProcessPoolExecutor
         self._idle: list[_Process] = []
         self._busy: dict[Future[Any], _Process] = {}
-        self._last_news: list[tuple[Any, ...]] = []
+        self._last_reports: list[tuple[Any, ...]] = []
         self._warnings = contextlib.ExitStack()
         self._warnings.enter_context(warnings.catch_warnings())
-        # loky renews a process that has grown between two items, which is as well, and warns of it.
+        # loky replaces a process that has grown between two items, which is fine, and warns about it.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
 
-    def num_places(self) -> int:
+    def num_slots(self) -> int:
         return self._jobs
 
-    def begin(self, name: str, item: Any) -> Future[Any]:  # noqa: ARG002
-        process = self._idle.pop() if self._idle else _Process.started(self._make_executor)
+    def submit(self, name: str, item: Any) -> Future[Any]:  # noqa: ARG002
+        process = self._idle.pop() if self._idle else _Process.start(self._make_executor)
         future: Future[Any] = process.executor.submit(_call, self._work, item)
         self._busy[future] = process
         return future
 
-    def result_of(self, name: str, future: Future[Any]) -> Any:  # noqa: ARG002
+    def result(self, name: str, future: Future[Any]) -> Any:  # noqa: ARG002
         process = self._busy.pop(future)
-        self._last_news += process.news()
+        self._last_reports += process.reports()
         if isinstance(future.exception(), BrokenProcessPool):
-            process.end()
-            raise LostError from future.exception()
+            process.close()
+            raise LostProcessError from future.exception()
         self._idle.append(process)
         return future.result()
 
-    def news(self) -> Iterable[tuple[Any, ...]]:
-        late, self._last_news = self._last_news, []
-        return [*late, *(news for process in self._busy.values() for news in process.news())]
+    def reports(self) -> Iterable[tuple[Any, ...]]:
+        last, self._last_reports = self._last_reports, []
+        return [*last, *(values for process in self._busy.values() for values in process.reports())]
 
     def stop(self) -> None:
         for process in self._busy.values():
             process.stop()
 
-    def end(self) -> None:
+    def close(self) -> None:
         for process in (*self._idle, *self._busy.values()):
-            process.end()
+            process.close()
         self._warnings.close()
 
 
 @dataclass(frozen=True, slots=True)
 class _Process:
-    """One process, and both ends of the pipe to it: loky hands the far one to a process that it renews."""
+    """One process, and both ends of the pipe to it: loky passes the far end to a process that it starts anew."""
 
     executor: Any
     near: Connection
     far: Connection
 
     @classmethod
-    def started(cls, make_executor: Callable[..., Any]) -> _Process:
+    def start(cls, make_executor: Callable[..., Any]) -> _Process:
         near, far = multiprocessing.Pipe()
         return cls(make_executor(1, initializer=_join, initargs=(far,), env=ENVIRONMENT), near, far)
 
-    def news(self) -> Iterator[tuple[Any, ...]]:
+    def reports(self) -> Iterator[tuple[Any, ...]]:
         while self.near.poll():
             yield self.near.recv()
 
     def stop(self) -> None:
         self.near.send(None)
 
-    def end(self) -> None:
+    def close(self) -> None:
         self.executor.shutdown(kill_workers=True)
         self.near.close()
         self.far.close()
@@ -160,35 +160,35 @@ class _Process:
 class _Pipe:
     """The parent of work in another process."""
 
-    line: Connection
+    connection: Connection
     stop: threading.Event = field(default_factory=threading.Event)
 
-    def tell(self, *news: Any) -> None:
-        self.line.send(news)
+    def report_progress(self, *values: Any) -> None:
+        self.connection.send(values)
 
     @property
     def is_stopped(self) -> bool:
         return self.stop.is_set()
 
     def listen(self) -> None:
-        """Waits for the word to stop; ends the process when nobody is there any more to say it."""
+        """Waits for the request to stop; ends this process when the first process is gone."""
         try:
             while True:
-                self.line.recv()
+                self.connection.recv()
                 self.stop.set()
         except (EOFError, OSError):
             os._exit(1)
 
 
 _PARENT: list[Parent] = []
-"""Of a process that works for another one."""
+"""The parent of this process, if it works for another one."""
 
 
-def _join(line: Connection) -> None:
-    """The first thing that a process does: Ctrl-C and `kill` are the first process's matter, which tells it to stop."""
+def _join(connection: Connection) -> None:
+    """Sets up a process: it leaves Ctrl-C and `kill` to the first process, which asks it to stop."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    parent = _Pipe(line)
+    parent = _Pipe(connection)
     threading.Thread(target=parent.listen, daemon=True).start()
     _PARENT[:] = [parent]
 

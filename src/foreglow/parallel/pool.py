@@ -1,4 +1,4 @@
-"""The loop that hands items out, takes results in, and has the items of lost processes done again."""
+"""The loop that starts items, collects results, and repeats the items of lost processes."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, TypeVar
 
-from foreglow.parallel.workers import Told
+from foreglow.parallel.workers import ProgressCallback
 
 Item = TypeVar("Item")
 
 MAX_DEATHS = 4
-"""An item that lost so many processes is given up; what dask.distributed does, too, unless told otherwise."""
+"""An item is given up once this many processes died working on it; dask.distributed has the same default."""
 
 POLL_S = 0.05
-"""How often news are passed on."""
+"""How often progress is passed on."""
 
 GRACE_S = 5.0
-"""Work that was asked to stop has this long to do so."""
+"""How long work that was asked to stop has to do so."""
 
 
-class LostError(Exception):
+class LostProcessError(Exception):
     """The process that worked on an item is gone."""
 
 
@@ -34,38 +34,43 @@ class Task(Protocol):
         ...
 
 
-class Crew(Protocol):
+class Pool(Protocol):
     """Processes that wait for work."""
 
-    def num_places(self) -> int:
-        """How many items it takes at once."""
+    def num_slots(self) -> int:
+        """How many items can be worked on at once."""
         ...
 
-    def begin(self, name: str, item: Any) -> Task:
-        """Has an item worked on."""
+    def submit(self, name: str, item: Any) -> Task:
+        """Starts work on an item."""
         ...
 
-    def result_of(self, name: str, task: Any) -> Any:
-        """What came of a task that is done; LostError if its process is gone, and else the error of the work."""
+    def result(self, name: str, task: Any) -> Any:
+        """The result of a task that is done.
+
+        Raises:
+            LostProcessError: If its process is gone.
+            Exception: What the work raised.
+        """
         ...
 
-    def news(self) -> Iterable[tuple[Any, ...]]:
-        """What the work told since the last call."""
+    def reports(self) -> Iterable[tuple[Any, ...]]:
+        """What the work has reported since the last call."""
         ...
 
     def stop(self) -> None:
-        """Asks those under way to stop."""
+        """Asks the work under way to stop."""
         ...
 
-    def end(self) -> None:
-        """Lets all go, whatever they do."""
+    def close(self) -> None:
+        """Ends all processes, whatever they are doing."""
         ...
 
 
-def hand_out(
-    crew: Crew, items: Mapping[str, Item], told: Told, is_stopped: Callable[[], bool]
+def schedule(
+    pool: Pool, items: Mapping[str, Item], progress: ProgressCallback, is_stopped: Callable[[], bool]
 ) -> Iterator[tuple[str, Any]]:
-    """`Workers.each` with the processes of `crew`, which end with it."""
+    """`Workers.each` with the processes of `pool`, which is closed at the end."""
     waiting = deque(items)
     running: set[str] = set()
     done: SimpleQueue[tuple[str, Any]] = SimpleQueue()
@@ -75,30 +80,31 @@ def hand_out(
     try:
         while waiting or running:
             if is_stopped() and not is_stopping:
-                crew.stop()
+                pool.stop()
                 is_stopping = True
             if is_stopping or error is not None:
                 waiting.clear()
-            while waiting and len(running) < crew.num_places():
-                running.add(waiting[0])
-                _begin(crew, waiting.popleft(), items, done)
+            while waiting and len(running) < pool.num_slots():
+                name = waiting.popleft()
+                running.add(name)
+                _submit(pool, name, items[name], done)
             finished = _next_of(done) if running else None
-            for news in crew.news():
-                told(*news)
+            for values in pool.reports():
+                progress(*values)
             if finished is None:
                 continue
             name, task = finished
             running.remove(name)
             try:
-                result = crew.result_of(name, task)
-            except LostError:
+                result = pool.result(name, task)
+            except LostProcessError:
                 deaths[name] += 1
                 if deaths[name] < MAX_DEATHS:
                     waiting.appendleft(name)
                 else:
                     error = error or given_up(name)
-            except Exception as one:
-                error = error or one
+            except Exception as raised:
+                error = error or raised
             else:
                 yield name, result
         if error is not None:
@@ -106,22 +112,22 @@ def hand_out(
     finally:
         try:
             if running:
-                crew.stop()
-                _wait_for(crew, running, done)
+                pool.stop()
+                _wait_for(pool, running, done)
         finally:
-            crew.end()
+            pool.close()
 
 
 def given_up(name: str) -> ChildProcessError:
-    """The error about an item that cost too many processes."""
+    """The error about an item that too many processes died of."""
     return ChildProcessError(
         f"{name}: {MAX_DEATHS} processes that worked on it ended unexpectedly, perhaps for lack of memory: run again "
         "with fewer at once"
     )
 
 
-def _begin(crew: Crew, name: str, items: Mapping[str, Item], done: SimpleQueue[tuple[str, Any]]) -> None:
-    crew.begin(name, items[name]).add_done_callback(lambda task: done.put((name, task)))
+def _submit(pool: Pool, name: str, item: Any, done: SimpleQueue[tuple[str, Any]]) -> None:
+    pool.submit(name, item).add_done_callback(lambda task: done.put((name, task)))
 
 
 def _next_of(done: SimpleQueue[tuple[str, Any]]) -> tuple[str, Any] | None:
@@ -131,11 +137,11 @@ def _next_of(done: SimpleQueue[tuple[str, Any]]) -> tuple[str, Any] | None:
         return None
 
 
-def _wait_for(crew: Crew, running: set[str], done: SimpleQueue[tuple[str, Any]]) -> None:
-    """Until those under way have stopped, or their time is up; who tells much is not kept waiting for a reader."""
+def _wait_for(pool: Pool, running: set[str], done: SimpleQueue[tuple[str, Any]]) -> None:
+    """Waits until all work has stopped or its time is up, and empties the pipes, so that no process blocks on one."""
     until_s = time.monotonic() + GRACE_S
     while running and time.monotonic() < until_s:
-        for _ in crew.news():
+        for _ in pool.reports():
             pass
         finished = _next_of(done)
         if finished is not None:

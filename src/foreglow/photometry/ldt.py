@@ -1,7 +1,7 @@
 """Reader of EULUMDAT files (.ldt): measured lamps as intensity tables.
 
 This reader is our own: of the libraries on PyPI, `eulumdat-py` 1.0 (MIT, pure Python) fits our licence but has no
-types, reads empty numbers as 0, accepts NaN and does not complain about files that end early; `eulumdat` has to be
+types, reads empty numbers as 0, accepts NaN and takes files that end early for whole ones; `eulumdat` has to be
 built with Rust. The checks around either would be longer than the reader.
 """
 

@@ -11,6 +11,7 @@ from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text, naming
+from foreglow.outputs import FolderLock
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary import LiveSummary, RunSummary
@@ -53,21 +54,18 @@ class OutputFolder:
 
         Raises:
             OSError: If it cannot be made or written to; the message names the path.
-            ValueError: If it holds a folder with the name of a result.
+            ValueError: If it holds a folder with the name of a result, or another run is writing into it.
         """
         self.path = path
         self._partials: dict[str, Path] = {}
         self._parts: Path | None = None
-        self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
-        path.mkdir(parents=True, exist_ok=True)
-        for name in RESULT_NAMES:
-            if (path / name).is_dir():
-                raise ValueError(f"{path / name}: expected a file to write, or nothing, got a folder")
+        self._lock = FolderLock(path)
         try:
+            for name in RESULT_NAMES:
+                if (path / name).is_dir():
+                    raise ValueError(f"{path / name}: expected a file to write, or nothing, got a folder")
             self.write_text("frames.jsonl", "")
-        except OSError:
+        except BaseException:
             self.discard()
             raise
 
@@ -142,6 +140,7 @@ class OutputFolder:
                 (self.path / name).unlink(missing_ok=True)
                 _partial(self.path, name).unlink(missing_ok=True)  # of a run that was killed
         self._partials.clear()
+        self._lock.release()
 
     def discard(self) -> None:
         """Removes what was written, and the folders made for it if nothing else is in them."""
@@ -151,9 +150,7 @@ class OutputFolder:
         self._partials.clear()
         if self._parts is not None:
             shutil.rmtree(self._parts, ignore_errors=True)
-        for folder in self._made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        self._lock.release()
 
 
 def part_sinks(parts: Path, name: str) -> list[LineSink]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from foreglow.config import PipelineConfig, read_config
-from foreglow.datasets import PVDN, open_source
+from foreglow.datasets import LabelledSource, open_source
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.summary import SummaryFile, read_summary
@@ -66,7 +66,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
     wanted = {result.frame: result.timestamp_ns for result in results}
     source = open_source(source_of_run(run.folder), on_error="mark")
     frames: dict[int, Frame] = {}
-    if isinstance(source, PVDN):
+    if isinstance(source, LabelledSource):
         frames = {number: source.read(number) for number in sorted(wanted)}
     else:
         for frame in source:

@@ -166,6 +166,7 @@ def _messages(frames: tuple[CanFrame, ...], timestamp_ns: int) -> Iterator[can.M
             arbitration_id=frame.frame_id,
             is_extended_id=False,
             is_fd=True,
+            is_rx=False,
             bitrate_switch=True,
             data=frame.data,
         )

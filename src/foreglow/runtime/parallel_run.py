@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import time
 import uuid
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,10 +47,10 @@ class Opening:
         return tuple(_paths_in(self.arguments))
 
 
-def _paths_in(arguments: tuple[Hashable, ...]) -> Iterator[Path]:
+def _paths_in(arguments: Iterable[object]) -> Iterator[Path]:
     for argument in arguments:
-        if isinstance(argument, tuple):
-            yield from _paths_in(argument)
+        if dataclasses.is_dataclass(argument) and not isinstance(argument, type):
+            yield from _paths_in(getattr(argument, field.name) for field in dataclasses.fields(argument))
         elif isinstance(argument, Path) and argument.exists():
             yield argument
 
@@ -172,7 +173,7 @@ class _ProgressSink:
 
     def close(self) -> None:
         """Reports the number of frames."""
-        self._parent.tell(self._sequence, self._num_done)
+        self._parent.report_progress(self._sequence, self._num_done)
         self._reported_s = time.monotonic()
 
     def discard(self) -> None:

@@ -24,7 +24,7 @@ class Tracker(Protocol):
 
     def reset(self) -> None:
         """Forgets all tracks, as at the start of a sequence; ids begin again."""
-        ...
+        return
 
 
 TRACKERS: Mapping[str, type[Tracker]] = MappingProxyType(

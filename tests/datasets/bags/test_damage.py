@@ -84,8 +84,8 @@ def test_a_file_cut_anywhere(whole: Path, share: float) -> None:
 @given(share=st.floats(0.0, 0.999), value=st.binary(min_size=1, max_size=8))
 def test_bytes_changed_anywhere(whole: Path, share: float, value: bytes) -> None:
     data = bytearray(whole.read_bytes())
-    place = int(share * (len(data) - len(value)))
-    data[place : place + len(value)] = value
+    position = int(share * (len(data) - len(value)))
+    data[position : position + len(value)] = value
     damaged = whole.with_name(f"damaged{whole.suffix}")
     damaged.write_bytes(data)
     check(damaged)
@@ -124,14 +124,14 @@ def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
     path = _mcap(tmp_path) if kind == "mcap" else _lz4_bag(tmp_path)
     data = bytearray(path.read_bytes())
     needle = b"lz4" if kind == "bag" else b"zstd"
-    places = [place for place in range(len(data)) if data.startswith(needle, place)]
+    positions = [position for position in range(len(data)) if data.startswith(needle, position)]
     if kind == "bag":  # all of it is one chunk, and the definitions of topics with it
-        data[places[0] + 400 : places[0] + 420] = bytes(20)
+        data[positions[0] + 400 : positions[0] + 420] = bytes(20)
         path.write_bytes(data)
         with pytest.raises(ValueError, match=rf"{path}: byte \d+: "):
             list(Recording(path))
         return
-    data[places[2] + 100 : places[2] + 120] = bytes(20)
+    data[positions[2] + 100 : positions[2] + 120] = bytes(20)
     path.write_bytes(data)
     with pytest.raises(
         ValueError, match=rf"{path}: byte \d+: (damaged chunk, its checksum is wrong|zstd data are damaged)"
@@ -140,6 +140,17 @@ def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
     source = Recording(path, on_error="skip")
     frames = list(source)
     assert len(frames) == len(IMAGES) - 1
+    assert len(source.skipped) == 1
+
+
+def test_damage_where_the_topic_is_defined(tmp_path: Path) -> None:
+    path = _mcap(tmp_path)
+    data = bytearray(path.read_bytes())
+    first = data.index(b"zstd")
+    data[first + 100 : first + 120] = bytes(20)
+    path.write_bytes(data)
+    source = Recording(path, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES[1:])
     assert len(source.skipped) == 1
 
 
@@ -170,19 +181,19 @@ def test_a_length_that_leads_out_of_the_file(tmp_path: Path) -> None:
     path = _mcap(tmp_path)
     data = bytearray(path.read_bytes())
     length = int.from_bytes(data[9:17], "little")
-    place = 17 + length  # the record behind the header
-    data[place + 1 : place + 9] = struct.pack("<Q", 2**63)
+    position = 17 + length  # the record behind the header
+    data[position + 1 : position + 9] = struct.pack("<Q", 2**63)
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="expected records up to the end, one of them cannot be followed"):
+    with pytest.raises(ValueError, match="expected records up to the end, one of them is malformed"):
         list(Recording(path, topic=TOPIC))
 
 
 def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
-    """Its header has no place of an index yet."""
+    """Its header has no position of an index yet."""
     data = bytearray(_bag(tmp_path).read_bytes())
-    place = data.index(b"index_pos=") + len(b"index_pos=")
-    end = int.from_bytes(data[place : place + 8], "little")
-    data[place : place + 8] = bytes(8)
+    position = data.index(b"index_pos=") + len(b"index_pos=")
+    end = int.from_bytes(data[position : position + 8], "little")
+    data[position : position + 8] = bytes(8)
     path = tmp_path / "drive.bag.active"
     path.write_bytes(data[:end])
     source = Recording(path)

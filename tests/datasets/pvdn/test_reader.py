@@ -265,7 +265,7 @@ def test_a_folder_that_is_no_split(tmp_path: Path) -> None:
 
 def test_a_sequence_folder_that_the_labels_do_not_know(split: Path) -> None:
     (split / "images" / "S00009").mkdir()
-    with pytest.raises(ValueError, match="expected one with dir S00009"):
+    with pytest.raises(ValueError, match="expected a sequence with dir S00009"):
         PVDN(split / "images" / "S00009")
 
 
@@ -276,14 +276,14 @@ _JSON = st.recursive(
 )
 
 
-def _places(document: Any, prefix: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+def _all_keys(document: Any, prefix: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
     """The path of every value in a JSON document."""
     inner: list[tuple[str | int, Any]] = []
     if isinstance(document, dict):
         inner = list(document.items())
     elif isinstance(document, list):
         inner = list(enumerate(document))
-    return [prefix] + [place for key, value in inner for place in _places(value, (*prefix, key))]
+    return [prefix] + [keys for key, value in inner for keys in _all_keys(value, (*prefix, key))]
 
 
 _KEYPOINTS = {"image_id": 11, "annotations": [{"pos": [1, 2], "oid": 1, "instances": [{"pos": [3, 4], "iid": 0}]}]}
@@ -299,13 +299,13 @@ _DOCUMENTS: list[tuple[Any, Any]] = [
 @given(st.sampled_from(_DOCUMENTS), st.data())
 def test_any_value_anywhere_is_read_or_refused(case: tuple[Any, Any], data: st.DataObject) -> None:
     model, document = case
-    place = data.draw(st.sampled_from(_places(document)))
+    keys = data.draw(st.sampled_from(_all_keys(document)))
     changed = json.loads(json.dumps(document))
-    if place:
+    if keys:
         target = changed
-        for key in place[:-1]:
+        for key in keys[:-1]:
             target = target[key]
-        target[place[-1]] = data.draw(_JSON)
+        target[keys[-1]] = data.draw(_JSON)
     else:
         changed = data.draw(_JSON)
     _only_value_errors(lambda: parse_json(json.dumps(changed), model, "fuzz"))
@@ -316,8 +316,8 @@ def test_any_value_anywhere_is_read_or_refused(case: tuple[Any, Any], data: st.D
 def test_any_damage_to_the_text_is_read_or_refused(case: tuple[Any, Any], data: st.DataObject) -> None:
     model, document = case
     text = bytearray(json.dumps(document).encode())
-    for place in data.draw(st.lists(st.integers(0, len(text) - 1), min_size=1, max_size=4)):
-        text[place] = data.draw(st.integers(0, 255))
+    for index in data.draw(st.lists(st.integers(0, len(text) - 1), min_size=1, max_size=4)):
+        text[index] = data.draw(st.integers(0, 255))
     _only_value_errors(lambda: parse_json(bytes(text[: data.draw(st.integers(0, len(text)))]), model, "fuzz"))
 
 

@@ -33,8 +33,8 @@ def drive() -> list[tuple[int, StreetMessage]]:
         curvature_per_m=((0.0, 0.0), (200.0, 0.006), (500.0, -0.004)),
         elevation_m=((0.0, 0.0), (300.0, 9.0), (600.0, 0.0)),
     )
-    told = StreetMap(Road(spec), StreetDataError(longitudinal_class=2), np.random.default_rng(3))
-    return [(k * TENTH, told.message(20.0 + 1.5 * k)) for k in range(100)]
+    streets = StreetMap(Road(spec), StreetDataError(longitudinal_class=2), np.random.default_rng(3))
+    return [(k * TENTH, streets.message(20.0 + 1.5 * k)) for k in range(100)]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -45,8 +45,8 @@ def test_a_drive_comes_back(tmp_path: Path, drive: list[tuple[int, StreetMessage
     log = read_can_log(path)
     assert log.has_street
     assert (log.first_ns, log.last_ns) == pytest.approx((0, drive[-1][0]), abs=MS)
-    for (time_ns, told), (_, motion) in zip(drive, motions, strict=True):
-        assert log.street(time_ns + MS) == told
+    for (time_ns, sent), (_, motion) in zip(drive, motions, strict=True):
+        assert log.street(time_ns + MS) == sent
         back = log.motion(time_ns + MS)
         assert back is not None
         assert (back.speed_mps, back.yaw_rate_radps) == pytest.approx((motion.speed_mps, motion.yaw_rate_radps))
@@ -111,11 +111,11 @@ def _messages(draw: st.DrawFn) -> StreetMessage:
 
 @settings(derandomize=True, max_examples=40, deadline=None)
 @given(st.lists(_messages(), min_size=1, max_size=4))
-def test_any_messages_come_back(tmp_path_factory: pytest.TempPathFactory, told: list[StreetMessage]) -> None:
+def test_any_messages_come_back(tmp_path_factory: pytest.TempPathFactory, messages: list[StreetMessage]) -> None:
     path = tmp_path_factory.mktemp("any") / "drive.log"
-    write_can_log(path, [(k * TENTH, one) for k, one in enumerate(told)])
+    write_can_log(path, [(k * TENTH, sent) for k, sent in enumerate(messages)])
     log = read_can_log(path)
-    assert [log.street(k * TENTH) for k in range(len(told))] == told
+    assert [log.street(k * TENTH) for k in range(len(messages))] == messages
 
 
 def test_what_cannot_be_written(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_frame_that_is_too_short(tmp_path: Path) -> None:
 
 
 def test_a_position_that_the_car_does_not_know(tmp_path: Path) -> None:
-    """It takes the place of the message before; a segment that was never told does so too."""
+    """It takes the place of the message before; a segment that was never sent does so, too."""
     path = tmp_path / "drive.log"
     write_can_log(path, [(0, message())])
     known = path.read_text()

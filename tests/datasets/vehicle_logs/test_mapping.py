@@ -133,11 +133,11 @@ def test_the_road_of_another_car(tmp_path: Path) -> None:
         ("Facts", {"What": 0, "FactId": 7, "Limit": 70}),  # another fact of the same message
         here(7),
     ]
-    told = log_of(tmp_path, frames).street(1_100_000_000)
-    assert told is not None
-    assert [one.segment_id for one in told.segments] == [7, 8]
-    assert (told.remaining_length_m, told.error_class) == (30, 1)
-    first, second = told.segments
+    found = log_of(tmp_path, frames).street(1_100_000_000)
+    assert found is not None
+    assert [one.segment_id for one in found.segments] == [7, 8]
+    assert (found.remaining_length_m, found.error_class) == (30, 1)
+    first, second = found.segments
     assert (first.length_m, first.slope, second.slope) == (80.0, -0.03, 0.0)
     # Half a code of ours is 1.4 %.
     assert first.curvatures_per_m == pytest.approx((1 / 15, -1 / 5000), rel=0.0138)

@@ -98,10 +98,9 @@ def test_the_interval_of_one_figure() -> None:
     error = counts[:, 0].std() / 10 / math.sqrt(60)
     assert high - low == pytest.approx(2 * 1.96 * error, rel=0.06)
     assert low < float(ratio(counts.sum(axis=0))) < high
-    value = float(ratio(counts[0]))
-    assert percentile_interval(counts[:1], ratio) == (value, value)
+    assert np.isnan(percentile_interval(counts[:1], ratio)).all()  # of one scene nothing is known about others
 
 
 def test_an_interval_of_nothing() -> None:
-    for counts in (np.ones((0, 2)), np.array([[1.0, 0.0]]), np.full((3, 2), math.nan)):
+    for counts in (np.ones((0, 2)), np.full((3, 2), math.nan)):
         assert np.isnan(percentile_interval(counts, ratio)).all()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from foreglow.datasets import PVDN
+from foreglow.files import to_json
 from foreglow.lab.evaluation.label_statistics import (
     Comparison,
     LabelledImage,
@@ -64,7 +65,7 @@ def test_a_light_whose_vehicle_never_comes() -> None:
 
 
 def test_nothing_is_null_in_json() -> None:
-    fields = json.loads(json.dumps(label_statistics([]).to_json(), allow_nan=False))
+    fields = json.loads(json.dumps(to_json(label_statistics([])), allow_nan=False))
     assert fields["num_images"] == 0
     assert fields["share_direct"] is None
     assert fields["lead_frames"] == {"num": 0, "lower_quartile": None, "median": None, "upper_quartile": None}
@@ -97,7 +98,7 @@ def test_what_one_side_lacks_is_not_close() -> None:
 
 def test_rows_as_json() -> None:
     rows = [Comparison("share", 0.5, math.nan, math.nan, False)]
-    assert json.loads(json.dumps([row.to_json() for row in rows], allow_nan=False)) == [
+    assert json.loads(json.dumps(to_json(rows), allow_nan=False)) == [
         {"name": "share", "real": 0.5, "simulated": None, "ratio": None, "is_close": False}
     ]
 

@@ -22,10 +22,10 @@ def night_frame(image_id: int) -> tuple[Frame, tuple[Vehicle, ...], tuple[Instan
     rng = np.random.default_rng(image_id)
     image = rng.integers(8, 12, SIZE_PX, dtype=np.uint8)
     x, y = int(rng.integers(100, 300)), int(rng.integers(100, 300))
-    places = {"left": (x, y), "right": (x + LAMP_DISTANCE_PX, y), "road": (x, y + 90), "doubtful": (x + 200, y)}
-    for name, (column, row) in places.items():
+    corners = {"left": (x, y), "right": (x + LAMP_DISTANCE_PX, y), "road": (x, y + 90), "doubtful": (x + 200, y)}
+    for name, (column, row) in corners.items():
         image[row : row + LAMP_PX, column : column + LAMP_PX] = 220 if name in ("left", "right") else 90
-    middle = {name: (column + LAMP_PX // 2, row + LAMP_PX // 2) for name, (column, row) in places.items()}
+    middle = {name: (column + LAMP_PX // 2, row + LAMP_PX // 2) for name, (column, row) in corners.items()}
     instances = (
         Instance(position_px=middle["left"], iid=0, is_direct=True),
         Instance(position_px=middle["right"], iid=1, is_direct=True),

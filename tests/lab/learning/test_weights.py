@@ -23,16 +23,23 @@ from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.lab.learning import import_weights
 from foreglow.lab.learning.probes import render_probes
+from foreglow.lab.learning.weights import ImportedModel
 from foreglow.types import Frame, Proposals
 from tests.lab.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
 
 
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> dict[float | None, ImportedModel]:
+    """The published model by the tolerance of its folding."""
+    weights, folder = shared_file("data/pvdn_weights_pretrained.pt"), tmp_path_factory.mktemp("models")
+    return {fold: import_weights(weights, folder / f"{fold}.onnx", fold) for fold in (None, 0.0, 1e-3)}
+
+
 @pytest.mark.parametrize(("fold", "tolerance"), [(None, 1e-3), (0.0, 1e-3), (1e-3, 5e-3)])
-def test_published_scores(tmp_path: Path, fold: float | None, tolerance: float) -> None:
-    weights = shared_file("data/pvdn_weights_pretrained.pt")
+def test_published_scores(published: dict[float | None, ImportedModel], fold: float | None, tolerance: float) -> None:
     image: Any = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
-    imported = import_weights(weights, tmp_path / "model.onnx", fold)
+    imported = published[fold]
     if fold:
         assert imported.num_multiply_adds < 10e6
     classifier = OnnxClassifier(ClassifierConfig(model=imported.path))
@@ -44,14 +51,11 @@ def test_published_scores(tmp_path: Path, fold: float | None, tolerance: float) 
         np.testing.assert_array_equal(detections.is_accepted, expected > 0.5)
 
 
-def test_folding_holds_beyond_its_own_probes(tmp_path: Path) -> None:
+def test_folding_holds_beyond_its_own_probes(published: dict[float | None, ImportedModel]) -> None:
     """Crops from another seed than those that folding tried."""
-    weights = shared_file("data/pvdn_weights_pretrained.pt")
     crops = render_probes(64, 64, seed=12345)
-    scores = []
-    for name, fold in (("all", None), ("folded", 1e-3)):
-        path = import_weights(weights, tmp_path / name, fold).path
-        scores.append(1 / (1 + np.exp(-onnx_logits(path.read_bytes(), crops).astype(np.float64))))
+    logits = [onnx_logits(published[fold].path.read_bytes(), crops).astype(np.float64) for fold in (None, 1e-3)]
+    scores = [1 / (1 + np.exp(-values)) for values in logits]
     change = np.abs(scores[1] - scores[0])
     assert np.quantile(change, 0.9) < 1e-3
     assert change.max() < 5e-3

@@ -1,4 +1,4 @@
-"""What the files of recordings have in common: messages on topics, and damage."""
+"""The interface of all files of recordings: messages on topics, and damage."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ MAX_BYTES = 1 << 29
 """Largest record that is read, and largest chunk that is decompressed: twice an image of 8192x8192 px in colour."""
 
 PARTIAL_SUFFIXES = (".partial", ".active")
-"""Endings of recordings that nobody completed: ours of a killed run, and rosbag's."""
+"""Endings of incomplete recordings: ours of a killed run, and rosbag's."""
 
 Refuse: TypeAlias = Callable[[str], None]
-"""Takes what is wrong at some place; raises ValueError, or notes it: then reading goes on with what follows."""
+"""Takes a message about damage; raises ValueError, or notes it: then reading continues after the damage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +24,8 @@ class Topic:
 
     Attributes:
         name: Such as `/camera/image_raw`.
-        type: Type of its messages, as its recorder called it: `sensor_msgs/msg/Image`.
-        encoding: How they are written: `cdr`, `ros1`, `protobuf`, `json` ...
+        type: Type of its messages by its recorder's name: `sensor_msgs/msg/Image`.
+        encoding: Their encoding: `cdr`, `ros1`, `protobuf`, `json` ...
     """
 
     name: str
@@ -38,8 +38,8 @@ class Message:
     """A message.
 
     Attributes:
-        topic: Where it was published.
-        log_time_ns: When it was recorded.
+        topic: The topic on which it was published.
+        log_time_ns: Time of recording.
         data: Its bytes.
     """
 
@@ -53,32 +53,32 @@ class Container(Protocol):
 
     @property
     def truncation(self) -> str:
-        """What says that the end is missing, with the path; empty for a complete recording, and for one whose name says
-        that it is not (`PARTIAL_SUFFIXES`).
+        """A message that the end is missing, with the path; empty for a complete recording, and for a recording whose
+        name says that it is incomplete (`PARTIAL_SUFFIXES`).
         """
         ...
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """The messages on the topics `names`, None for all, in the order of the file.
 
-        Damage goes to `refuse`, with the path; a missing end does not: it is `truncation`.
+        Damage is passed to `refuse`, with the path; a missing end is not: it is in `truncation`.
         """
         ...
 
     def count(self, name: str) -> int | None:
-        """How many messages the topic has; None where the file does not tell."""
+        """Number of messages on the topic; None if unknown without reading all of the file."""
         ...
 
 
 def is_partial(path: Path) -> bool:
-    """Whether its name says that nobody completed it."""
+    """Whether its name says that it is incomplete."""
     return path.name.endswith(PARTIAL_SUFFIXES)
 
 
 def decompressed(data: memoryview, compression: str, size: int) -> memoryview:
-    """The `size` bytes that `data` were before `compression`: empty, `none`, `lz4`, `zstd` or `bz2`.
+    """The `size` bytes of `data` without their `compression`: empty, `none`, `lz4`, `zstd` or `bz2`.
 
-    No more than `size` bytes are ever taken, whatever the data say of themselves.
+    It never allocates more than `size` bytes, whatever the headers within the data claim.
 
     Raises:
         ModuleNotFoundError: If the package for it is not installed (extra `recordings`).

@@ -1,4 +1,4 @@
-"""Numbers, texts and bytes in a buffer, one after another; never beyond its end, and nothing is copied."""
+"""Numbers, texts and bytes read from a buffer in sequence; never beyond its end, and without copies."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ Format: TypeAlias = Literal["B", "H", "I", "Q", "i"]
 class Cursor:
     """Reads a buffer from its start.
 
-    The base of the formats: MCAP and ROS 1 put the fields one behind the other, little-endian, a text behind its
-    length. Every method takes the name of the field for its message.
+    MCAP and ROS 1 have their fields in sequence, little-endian, and a text after its length. Every method takes the
+    name of the field for its error message.
 
     Raises:
         ValueError: If a field does not fit into the buffer, or a text is not UTF-8; the message starts with the field.
@@ -21,25 +21,25 @@ class Cursor:
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
-        self._place = 0
+        self._position = 0
         self._order = "<"
 
     @property
     def is_at_end(self) -> bool:
-        """Whether all was read."""
-        return self._place >= len(self._data)
+        """Whether everything was read."""
+        return self._position >= len(self._data)
 
     def take(self, count: int, field: str) -> memoryview:
         """The next `count` bytes."""
-        end = self._place + count
+        end = self._position + count
         if end > len(self._data):
-            raise ValueError(f"{field}: expected {count} bytes, the data end after {len(self._data) - self._place}")
-        taken, self._place = self._data[self._place : end], end
+            raise ValueError(f"{field}: expected {count} bytes, the data end after {len(self._data) - self._position}")
+        taken, self._position = self._data[self._position : end], end
         return taken
 
     def rest(self) -> memoryview:
         """All bytes that are left."""
-        return self.take(len(self._data) - self._place, "rest")
+        return self.take(len(self._data) - self._position, "rest")
 
     def number(self, kind: Format, field: str) -> int:
         """The next whole number."""
@@ -51,7 +51,7 @@ class Cursor:
         return text_of(self.block(field), field)
 
     def block(self, field: str) -> memoryview:
-        """The next bytes, behind their number of 4 bytes."""
+        """The next bytes, after their number, which has 4 bytes."""
         return self.take(self.number("I", field), field)
 
 
@@ -68,8 +68,8 @@ class CdrCursor(Cursor):
         self._order = "<" if data[1] else ">"
 
     def number(self, kind: Format, field: str) -> int:
-        """The next whole number, after what fills the gap before it."""
-        self.take(-self._place % struct.calcsize(kind), field)
+        """The next whole number, after the padding before it."""
+        self.take(-self._position % struct.calcsize(kind), field)
         return super().number(kind, field)
 
     def text(self, field: str) -> str:
@@ -78,10 +78,10 @@ class CdrCursor(Cursor):
 
 
 def protobuf_fields(data: memoryview) -> dict[int, int | memoryview]:
-    """The fields of a protobuf message by number, each its last value: numbers unsigned, the rest as bytes.
+    """The fields of a protobuf message by number, the last value of each: numbers unsigned, others as bytes.
 
     Raises:
-        ValueError: If the message cannot be followed.
+        ValueError: If the message is malformed.
 
     Source: protobuf.dev, Encoding.
     """
@@ -107,7 +107,7 @@ def text_of(data: memoryview, field: str) -> str:
     """The UTF-8 text in `data`.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If it is not UTF-8.
     """
     try:
         return str(data, "utf-8")
@@ -117,9 +117,9 @@ def text_of(data: memoryview, field: str) -> str:
 
 def _varint(cursor: Cursor) -> int:
     value = 0
-    for place in range(10):
+    for index in range(10):
         byte = cursor.number("B", "varint")
-        value |= (byte & 0x7F) << (7 * place)
+        value |= (byte & 0x7F) << (7 * index)
         if byte < 0x80:
             return value
     raise ValueError("varint: expected at most 10 bytes")

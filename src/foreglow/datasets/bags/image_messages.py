@@ -1,4 +1,4 @@
-"""Image messages of ROS 1, ROS 2 and Foxglove: when, and the picture."""
+"""Image messages of ROS 1, ROS 2 and Foxglove: their time and their picture."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _ros1(data: memoryview) -> Cursor:
 
 
 def _image(cursor: Cursor, seconds: Literal["i", "I"]) -> ImageMessage:
-    """sensor_msgs/Image from its time on."""
+    """sensor_msgs/Image, from its time stamp on."""
     stamp_ns = _ros_stamp_ns(cursor, seconds)
     height, width = cursor.number("I", "height"), cursor.number("I", "width")
     encoding, is_big_endian = cursor.text("encoding"), cursor.number("B", "is_bigendian")
@@ -55,7 +55,7 @@ def _image(cursor: Cursor, seconds: Literal["i", "I"]) -> ImageMessage:
 
 
 def _compressed(cursor: Cursor, seconds: Literal["i", "I"]) -> ImageMessage:
-    """sensor_msgs/CompressedImage from its time on; what its format says is not needed."""
+    """sensor_msgs/CompressedImage, from its time stamp on; its format is not used."""
     stamp_ns = _ros_stamp_ns(cursor, seconds)
     cursor.text("format")
     return ImageMessage(stamp_ns, cursor.block("data"))
@@ -93,7 +93,7 @@ DECODERS: Mapping[tuple[str, str], Callable[[memoryview], ImageMessage]] = Mappi
 
 
 def _ros_stamp_ns(cursor: Cursor, seconds: Literal["i", "I"]) -> int:
-    """The time in a header, whose text is passed over; ROS 2 has signed seconds."""
+    """The time in a header, whose frame id is skipped; ROS 2 has signed seconds."""
     stamp_ns = cursor.number(seconds, "header.stamp.sec") * NS + cursor.number("I", "header.stamp.nanosec")
     cursor.text("header.frame_id")
     return stamp_ns

@@ -1,10 +1,11 @@
-"""MCAP files, read from front to back: up to where a killed recorder left them, too.
+"""MCAP files, read from front to back, so that also the file of a killed recorder can be read.
 
 Source: mcap.dev/spec, version 0.
 """
 
 from __future__ import annotations
 
+import contextlib
 import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -22,13 +23,13 @@ _HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
 
 
 class McapFile:
-    """A `Container`; opening it looks at its start and its end."""
+    """A `Container`; opening it checks its start and its end."""
 
     def __init__(self, path: Path) -> None:
-        """Looks whether it is one.
+        """Checks the file's start and end.
 
         Raises:
-            ValueError: If it is none.
+            ValueError: If it is not an MCAP file.
         """
         self._path = path
         with path.open("rb") as file:
@@ -40,65 +41,71 @@ class McapFile:
         self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated recording, its end is missing"
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
-        """As in `Container`."""
+        """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file."""
         channels = _Channels(names)
+        self._read_summary(channels)
         with self._path.open("rb") as file:
             file.seek(len(MAGIC))
-            for place, kind, length in self._heads(file, refuse):
+            for position, kind, length in self._heads(file, refuse):
                 if kind in (_DATA_END, _FOOTER):
                     return
                 if kind not in _READ:
                     continue
                 if length > MAX_BYTES:
-                    refuse(f"{self._path}: byte {place}: expected a record of at most {MAX_BYTES} bytes, got {length}")
+                    refuse(
+                        f"{self._path}: byte {position}: expected a record of at most {MAX_BYTES} bytes, got {length}"
+                    )
                     continue
                 data = memoryview(file.read(length))
                 try:
                     yield from channels.messages(kind, data)
                 except ValueError as error:
-                    refuse(f"{self._path}: byte {place}: {error}")
+                    refuse(f"{self._path}: byte {position}: {error}")
         if not self.truncation and not is_partial(self._path):
-            refuse(f"{self._path}: expected records up to the end, one of them cannot be followed")
+            refuse(f"{self._path}: expected records up to the end, one of them is malformed")
 
     def count(self, name: str) -> int | None:
         """As in `Container`: by the statistics at the end."""
-        channels, counts = _Channels(None), dict[int, int]()
-        try:
-            with self._path.open("rb") as file:
-                file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
-                start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-                if not 0 < start < self._size:
-                    return None
-                file.seek(start)
-                for _, kind, length in self._heads(file, _raise):
-                    if kind == _FOOTER or length > MAX_BYTES:
-                        break
-                    if kind in (_SCHEMA, _CHANNEL):
-                        channels.add(kind, Cursor(memoryview(file.read(length))))
-                    elif kind == _STATISTICS:
-                        counts = _message_counts(Cursor(memoryview(file.read(length))))
-        except ValueError:
-            return None
+        channels = _Channels(None)
+        counts = self._read_summary(channels)
         wanted = [number for number, topic in channels.topics.items() if topic.name == name]
         return sum(counts.get(number, 0) for number in wanted) if counts and wanted else None
 
-    def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
-        """Place, opcode and length of one record after another that is there as a whole; the file is at its content.
+    def _read_summary(self, channels: _Channels) -> dict[int, int]:
+        """Adds the definitions at the end of the file to `channels`, and returns the numbers of messages by channel.
 
-        Ends where the next one is cut.
+        Without an end there are none of both; of a damaged end, what is before the damage.
         """
-        place = file.tell()
-        while place + _HEAD_BYTES <= self._size:
+        counts = dict[int, int]()
+        with contextlib.suppress(ValueError), self._path.open("rb") as file:
+            file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
+            start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
+            if not 0 < start < self._size:
+                return counts
+            file.seek(start)
+            for _, kind, length in self._heads(file, _raise):
+                if kind == _FOOTER or length > MAX_BYTES:
+                    break
+                if kind in (_SCHEMA, _CHANNEL):
+                    channels.add(kind, Cursor(memoryview(file.read(length))))
+                elif kind == _STATISTICS:
+                    counts = _message_counts(Cursor(memoryview(file.read(length))))
+        return counts
+
+    def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
+        """Position, opcode and length of each complete record; `file` is then at its content. Ends at a cut record."""
+        position = file.tell()
+        while position + _HEAD_BYTES <= self._size:
             head = file.read(_HEAD_BYTES)
             kind, length = head[0], int.from_bytes(head[1:], "little")
             if kind == 0:
-                refuse(f"{self._path}: byte {place}: expected a record of MCAP, got {head[:4].hex()}")
+                refuse(f"{self._path}: byte {position}: expected a record of MCAP, got {head[:4].hex()}")
                 return
-            if place + _HEAD_BYTES + length > self._size:
+            if position + _HEAD_BYTES + length > self._size:
                 return
-            yield place, kind, length
-            place += _HEAD_BYTES + length
-            file.seek(place)
+            yield position, kind, length
+            position += _HEAD_BYTES + length
+            file.seek(position)
 
 
 class _Channels:
@@ -110,7 +117,7 @@ class _Channels:
         self.topics: dict[int, Topic] = {}
 
     def messages(self, kind: int, data: memoryview) -> Iterator[Message]:
-        """The messages in a record, which is one itself or a chunk of them; a definition is taken in."""
+        """The messages in a record: a message or a chunk of messages; a definition is stored."""
         cursor = Cursor(data)
         if kind == _CHUNK:
             for inner_kind, inner in _records(_chunk(cursor)):
@@ -119,7 +126,7 @@ class _Channels:
         elif kind == _MESSAGE:
             topic = self.topics.get(number := cursor.number("H", "channel"))
             if topic is None:
-                raise ValueError(f"channel: expected one that is defined, got {number}")
+                raise ValueError(f"channel: expected a defined channel, got {number}")
             cursor.number("I", "sequence")
             log_time_ns = cursor.number("Q", "log_time")
             cursor.number("Q", "publish_time")
@@ -129,7 +136,7 @@ class _Channels:
             self.add(kind, cursor)
 
     def add(self, kind: int, cursor: Cursor) -> None:
-        """Takes in a schema or a channel."""
+        """Stores a schema or a channel."""
         number = cursor.number("H", "id")
         if kind == _SCHEMA:
             self._schemas[number] = cursor.text("name")
@@ -160,7 +167,7 @@ def _chunk(cursor: Cursor) -> memoryview:
 
 
 def _message_counts(cursor: Cursor) -> dict[int, int]:
-    """From statistics: messages by channel."""
+    """Number of messages by channel, from a statistics record."""
     cursor.take(8 + 2 + 4 * 4 + 2 * 8, "statistics")
     counts = Cursor(cursor.block("channel_message_counts"))
     found = dict[int, int]()

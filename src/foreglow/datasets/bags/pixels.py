@@ -17,12 +17,12 @@ from foreglow.types import Image
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the pixels of an encoding lie.
+    """How an encoding stores pixels.
 
     Attributes:
-        depth: Bytes a value.
-        channels: Values a pixel.
-        order: Of the colours, where there are any.
+        depth: Bytes per value.
+        channels: Values per pixel.
+        order: Order of the colours, if there are any.
         bayer: OpenCV's conversion of a colour mosaic.
     """
 
@@ -41,7 +41,7 @@ def _layouts() -> dict[str, _Layout]:
             f"bgr{bits}": _Layout(depth, 3, "bgr"),
             f"rgba{bits}": _Layout(depth, 4, "rgb"),
             f"bgra{bits}": _Layout(depth, 4, "bgr"),
-            # The names of ROS say the upper left 2x2 pixels by rows; so do these of OpenCV.
+            # ROS names the upper left 2x2 pixels by rows, and so do these names of OpenCV.
             f"bayer_rggb{bits}": _Layout(depth, bayer=cv2.COLOR_BayerRGGB2GRAY),
             f"bayer_bggr{bits}": _Layout(depth, bayer=cv2.COLOR_BayerBGGR2GRAY),
             f"bayer_gbrg{bits}": _Layout(depth, bayer=cv2.COLOR_BayerGBRG2GRAY),
@@ -56,13 +56,13 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(_layouts())
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """The pixels of an image as a message has them.
+    """The pixels of an image message.
 
     Attributes:
         height_px: Rows.
         width_px: Columns.
-        encoding: One of `ENCODINGS`.
-        is_big_endian: Whether values of two bytes have the greater one first.
+        encoding: A name in `ENCODINGS`.
+        is_big_endian: Whether values of two bytes have the more significant byte first.
         step: Bytes from a row to the next.
         data: All bytes.
     """
@@ -79,8 +79,8 @@ def grey_image(pixels: Pixels) -> Image:
     """The grey image, shape (height, width), uint8 or uint16, an array of its own; colour becomes grey as in `to_grey`.
 
     Raises:
-        ValueError: If the encoding is unknown, the size is not accepted, the step is too short or the data are not
-            as long as size and step say; the message starts with the field.
+        ValueError: If the encoding is unknown, the size is not accepted, the step is too short or the data do not fit
+            size and step; the message starts with the field.
     """
     layout = ENCODINGS.get(pixels.encoding)
     if layout is None:

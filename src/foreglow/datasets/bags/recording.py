@@ -1,4 +1,4 @@
-"""Frames from one image topic of a recording."""
+"""Frames from an image topic of a recording."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic
-from foreglow.datasets.bags.frame_record import FRAME_TOPIC, FRAME_TYPE, FrameRecord
+from foreglow.datasets.bags.frame_message import FRAME_TOPIC, FRAME_TYPE, FrameMessage
 from foreglow.datasets.bags.image_messages import DECODERS, ImageMessage
 from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.datasets.bags.ros1_bag import Ros1Bag
@@ -26,24 +26,24 @@ CONTAINERS: Mapping[str, Callable[[Path], Container]] = MappingProxyType(
 IMAGE_TYPES = tuple(sorted({name for name, _ in DECODERS}))
 
 NUM_TIMED = 20
-"""So many stamps tell the rate."""
+"""The rate is measured on so many time stamps."""
 
 
 class Recording:
-    """The frames of one image topic, in the order of the file, grey.
+    """The frames of an image topic, in the order of the file, grey.
 
-    Times are those in the headers of the messages, and those of recording where a header has none. Frames of our own
-    recordings carry what they carried when they were recorded: number, sequence, time, camera, motion and road.
-    Others have neither camera nor motion: a recording's CameraInfo does not say where the camera sits in the vehicle.
-    A damaged message or chunk, or a missing end is an error; with `skip`, what is damaged is left out. A recording
-    whose name says that nobody completed it (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
+    Times are those in the headers of the messages, or the times of recording where a header has none. Frames of our
+    own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and road. Other
+    recordings give neither camera nor motion: a CameraInfo does not say where the camera is mounted in the vehicle. A
+    damaged message or chunk, or a missing end is an error; with `skip`, damaged parts are left out. A recording whose
+    name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
 
     Attributes:
         path: File or folder.
         topic: Name of the topic.
-        rate_hz: Frames a second, by the first stamps; None where these do not tell.
-        num_frames: Images on the topic; None where the recording does not tell.
-        skipped: One line for each thing that the latest iteration left out so far.
+        rate_hz: Frames a second, by the first time stamps; None if these all coincide.
+        num_frames: Images on the topic; None where the recording does not say.
+        skipped: A line for each part that the latest iteration left out so far.
     """
 
     def __init__(self, path: Path | str, *, topic: str | None = None, on_error: OnError = "stop") -> None:
@@ -51,13 +51,13 @@ class Recording:
 
         Args:
             path: A .mcap, .bag or .db3 file, or the folder of a ROS 2 bag.
-            topic: Name of the topic; None for the first that has images.
+            topic: Name of the topic; None for the first with images.
             on_error: What damage does.
 
         Raises:
             FileNotFoundError: If there is no such file.
             ModuleNotFoundError: If it is compressed, and the extra `recordings` is not installed.
-            ValueError: If it is no recording, or has no such topic with images; with `stop` also if its end is missing.
+            ValueError: If it is not a recording, has no such topic with images, or, with `stop`, lacks its end.
         """
         self.path = Path(path)
         self.skipped: list[str] = []
@@ -96,14 +96,14 @@ class Recording:
         decoded = self._decode(message.data)
         path = f"{self.path}, {self.topic}, frame {index}"
         if record.log_time_ns == message.log_time_ns:
-            return parse_json(bytes(record.data), FrameRecord, FRAME_TYPE).frame_of(decoded.image(), path)
+            return parse_json(bytes(record.data), FrameMessage, FRAME_TYPE).frame_of(decoded.image(), path)
         return Frame(decoded.image(), _time_ns(decoded, message), frame=index, path=path)
 
     def _found(self, name: str | None) -> Topic:
         """The topic called `name`, or the first with images.
 
         Raises:
-            ValueError: If there is none; the message lists those there are.
+            ValueError: If there is none; the message lists the topics.
         """
         topics: dict[str, Topic] = {}
         for message in self._container.messages(None, self._refuse):
@@ -115,7 +115,7 @@ class Recording:
         raise ValueError(f"{self.path}: expected {wanted} with images ({', '.join(IMAGE_TYPES)}), found {known}")
 
     def _rate_hz(self) -> float | None:
-        """By the median of the steps between the first stamps that can be read."""
+        """The rate by the median step between the first readable time stamps."""
         times_ns = []
         for message in itertools.islice(self._container.messages({self.topic}, self._refuse), NUM_TIMED):
             try:

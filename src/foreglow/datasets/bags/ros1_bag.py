@@ -1,4 +1,4 @@
-"""ROS 1 bags, read from front to back: without their index, as a killed `rosbag record` leaves them, too.
+"""ROS 1 bags, read from front to back without their index, so that also the bag of a killed `rosbag record` is read.
 
 Source: wiki.ros.org/Bags/Format/2.0.
 """
@@ -20,13 +20,13 @@ _READ = frozenset({_MESSAGE, _CHUNK, _CONNECTION})
 
 
 class Ros1Bag:
-    """A `Container`; opening it reads the header."""
+    """A `Container`."""
 
     def __init__(self, path: Path) -> None:
-        """Looks whether it is one.
+        """Reads the header.
 
         Raises:
-            ValueError: If it is none, or an older one than 2.0.
+            ValueError: If it is not a bag of version 2.0.
         """
         self._path = path
         with path.open("rb") as file:
@@ -47,65 +47,66 @@ class Ros1Bag:
             file.seek(len(MAGIC))
             end = len(MAGIC)
             try:
-                for place, header, length in self._heads(file):
+                for position, header, length in self._heads(file):
                     end = file.tell() + length
                     if header["op"][0] not in _READ:
                         continue
                     if length > MAX_BYTES:
-                        refuse(f"{self._path}: byte {place}: expected at most {MAX_BYTES} bytes, got {length}")
+                        refuse(f"{self._path}: byte {position}: expected at most {MAX_BYTES} bytes, got {length}")
                         continue
                     data = memoryview(file.read(length))
                     try:
                         yield from connections.messages(header, data)
                     except ValueError as error:
-                        refuse(f"{self._path}: byte {place}: {error}")
+                        refuse(f"{self._path}: byte {position}: {error}")
             except _HeaderError as error:
                 refuse(f"{self._path}: {error}")
                 return
         if end < self._size and not self.truncation and not is_partial(self._path):
-            refuse(f"{self._path}: byte {end}: expected a record, it cannot be followed")
+            refuse(f"{self._path}: byte {end}: expected a record, it is malformed")
 
     def count(self, name: str) -> int | None:  # noqa: ARG002
-        """As in `Container`: not told."""
+        """As in `Container`: unknown."""
         return None
 
     def _is_whole(self, file: BinaryIO) -> bool:
-        """Whether the index is there that the bag's header promises: a record for each connection and each chunk."""
+        """Whether the index that the bag's header announces is there: a record for each connection and each chunk."""
         header = next((header for _, header, _ in self._heads(file)), {})
-        place, *counts = (
+        position, *counts = (
             int.from_bytes(header.get(name, b""), "little") for name in ("index_pos", "conn_count", "chunk_count")
         )
-        if not 0 < place <= self._size:
+        if not 0 < position <= self._size:
             return False
-        file.seek(place)
+        file.seek(position)
         return sum(1 for _ in self._heads(file)) == sum(counts)
 
     def _heads(self, file: BinaryIO) -> Iterator[tuple[int, dict[str, bytes], int]]:
-        """Place, header and length of the data of one record after another that is there as a whole; the file is at its
-        data. Ends where the next one is cut.
+        """Position, header and length of the data of each complete record; `file` is then at its data.
+
+        Ends at a record that is cut.
 
         Raises:
-            _HeaderError: If a header cannot be followed.
+            _HeaderError: If a header is malformed.
         """
-        place = file.tell()
-        while place + 8 <= self._size:
+        position = file.tell()
+        while position + 8 <= self._size:
             length = int.from_bytes(file.read(4), "little")
-            if place + 8 + length > self._size:
+            if position + 8 + length > self._size:
                 return
             try:
                 header = _fields(memoryview(file.read(length)))
             except ValueError as error:
-                raise _HeaderError(f"byte {place}: {error}") from None
+                raise _HeaderError(f"byte {position}: {error}") from None
             data_length = int.from_bytes(file.read(4), "little")
-            end = place + 8 + length + data_length
+            end = position + 8 + length + data_length
             if end > self._size:
                 return
-            yield place, header, data_length
-            file.seek(place := end)
+            yield position, header, data_length
+            file.seek(position := end)
 
 
 class _HeaderError(ValueError):
-    """A record's header is broken: nobody knows where the next one starts."""
+    """A record's header is broken, so that the start of the next record is unknown."""
 
 
 class _Connections:
@@ -116,7 +117,7 @@ class _Connections:
         self._topics: dict[bytes, Topic] = {}
 
     def messages(self, header: dict[str, bytes], data: memoryview) -> Iterator[Message]:
-        """The messages in a record, which is one itself or a chunk of them; a connection is taken in."""
+        """The messages in a record: a message or a chunk of messages; a connection is stored."""
         kind = header["op"][0]
         if kind == _CHUNK:
             size = int.from_bytes(_field(header, "size"), "little")
@@ -136,7 +137,7 @@ class _Connections:
         else:
             topic = self._topics.get(number := _field(header, "conn"))
             if topic is None:
-                raise ValueError(f"conn: expected one that is defined, got {int.from_bytes(number, 'little')}")
+                raise ValueError(f"conn: expected a defined connection, got {int.from_bytes(number, 'little')}")
             time = _field(header, "time")
             if len(time) != 8:
                 raise ValueError(f"time: expected 8 bytes, got {len(time)}")
@@ -146,10 +147,10 @@ class _Connections:
 
 
 def _fields(data: memoryview, *, needs_op: bool = True) -> dict[str, bytes]:
-    """The fields `name=value` of a header; each record's has `op`, one byte.
+    """The fields `name=value` of a header; the header of a record has `op`, a single byte.
 
     Raises:
-        ValueError: If there is none, or the header cannot be followed.
+        ValueError: If `op` is missing, or the header is malformed.
     """
     cursor, fields = Cursor(data), dict[str, bytes]()
     while not cursor.is_at_end:

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or one of these files alone."""
+"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or such a file alone."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from foreglow.files import read_text
 METADATA = "metadata.yaml"
 
 SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
-"""What a damaged file raises: the second where the damage is part of the message."""
+"""Errors about a damaged file: the second where the damage is in the error's own text."""
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteBag:
-    """A `Container`: one file of a bag in SQLite, whose messages come in the order in which they were written.
+    """A `Container`: a file of a bag in SQLite, whose messages come in the order in which they were written.
 
     Source: github.com/ros2/rosbag2, rosbag2_storage_sqlite3.
     """
@@ -33,7 +33,7 @@ class SqliteBag:
         """Reads its topics.
 
         Raises:
-            ValueError: If it is no bag, or is cut within a page: SQLite would fill that with zeros.
+            ValueError: If it is not a bag, or is cut within a page, which SQLite would fill with zeros.
         """
         self._path = path
         size, expected, page = _sizes(path)
@@ -84,7 +84,7 @@ STORAGES: Mapping[str, Callable[[Path], Container]] = MappingProxyType({".db3": 
 
 
 class Ros2Bag:
-    """A `Container`: the files that the folder's `metadata.yaml` names, one after the other."""
+    """A `Container`: the files that the folder's `metadata.yaml` names, in sequence."""
 
     def __init__(self, folder: Path) -> None:
         """Reads the metadata and opens every file.
@@ -108,7 +108,7 @@ class Ros2Bag:
 
 
 def _sizes(path: Path) -> tuple[int, int, int]:
-    """Of the file, as its header promises, and of a page, in bytes. Source: sqlite.org/fileformat2, section 1.3."""
+    """Size of the file, its size by its header, and size of a page, bytes. Source: sqlite.org/fileformat2, 1.3."""
     with path.open("rb") as file:
         header = file.read(32)
         size = file.seek(0, 2)
@@ -131,7 +131,7 @@ def _storage(path: Path) -> Container:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files that the metadata name, all in the folder itself."""
+    """The files in the metadata, all in the folder itself."""
     path = folder / METADATA
     try:
         metadata = yaml.safe_load(read_text(path))

@@ -1,4 +1,4 @@
-"""Fetching PVDN, with every obstacle named in one line."""
+"""The download of PVDN; every obstacle becomes a message of a single line."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
         handle: The data set's name at Kaggle, `owner/name`.
 
     Raises:
-        ValueError: If kagglehub is not installed or too old, Kaggle does not know or does not let us in, or it
-            cannot be reached; one line says what to do.
+        ValueError: If kagglehub is not installed or too old, or Kaggle does not have the data set, denies access or
+            cannot be reached; a line says what to do.
         OSError: If the folder cannot be written.
     """
     target = Path(target)

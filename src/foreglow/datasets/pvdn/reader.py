@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.images import read_image
 from foreglow.datasets.json_files import read_json
+from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.labels import PVDNLabels, read_labels
 from foreglow.datasets.pvdn.schema import (
     BoxLabels,
@@ -40,7 +37,7 @@ PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
 
 MAX_RATE_HZ = 1000.0
-"""Fastest frame rate of a set that names its own."""
+"""Highest frame rate that a set may state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +50,7 @@ class Selection:
         weathers: Weather of the sequence.
         lightings: Ambient light of the sequence.
         road_types: Road of the sequence.
-        categories: At least one category of the image is among these; an image without any counts as NONE.
+        categories: At least one category of the image is among these; an image without a category counts as NONE.
         has_keypoints: Whether the image has at least one instance in its keypoint file; reads those files.
     """
 
@@ -66,7 +63,7 @@ class Selection:
     has_keypoints: bool | None = None
 
 
-class PVDN:
+class PVDN(LabelledSource):
     """A split of PVDN, such as `PVDN/day/val`, or one of its sequences, such as `PVDN/day/val/images/S00121`.
 
     Labels are read and checked at construction; images, keypoints and boxes when they are asked for. Iterating
@@ -137,28 +134,8 @@ class PVDN:
         selected = {self.sequence(image_id).id for image_id in self.frame_ids}
         return tuple(sequence for sequence in self.labels.sequences_file.sequences if sequence.id in selected)
 
-    @property
-    def directories(self) -> tuple[str, ...]:
-        """Folders of the sequences with at least one selected image, in the order of the frames."""
-        return tuple(dict.fromkeys(self.sequence(image_id).directory for image_id in self.frame_ids))
-
-    def only(self, directory: str) -> PVDN:
-        """The selected images of one sequence, by its folder; the labels are shared."""
-        part = copy.copy(self)
-        part.frame_ids = tuple(id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory)
-        part.skipped = []
-        return part
-
-    @property
-    def num_frames(self) -> int:
-        """Number of selected images."""
-        return len(self.frame_ids)
-
-    def __len__(self) -> int:
-        return len(self.frame_ids)
-
     def __iter__(self) -> Iterator[Frame]:
-        """The selected frames; with `stop`, a missing image file raises before the first one is yielded."""
+        """The selected frames; with `stop`, a missing image file raises before the first frame is yielded."""
         self.skipped = []
         if self._on_error == "stop":
             for image_id in self.frame_ids:
@@ -167,12 +144,7 @@ class PVDN:
         return read_each(reads, self._on_error, self.skipped)
 
     def read(self, image_id: int) -> Frame:
-        """The frame of image `image_id`, which need not be a selected one.
-
-        Raises:
-            FileNotFoundError: If the image file is missing.
-            ValueError: If there is no such id, or the image is broken or not of the size in the labels.
-        """
+        """As in `LabelledSource`."""
         record = self.image(image_id)
         self._check_exists(image_id)
         path = self.image_path(image_id)
@@ -189,41 +161,15 @@ class PVDN:
         return equip(frame, self._vehicle)
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
-        """The oncoming vehicles in image `image_id`; empty where there is none.
-
-        Raises:
-            FileNotFoundError: If the keypoint file is missing: a data set has one for every image, also without
-                vehicles.
-            ValueError: If there is no such id, or the file is broken.
-        """
+        """As in `LabelledSource`; every image has a keypoint file, also without vehicles."""
         return self._keypoints_file(image_id).annotations
 
     def doubtful(self, image_id: int) -> tuple[Instance, ...]:
-        """Light in image `image_id` that counts neither as an instance nor as a false alarm; simulated sets have some.
-
-        Raises:
-            FileNotFoundError: If the keypoint file is missing.
-            ValueError: If there is no such id, or the file is broken.
-        """
+        """As in `LabelledSource`; simulated sets have some."""
         return self._keypoints_file(image_id).doubtful
 
-    def keypoints_px(self, image_id: int) -> NDArray[np.int32]:
-        """Positions of all instances in image `image_id`, shape (K, 2), int32, columns x and y, full-frame pixels.
-
-        Raises:
-            FileNotFoundError: If the keypoint file is missing.
-            ValueError: If there is no such id, or the file is broken.
-        """
-        vehicles = self.annotations(image_id)
-        positions = [instance.position_px for vehicle in vehicles for instance in vehicle.instances]
-        return np.array(positions, np.int32).reshape(-1, 2)
-
     def boxes(self, image_id: int) -> BoxLabels | None:
-        """The generated boxes of image `image_id`; None where the split has none for it.
-
-        Raises:
-            ValueError: If there is no such id, or the file is broken.
-        """
+        """As in `LabelledSource`."""
         self.image(image_id)
         path = self.root / "labels" / "bounding_boxes" / f"{image_id:06d}.json"
         return read_json(path, BoxLabels) if path.exists() else None
@@ -243,8 +189,8 @@ class PVDN:
         return self.labels.sequence_of[self.image(image_id).id]
 
     def time_s(self, image_id: int) -> float:
-        """Seconds from the first image of its sequence to image `image_id`; KeyError if there is no such id."""
-        return self.labels.number_of[image_id] / self.rate_hz
+        """As in `LabelledSource`."""
+        return self.labels.number_of[self.image(image_id).id] / self.rate_hz
 
     def camera_configuration(self, image_id: int) -> CameraConfiguration:
         """Camera and exposure of image `image_id` by the labels, which the folder may contradict."""
@@ -260,11 +206,6 @@ class PVDN:
     def categories(self, image_id: int) -> tuple[ImageCategory, ...]:
         """The categories of image `image_id`, in the file's order; (NONE,) where it has none."""
         return self.labels.categories.get(self.image(image_id).id, (ImageCategory.NONE,))
-
-    def first_with(self, sequence: Sequence, category: ImageCategory) -> int | None:
-        """Id of the first image of `sequence` in `category`, or None; `CategoryConfig` names categories by meaning."""
-        ids = sorted(sequence.image_ids)
-        return next((image_id for image_id in ids if category in self.categories(image_id)), None)
 
     def _keypoints_file(self, image_id: int) -> KeypointsFile:
         self.image(image_id)
@@ -282,13 +223,13 @@ class PVDN:
             raise FileNotFoundError(f"{path}: no such image, expected that of id {image_id} in image_annotations.json")
 
     def _selected(self, select: Selection) -> Iterator[int]:
-        """Ids of the images that `select` and the sequence's folder, if one was given, let through."""
+        """Ids of the images in the sequence, if the folder is a sequence, that `select` wants."""
         sequences = self.labels.sequences_file.sequences
         if self._directory is not None:
             sequences = tuple(sequence for sequence in sequences if sequence.directory == self._directory)
             if not sequences:
                 path = self.root / "labels" / "sequences.json"
-                raise ValueError(f"{path}: sequences: expected one with dir {self._directory}, found none")
+                raise ValueError(f"{path}: sequences: expected a sequence with dir {self._directory}, found none")
         if select.scenes is not None:
             known = {key for sequence in sequences for key in (sequence.id, sequence.directory)}
             for scene in select.scenes:

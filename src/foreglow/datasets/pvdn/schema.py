@@ -128,7 +128,7 @@ class EnvironmentLighting(IntEnum):
 
 
 class ImageCategory(IntEnum):
-    """What an image shows of the oncoming vehicle; `CategoryConfig` says which one marks which moment.
+    """What an image shows of the oncoming vehicle; `CategoryConfig` says which category marks which moment.
 
     The names are those of the data set's statistics; its files do not explain them further.
     """

@@ -29,7 +29,7 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
 
 
 def split_in(data: Path | str, name: SplitName) -> Path:
-    """The split to measure on: `data` where it is one itself, else its split `name` as `split_folder` finds it.
+    """The split to measure on: `data` if that is a split, else its split `name` as `split_folder` finds it.
 
     Raises:
         FileNotFoundError: If there is no such folder or no such split.
@@ -39,7 +39,7 @@ def split_in(data: Path | str, name: SplitName) -> Path:
 
 
 def is_split(folder: Path) -> bool:
-    """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or the `images` and `labels` to be one."""
+    """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or both images and the other label file."""
     return (folder / "labels" / "sequences.json").exists() or (
         (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
     )

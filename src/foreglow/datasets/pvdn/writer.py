@@ -1,4 +1,4 @@
-"""Writing data sets in PVDN's layout: new ones sequence by sequence, or one that was read."""
+"""Writing data sets in PVDN's format: new sets sequence by sequence, and copies of sets that were read."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
 
     Raises:
         FileNotFoundError: If an image or a keypoint file of the source is missing.
-        ValueError: If one is broken, an image's name does not end in .png, or `root` holds images or labels already.
+        ValueError: If such a file is broken, an image's name does not end in .png, or `root` has images or labels.
         OSError: If a file cannot be written.
     """
     root = Path(root)
@@ -252,7 +252,7 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
     """Writes the two files that make the folder `root` a split, `sequences.json` last.
 
     Raises:
-        OSError: If one cannot be written.
+        OSError: If a file cannot be written.
     """
     write_json(root / "labels" / "image_annotations.json", images_file)
     write_json(root / "labels" / "sequences.json", sequences_file)

@@ -2,7 +2,7 @@
 
 Beside PVDN's `images` and `labels`, a simulated split has
 
-    scenes.jsonl                      specification of every scene, one a line; the simulator reads it
+    scenes.jsonl                      specification of every scene, a line each; the simulator reads it
     simulation/info.json              how the data set was made, and what the numbers mean
     simulation/S00001/scene.json      specification of this sequence's scene, and what it was made with
     simulation/S00001/camera.toml     calibration, as `foreglow.calibration` reads it
@@ -109,7 +109,7 @@ class _SceneFile(Record):
 
 
 class TruthWriter:
-    """Writes what is known about one drive into a folder, frame by frame; `close` completes it."""
+    """Writes the truth of a drive into a folder, frame by frame; `close` completes it."""
 
     def __init__(self, folder: Path) -> None:
         """Makes `folder/depth`; `folder` must exist."""
@@ -200,7 +200,7 @@ class SequenceTruth:
 
 
 class SimulatedTruth:
-    """What is known about a simulated split; iterating reads its sequences one after the other.
+    """What is known about a simulated split; iterating reads a sequence at a time.
 
     Attributes:
         root: The split's folder.
@@ -284,7 +284,7 @@ def write_info(root: Path, info: InfoFile) -> None:
 
 
 def encoded_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
-    """Metres as a depth image stores them, like KITTI's: times 256, uint16; 0 for what is not finite.
+    """Metres as a depth image stores them, like KITTI's: times 256, uint16; 0 for values that are not finite.
 
     Unlike in KITTI, a depth is the distance along the viewing ray, not along the camera's axis.
 

@@ -90,7 +90,7 @@ class Artifact:
         grey: Grey levels that the light adds at the peak, smoothed and noise-free; for a lamp its peak.
         contrast: The same over its noise.
         area_px: Pixels around it that reach half of the peak.
-        lamp: Name of the lamp, of the first one where several are seen as one; empty for indirect light.
+        lamp: Name of the lamp, of the first lamp if several are joined; empty for indirect light.
     """
 
     instance_id: int
@@ -144,9 +144,9 @@ class VehicleTruth:
         visible_share: Share of the points spread over its body that the camera sees, 0..1.
         range_m: From the camera to the middle between its headlamps (or to its box's centre).
         lamps: Its lamps.
-        artifacts: What an annotator would mark, and the doubtful ones.
+        artifacts: What an annotator would mark, and doubtful artifacts.
         candidates: Peaks under much looser thresholds, to study the rule. There are many, so that the file stores
-            each as a list: the fields of `Artifact` without their names, x and y one after the other.
+            each as a list: the fields of `Artifact` without their names, with x and y as two values.
         eye_world_m: Shape (3,), its driver's eye.
         eye_lx: Illuminance at the eye, by source: `ego`, other vehicles' ids, `fixed`.
     """

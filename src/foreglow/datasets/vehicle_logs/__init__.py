@@ -1,4 +1,4 @@
-"""Data of the user's own drive beside its images: CAN logs, maps with poses, and a calibration."""
+"""What a car knew during a drive, read from files beside its images: CAN logs, maps with poses, and a calibration."""
 
 from foreglow.datasets.vehicle_logs.can_log import CanDecoder, CanLog, read_can_log
 from foreglow.datasets.vehicle_logs.can_writing import write_can_log

@@ -1,4 +1,4 @@
-"""A CAN log as what a car knew at any time: the latest street message and the latest motion."""
+"""CAN logs: the latest street message and the latest motion of a car at any time."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
 STREET_STALE_S = 1.0
-"""A street message that is older is no longer used."""
+"""Older street messages are not used."""
 
 MOTION_STALE_S = 0.5
-"""Nor a speed or a yaw rate that is older."""
+"""Older speeds and yaw rates are not used."""
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """Vector's text and binary logs, and candump's."""
@@ -34,16 +34,16 @@ OWN_DBC, OWN_MAPPING = (Path(__file__).with_name(name) for name in ("street.dbc"
 Value = TypeVar("Value")
 
 CanKey: TypeAlias = tuple[int, bool]
-"""A frame's identifier, and whether it is an extended one."""
+"""A frame's identifier, and whether that is extended."""
 
 
 class Latest(Generic[Value]):
     """Values over time, of which the latest counts.
 
     Attributes:
-        times_ns: Their times, not falling.
-        values: As many.
-        stale_s: How long one counts.
+        times_ns: Their times, never falling.
+        values: The values at these times.
+        stale_s: A value counts for so long.
     """
 
     def __init__(self, stale_s: float) -> None:
@@ -58,29 +58,29 @@ class Latest(Generic[Value]):
 
     def at(self, timestamp_ns: int) -> Value | None:
         """The latest value at or before a time; None where there is none, or it is stale."""
-        place = bisect_right(self.times_ns, timestamp_ns) - 1
-        if place < 0 or timestamp_ns - self.times_ns[place] > self.stale_s * 1e9:
+        index = bisect_right(self.times_ns, timestamp_ns) - 1
+        if index < 0 or timestamp_ns - self.times_ns[index] > self.stale_s * 1e9:
             return None
-        return self.values[place]
+        return self.values[index]
 
     def forget(self, before_ns: int) -> None:
-        """Forgets what is older."""
-        place = bisect_left(self.times_ns, before_ns)
-        del self.times_ns[:place], self.values[:place]
+        """Drops the values before a time."""
+        num_old = bisect_left(self.times_ns, before_ns)
+        del self.times_ns[:num_old], self.values[:num_old]
 
 
 class CanLog:
-    """What a car told on its bus over time; one thread may add to it while another asks.
+    """What a car sent on its bus over time; a thread may add to it while another one reads.
 
     Attributes:
-        first_ns: Time of the first value; 0 before.
-        last_ns: Time of the last.
-        has_street: Whether any whole street message is in it.
-        is_empty: Whether nothing is.
+        first_ns: Time of the first value; 0 while it is empty.
+        last_ns: Time of the last value.
+        has_street: Whether it has a whole street message.
+        is_empty: Whether it has no value.
     """
 
     def __init__(self, keep_s: float = math.inf) -> None:
-        """An empty one, which forgets what is older than the last by more than `keep_s`."""
+        """An empty log, which drops values that are older than the last by more than `keep_s`."""
         self._keep_ns = keep_s * 1e9
         self._streets = Latest[StreetMessage | None](STREET_STALE_S)
         self._numbers = {"speed": Latest[float](MOTION_STALE_S), "yaw_rate": Latest[float](MOTION_STALE_S)}
@@ -89,12 +89,12 @@ class CanLog:
         self.has_street, self.is_empty = False, True
 
     def add_street(self, time_ns: int, message: StreetMessage | None) -> None:
-        """Adds the road at the latest position, None for one that the car does not know; times do not fall."""
+        """Adds the road at the latest position, None for an unknown position; times must not fall."""
         self.has_street |= message is not None
         self._add(self._streets, time_ns, message)
 
     def add_number(self, quantity: str, time_ns: int, value: float) -> None:
-        """Adds a `speed` in m/s or a `yaw_rate` in rad/s; times do not fall."""
+        """Adds a `speed` in m/s or a `yaw_rate` in rad/s; times must not fall."""
         self._add(self._numbers[quantity], time_ns, value)
 
     def street(self, timestamp_ns: int) -> StreetMessage | None:
@@ -103,9 +103,9 @@ class CanLog:
             return self._streets.at(timestamp_ns)
 
     def motion(self, timestamp_ns: int) -> EgoMotion | None:
-        """The latest speed and yaw rate at or before a time; None if one is stale."""
+        """The latest speed and yaw rate at or before a time; None if either is stale or missing."""
         with self._lock:
-            speed_mps, yaw_rate_radps = (self._numbers[one].at(timestamp_ns) for one in ("speed", "yaw_rate"))
+            speed_mps, yaw_rate_radps = (latest.at(timestamp_ns) for latest in self._numbers.values())
         if speed_mps is None or yaw_rate_radps is None:
             return None
         return EgoMotion(speed_mps, yaw_rate_radps)
@@ -123,18 +123,19 @@ class CanLog:
 def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None = None) -> CanLog:
     """The CAN log in the file `path`: Vector's .asc or .blf, or candump's .log.
 
-    The times of .asc count from its start. Frames that the mapping does not name are passed over, and so are
-    multiplexed ones without its signals.
+    The times of .asc count from its start. Frames that the mapping does not name are ignored, and so are multiplexed
+    frames without its signals.
 
     Args:
         path: The log.
-        dbc: What is in the frames; None for our own, as `write_can_log` writes.
-        mapping: What its signals mean; goes with `dbc`.
+        dbc: Description of the frames; None for our own, as `write_can_log` writes them.
+        mapping: Meaning of its signals; goes with `dbc`.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If cantools or python-can is not installed (extra `can`).
-        ValueError: If a file is broken, the mapping names what the DBC does not have, or no frame of it is in the log.
+        ValueError: If a file is broken, the mapping names something that the DBC does not have, or the log has none of
+            its frames.
     """
     path = Path(path)
     decoder = CanDecoder(dbc, mapping)
@@ -176,24 +177,24 @@ def read_dbc(path: Path) -> dict[str, Message]:
 
 
 class CanDecoder:
-    """Turns frames into a log, by a DBC and a mapping that fits it.
+    """Turns frames into a log, by a DBC and a mapping of its signals.
 
     Attributes:
-        log: What the frames told so far.
+        log: The log of the frames so far.
     """
 
     def __init__(self, dbc: Path | None = None, mapping: Path | None = None, *, keep_s: float = math.inf) -> None:
         """Reads both files; None for our own.
 
         Args:
-            dbc: What is in the frames.
-            mapping: What its signals mean; goes with `dbc`.
-            keep_s: How long values are kept.
+            dbc: Description of the frames.
+            mapping: Meaning of its signals; goes with `dbc`.
+            keep_s: Values are kept for so long.
 
         Raises:
             FileNotFoundError: If there is no such file.
             ModuleNotFoundError: If cantools is not installed (extra `can`).
-            ValueError: If a file is broken, or the mapping names what the DBC does not have.
+            ValueError: If a file is broken, or the mapping names something that the DBC does not have.
         """
         if (dbc is None) != (mapping is None):
             raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
@@ -210,28 +211,28 @@ class CanDecoder:
                     f"{mapping}: {name}.message: expected a message of {dbc}, such as {known}, got {section.message!r}"
                 )
             message = messages[section.message]
-            signals = {one.name for one in message.signals}
-            for field, signal in section.signals().items():
-                if signal not in signals:
+            signals = {signal.name for signal in message.signals}
+            for field, name_in_dbc in section.signals().items():
+                if name_in_dbc not in signals:
                     raise ValueError(
                         f"{mapping}: {name}.{field}: expected a signal of {section.message}, one of "
-                        f"{', '.join(sorted(signals))}, got {signal!r}"
+                        f"{', '.join(sorted(signals))}, got {name_in_dbc!r}"
                     )
             key = message.frame_id, message.is_extended_frame
             self._sections.setdefault(key, (message, []))[1].append((name, section.signals()))
 
     @property
     def keys(self) -> Collection[CanKey]:
-        """Of the frames that it wants."""
+        """Keys of the frames that it decodes."""
         return self._sections.keys()
 
     @property
     def message_names(self) -> list[str]:
-        """Of the same."""
+        """Names of the messages that it decodes."""
         return [message.name for message, _ in self._sections.values()]
 
     def take(self, time_ns: int, key: CanKey, data: bytes, where: str) -> None:
-        """Adds what a frame tells to the log; frames come in the order of time, and only those of `keys`.
+        """Adds the values of a frame to the log; frames must come in the order of time, and be among `keys`.
 
         Raises:
             ValueError: If the frame is not as the DBC says; the message begins with `where`.
@@ -275,14 +276,14 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
                 key = frame.arbitration_id, bool(frame.is_extended_id)
                 if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
                     found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
-    # What python-can's readers raise for a broken file is not documented.
+    # The documentation does not say what python-can's readers raise for a broken file.
     except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError) as error:
         raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}: {error}") from None
     return found
 
 
 def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
-    """The finite signals of a frame; a multiplexed one has only some."""
+    """The finite signals of a frame; a multiplexed frame has only some of them."""
     import cantools
 
     try:

@@ -1,4 +1,4 @@
-"""Street messages and motions as a CAN log, by our own DBC: to try the way back, or to play to other tools."""
+"""Street messages and motions written as a CAN log by our own DBC, for tests and for other tools."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_can_log(
 ) -> None:
     """Writes a CAN log that `read_can_log` reads back; speeds to 0.01 m/s, yaw rates to 0.0001 rad/s.
 
-    A street message becomes a frame for each segment and then one for the position, all at its time. Times are kept
+    A street message becomes a frame for each segment and then a frame for the position, all at its time. Times are kept
     to a microsecond; an .asc file counts them from its first frame.
 
     Args:
@@ -35,7 +35,7 @@ def write_can_log(
     Raises:
         ModuleNotFoundError: If cantools or python-can is not installed (extra `can`).
         ValueError: If the ending is another, there is nothing to write, the segments of a message do not follow each
-            other, or a motion is beyond what a frame can say.
+            other, or a motion does not fit into a frame.
         OSError: If it cannot be written.
     """
     import can
@@ -65,7 +65,7 @@ class _Encoder:
     def frames(
         self, streets: Iterable[tuple[int, StreetMessage]], motions: Iterable[tuple[int, EgoMotion]]
     ) -> Iterator[can.Message]:
-        """The frames, those of a message in the order in which they are to be sent."""
+        """The frames; those of a message in the order in which they are sent."""
         for time_ns, message in streets:
             _check_order(message, time_ns)
             for segment in message.segments:
@@ -100,12 +100,12 @@ class _Encoder:
 
 
 def _check_order(message: StreetMessage, time_ns: int) -> None:
-    """Passes a message whose segments follow each other, each with a number of its own."""
+    """Checks that the segments of a message follow each other, each with a number of its own."""
     numbers = [segment.segment_id for segment in message.segments]
-    for place, segment in enumerate(message.segments):
-        if place and segment.parent_id != numbers[place - 1]:
+    for index, segment in enumerate(message.segments):
+        if index and segment.parent_id != numbers[index - 1]:
             raise ValueError(
-                f"street message at {time_ns} ns: segments.{place}.parent_id: expected {numbers[place - 1]}, the "
+                f"street message at {time_ns} ns: segments.{index}.parent_id: expected {numbers[index - 1]}, the "
                 f"segment before it, got {segment.parent_id}"
             )
     if len(set(numbers)) < len(numbers) or not all(1 <= number <= NUM_SEGMENT_IDS for number in numbers):

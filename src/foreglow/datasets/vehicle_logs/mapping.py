@@ -1,7 +1,7 @@
-"""Which signals of a DBC mean what: a TOML file that the user writes for the own car.
+"""The meaning of a DBC's signals: a TOML file that users write for their own car.
 
-Signals are taken as the DBC scales them. A section names its message, and a signal for each field; what has a default
-may be left out. `street.toml` in this folder is the mapping of our own `street.dbc`.
+Values of signals are scaled as the DBC says. A section names its message, and a signal for each field; fields with a
+default may be left out. `street.toml` in this folder is the mapping of our own `street.dbc`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
 
 
 class Section(FrozenModel):
-    """Fields that come with one message.
+    """Fields that come in the same message.
 
     Attributes:
         message: Its name in the DBC.
@@ -31,12 +31,12 @@ class Section(FrozenModel):
 
 
 class SlopeSignals(Section):
-    """A frame that tells the slope of a segment.
+    """A frame with the slope of a segment.
 
     Attributes:
         segment_id: The segment's number.
         slope_percent: Its slope.
-        is_downhill: 1 where the slope is to be taken negative; None if it has a sign.
+        is_downhill: 1 where the slope is negative; None if it has a sign.
     """
 
     segment_id: str
@@ -45,19 +45,19 @@ class SlopeSignals(Section):
 
 
 class SegmentSignals(Section):
-    """A frame that tells a segment.
+    """A frame with a segment.
 
     Attributes:
-        segment_id: Its number, 1..62; frames with another are passed over.
+        segment_id: Its number, 1..62; frames with another number are ignored.
         parent_id: The number of the segment before it.
-        length_m: Its length; frames with 0 are passed over.
-        start_curvature: Curvature where it begins, see `CurvatureMeaning`.
-        end_curvature: Curvature where it ends.
-        is_start_left: Which way it bends where it begins; None if the curvature has a sign, positive to the left.
-        is_end_left: Which way it bends where it ends.
-        slope_percent: Its slope; None if another message tells it or none does: then it is level.
-        is_downhill: 1 where the slope is to be taken negative; None if it has a sign.
-        is_probable: 1 where the segment is on the most probable path; others are passed over. None: all are.
+        length_m: Its length; frames with 0 are ignored.
+        start_curvature: Curvature at its beginning, see `CurvatureMeaning`.
+        end_curvature: Curvature at its end.
+        is_start_left: The direction of the bend at its beginning; None if the curvature has a sign (positive: left).
+        is_end_left: The direction of the bend at its end.
+        slope_percent: Its slope; None if another message has it, or no message has it: then the segment is level.
+        is_downhill: 1 where the slope is negative; None if it has a sign.
+        is_probable: 1 where the segment is on the most probable path; other segments are ignored. None: all are on it.
     """
 
     segment_id: str
@@ -73,14 +73,14 @@ class SegmentSignals(Section):
 
 
 class PositionSignals(Section):
-    """A frame that tells where the vehicle is believed to be.
+    """A frame with the assumed position of the vehicle.
 
     Attributes:
-        segment_id: The segment it is in; one without a number 1..62 is an unknown position.
+        segment_id: The segment it is in; a number beyond 1..62 is an unknown position.
         remaining_length_m: To the end of that segment; above 254 is unknown.
         error_class: Class of the longitudinal error; above the last class is unknown.
-        first_error_class: Its value for an error below 2 m.
-        num_segments: How many segments belong to the message; None: as many as follow each other.
+        first_error_class: The value of `error_class` for an error below 2 m.
+        num_segments: Number of segments of the message; None: as many as follow each other.
     """
 
     segment_id: str
@@ -91,7 +91,7 @@ class PositionSignals(Section):
 
 
 class CurvatureMeaning(FrozenModel):
-    """What the signals of curvature mean.
+    """The meaning of the signals of curvature.
 
     Attributes:
         meaning: `code`: radii in equal ratios; `radius_m`; `per_m`, the curvature itself. A radius of 0 is straight.
@@ -125,12 +125,12 @@ class CurvatureMeaning(FrozenModel):
 
 
 class NumberSignal(Section):
-    """A number of its own.
+    """A single number.
 
     Attributes:
-        signal: Its name.
+        signal: Name of its signal.
         factor: From the signal's unit to ours: 0.277778 for km/h, 0.0174533 for degrees.
-        is_negative: 1 where it is to be taken negative; None if it has a sign.
+        is_negative: 1 where the number is negative; None if it has a sign.
     """
 
     signal: str
@@ -144,8 +144,8 @@ class CanMapping(FrozenModel):
     Attributes:
         segment: Needs `position`.
         position: Needs `segment`.
-        slope: Slopes in a message of their own.
-        curvature: What curvatures mean.
+        slope: Slopes in a separate message.
+        curvature: The meaning of curvatures.
         speed: Forward speed, m/s; needs `yaw_rate`.
         yaw_rate: Rate of turn to the left, rad/s; needs `speed`.
     """
@@ -159,9 +159,9 @@ class CanMapping(FrozenModel):
 
     @model_validator(mode="after")
     def _check(self) -> CanMapping:
-        for one, other in (("segment", "position"), ("speed", "yaw_rate")):
-            if (getattr(self, one) is None) != (getattr(self, other) is None):
-                raise ValueError(f"{one}, {other}: expected both sections or neither")
+        for first, second in (("segment", "position"), ("speed", "yaw_rate")):
+            if (getattr(self, first) is None) != (getattr(self, second) is None):
+                raise ValueError(f"{first}, {second}: expected both sections or neither")
         if self.segment is None and self.speed is None:
             raise ValueError("expected the sections segment and position, or speed and yaw_rate, or all four")
         if self.slope is not None and self.segment is None:

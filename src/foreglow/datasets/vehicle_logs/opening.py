@@ -1,4 +1,4 @@
-"""From the files of a drive to what the car knew at each frame."""
+"""What the car knew at each frame of a drive, from its files."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
 
 MAX_CLOCK_GAP_S = 3600.0
-"""A frame that is this far from all data is of another clock, and not merely before or after them."""
+"""A frame that is further than this from all data has another clock, and is not merely before or after them."""
 
 POSE_ERROR_M = 5.0
-"""How far ordinary satellite positioning in the open may be off."""
+"""Largest error of ordinary satellite positioning in the open."""
 
-NUM_PLACES = 100
+NUM_TRIED_POSES = 100
 """So many poses along the drive are tried on the map when it is opened."""
 
 
 class VehicleFiles:
-    """A `VehicleData` of files; of a frame its time and size are used."""
+    """A `VehicleData` from files, which looks up a frame by its time and size."""
 
     def __init__(
         self,
@@ -38,25 +38,25 @@ class VehicleFiles:
         pose_error_m: float = POSE_ERROR_M,
         names: Sequence[str] = ("calibration", "CAN log", "poses"),
     ) -> None:
-        """Takes what the files hold; `open_vehicle_data` says what the arguments are.
+        """Takes the contents of the files; `open_vehicle_data` describes the arguments.
 
         Args:
             camera: The calibration.
             log: The CAN log.
             road_map: The map; needs `poses`.
             poses: Poses on it.
-            time_offset_s: What is added to the times of log and poses to have the frames'.
-            pose_error_m: How far a pose may be off along the road.
+            time_offset_s: Is added to the times of log and poses to get the frames' times.
+            pose_error_m: Largest error of a pose along the road.
             names: The paths of calibration, log and poses, for messages.
         """
         self._camera, self._log, self._road_map, self._poses = camera, log, road_map, poses
         self._offset_ns = round(time_offset_s * 1e9)
         self._pose_error_m = pose_error_m
         self._names = names
-        self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators remember what depends on it
+        self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators keep results by camera
 
     def camera(self, frame: Frame) -> Camera | None:
-        """The calibration, scaled to the frame's size; None without one.
+        """The calibration, scaled to the frame's size; None if there is no calibration.
 
         Raises:
             ValueError: If the frame's sides have another ratio than the calibration's.
@@ -67,7 +67,7 @@ class VehicleFiles:
         """The latest motion in the log; None where there is none.
 
         Raises:
-            ValueError: If the log is of another time.
+            ValueError: If the log has another clock.
         """
         if self._log is None or self._log.is_empty:
             return None
@@ -77,7 +77,7 @@ class VehicleFiles:
         """The road ahead by map and pose, or else by the latest street message in the log; None where there is none.
 
         Raises:
-            ValueError: If poses or log are of another time.
+            ValueError: If poses or log have another clock.
         """
         return self._road_by_map(frame) or self._road_by_message(frame)
 
@@ -110,7 +110,7 @@ class VehicleFiles:
         return None if message is None else road_from_message(message)
 
     def _time_ns(self, frame: Frame, first_ns: int, last_ns: int, name: str) -> int:
-        """The frame's time by the clock of the data, which reach from `first_ns` to `last_ns`."""
+        """The frame's time by the clock of data from `first_ns` to `last_ns`."""
         time_ns = frame.timestamp_ns - self._offset_ns
         if max(first_ns - time_ns, time_ns - last_ns) > MAX_CLOCK_GAP_S * 1e9:
             raise ValueError(
@@ -131,25 +131,25 @@ def open_vehicle_data(
     time_offset_s: float = 0.0,
     pose_error_m: float = POSE_ERROR_M,
 ) -> VehicleFiles:
-    """What the car knew at each frame of a drive, from files; each may be left out, but not all.
+    """What the car knew at each frame of a drive, from files; at least one is needed.
 
     Args:
         calibration: Of the camera, with its mount: TOML.
         can_log: CAN log with street messages, motion, or both: .asc, .blf or .log.
-        dbc: What is in its frames; None for our own.
-        mapping: What its signals mean; goes with `dbc`.
-        road_map: GeoJSON, OpenDRIVE (.xodr) or Lanelet2 (.osm); goes with `poses`. Where it tells no road, the log may.
-        poses: Where the vehicle was: CSV, or TUM's format.
-        time_offset_s: What is added to the times of log and poses to have the frames'.
-        pose_error_m: How far a pose may be off along the road; infinite where nobody can say: then `road_surface`
-            does without the road.
+        dbc: Description of its frames; None for our own.
+        mapping: Meaning of its signals; goes with `dbc`.
+        road_map: GeoJSON, OpenDRIVE (.xodr) or Lanelet2 (.osm); goes with `poses`. Where it has no road, the log may.
+        poses: Positions of the vehicle over time: CSV, or TUM's format.
+        time_offset_s: Is added to the times of log and poses to get the frames' times.
+        pose_error_m: Largest error of a pose along the road; infinite where unknown: then `road_surface` does not use
+            the road.
 
     Raises:
         FileNotFoundError: If one of the files is missing.
         ModuleNotFoundError: If a CAN log is given, and the extra `can` is not installed.
-        ValueError: If a file is broken, one is missing that goes with another, or no pose is on a road of the map.
+        ValueError: If a file is broken, a file is missing that goes with another, or no pose is on a road of the map.
     """
-    if all(one is None for one in (calibration, can_log, dbc, mapping, road_map, poses)):
+    if all(path is None for path in (calibration, can_log, dbc, mapping, road_map, poses)):
         raise ValueError("vehicle data: expected a calibration, a CAN log, or a map with poses, got none of them")
     if can_log is None and (dbc or mapping) is not None:
         raise ValueError(f"{dbc or mapping}: expected a CAN log with it, got none")
@@ -176,12 +176,12 @@ def open_vehicle_data(
 
 
 def _check_on_road(track: PoseTrack, roads: RoadMap, name: str, map_name: str) -> None:
-    """Passes poses of which at least one has a road ahead.
+    """Checks that at least one pose has a road ahead.
 
     Raises:
-        ValueError: If none has.
+        ValueError: If there is none.
     """
-    times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_PLACES)].tolist()
+    times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_TRIED_POSES)].tolist()
     found = [pose for time_ns in times_ns if (pose := track.pose(time_ns)) is not None]
     if not any(roads.ahead(pose, is_on_road=not track.has_attitude) for pose in found):
         nearest_m = min(roads.distance_m(pose.position_m) for pose in found)

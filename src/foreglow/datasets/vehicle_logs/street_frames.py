@@ -1,4 +1,4 @@
-"""From the frames of a car that tell the road piece by piece to street messages."""
+"""From the frames in which a car sends the road piece by piece to street messages."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from foreglow.street import (
 )
 
 SEGMENT_STALE_NS = 10_000_000_000
-"""A segment that was told longer ago is forgotten: ids come round again, and cars repeat what still holds."""
+"""Older segments are not used: ids are used again along the road, and cars repeat what is still valid."""
 
 
 class StreetFrames:
-    """Remembers the segments that were told, and makes a message of those ahead of each position."""
+    """Keeps the segments that were received, and makes a message of those ahead of each position."""
 
     def __init__(self, mapping: CanMapping) -> None:
         self._mapping = mapping
@@ -30,11 +30,11 @@ class StreetFrames:
         self._child_of: dict[int, int] = {}
 
     def add_segment(self, values: Mapping[str, float], time_ns: int) -> None:
-        """Takes a frame of the section `segment`, its values by field; passes over one that tells no segment."""
+        """Takes a frame of the section `segment`, its values by field; ignores a frame without a valid segment."""
         number, parent = round(values["segment_id"]), round(values["parent_id"])
         length_code = round(values["length_m"] / LENGTH_STEP_M)
-        is_told = 1 <= number <= NUM_SEGMENT_IDS and 0 <= parent <= NUM_SEGMENT_IDS
-        if not is_told or not 1 <= length_code <= MAX_LENGTH_CODE or not values.get("is_probable", 1):
+        is_valid = 1 <= number <= NUM_SEGMENT_IDS and 0 <= parent <= NUM_SEGMENT_IDS
+        if not is_valid or not 1 <= length_code <= MAX_LENGTH_CODE or not values.get("is_probable", 1):
             return
         meaning = self._mapping.curvature
         start, end = (_curvature_per_m(values, which, meaning) for which in ("start", "end"))
@@ -58,7 +58,7 @@ class StreetFrames:
         self._slope_codes[round(values["segment_id"])] = _slope_code(values)
 
     def message(self, values: Mapping[str, float], time_ns: int) -> StreetMessage | None:
-        """What a frame of the section `position` and the segments before it tell; None if that is no whole message."""
+        """The message of a frame of the section `position` and the segments before it; None if it is incomplete."""
         position = self._mapping.position
         first_class = position.first_error_class if position is not None else 0
         error_class, remaining_m = round(values["error_class"]) - first_class, round(values["remaining_length_m"])
@@ -71,13 +71,13 @@ class StreetFrames:
         return StreetMessage(segments=tuple(chain), remaining_length_m=remaining_m, error_class=error_class)
 
     def _chain(self, number: int | None, time_ns: int, most: int) -> list[StreetSegment]:
-        """The segment `number` and those that follow it, as far as they are known."""
+        """The known segments in a row from `number` on."""
         chain: list[StreetSegment] = []
         seen: set[int] = set()
         while number is not None and number in self._segments and number not in seen and len(chain) < most:
-            segment, told_ns = self._segments[number]
+            segment, received_ns = self._segments[number]
             is_next = not chain or segment.parent_id == chain[-1].segment_id
-            if not is_next or time_ns - told_ns > SEGMENT_STALE_NS:
+            if not is_next or time_ns - received_ns > SEGMENT_STALE_NS:
                 break
             code = self._slope_codes.get(number)
             chain.append(segment if code is None else segment.model_copy(update={"slope_code": code}))
@@ -111,7 +111,7 @@ def position_values(message: StreetMessage) -> dict[str, float]:
 
 
 def _curvature_per_m(values: Mapping[str, float], which: str, meaning: CurvatureMeaning) -> float:
-    """Signed curvature where a segment begins or ends, positive to the left."""
+    """Signed curvature at the start or end of a segment, positive to the left."""
     curvature = meaning.per_m(values[f"{which}_curvature"])
     if f"is_{which}_left" not in values:
         return curvature

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.lab.evaluation.boxes.matching import Matches
+from foreglow.lab.evaluation.ratios import percentiles, ratios
 
 Counts: TypeAlias = NDArray[np.float64]
 """Shape (..., 3): tp, fp and fn, of one scene or of many together."""
@@ -54,10 +54,6 @@ class Difference:
         """Of the figures over all scenes, a less b."""
         return self.a - self.b
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON."""
-        return dataclasses.asdict(self)
-
 
 def f1(counts: Counts) -> NDArray[np.float64]:
     """F: tp / (tp + (fp + fn) / 2).
@@ -66,17 +62,17 @@ def f1(counts: Counts) -> NDArray[np.float64]:
     True
     """
     tp, fp, fn = np.moveaxis(counts, -1, 0)
-    return _ratio(tp, tp + 0.5 * (fp + fn))
+    return ratios(tp, tp + 0.5 * (fp + fn))
 
 
 def recall(counts: Counts) -> NDArray[np.float64]:
     """Recall: tp / (tp + fn)."""
-    return _ratio(counts[..., 0], counts[..., 0] + counts[..., 2])
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 2])
 
 
 def precision(counts: Counts) -> NDArray[np.float64]:
     """Precision: tp / (tp + fp)."""
-    return _ratio(counts[..., 0], counts[..., 0] + counts[..., 1])
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
 def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,7 +81,7 @@ def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     >>> ratio(np.array([[1.0, 4.0], [1.0, 0.0]])).tolist()
     [0.25, nan]
     """
-    return _ratio(counts[..., 0], counts[..., 1])
+    return ratios(counts[..., 0], counts[..., 1])
 
 
 def scene_counts(matches: Matches, sequence_of: Mapping[int, int], threshold: float) -> Counts:
@@ -106,7 +102,7 @@ def scene_counts(matches: Matches, sequence_of: Mapping[int, int], threshold: fl
         scene_of_image[matches.image_of_box][is_false],
         scene_of_point[~is_found],
     )
-    return np.stack([np.bincount(one, minlength=len(scenes)).astype(np.float64) for one in columns], axis=1)
+    return np.stack([np.bincount(column, minlength=len(scenes)).astype(np.float64) for column in columns], axis=1)
 
 
 def paired_bootstrap(
@@ -124,7 +120,7 @@ def paired_bootstrap(
 
     Args:
         counts_a: Shape (S, C), counts of each scene that add up, such as those of `scene_counts`.
-        counts_b: The same of the other detector, scenes in the same order.
+        counts_b: Those of the other detector, scenes in the same order.
         figure: What is made of summed counts.
         num_resamples: How often scenes are drawn.
         seed: Of the draws; the same seed, the same result.
@@ -136,11 +132,11 @@ def paired_bootstrap(
     """
     if counts_a.shape != counts_b.shape or counts_a.ndim != 2 or not len(counts_a):
         raise ValueError(f"counts: expected the same shape (S, C), S >= 1, got {counts_a.shape} and {counts_b.shape}")
-    num_scenes = len(counts_a)
-    drawn = np.concatenate(
-        [figure(weights @ counts_a) - figure(weights @ counts_b) for weights in _draws(num_scenes, num_resamples, seed)]
-    )
-    drawn = drawn[~np.isnan(drawn)]
+
+    def difference(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        return figure(weights @ counts_a) - figure(weights @ counts_b)
+
+    drawn = resampled(difference, len(counts_a), num_resamples, seed)
     if not len(drawn):
         raise ValueError("counts: expected scenes for which the figure is defined, got none")
     low, high = np.percentile(drawn, (2.5, 97.5))
@@ -151,7 +147,7 @@ def paired_bootstrap(
         low=float(low),
         high=float(high),
         probability=float(np.mean(drawn >= 0.0)),
-        num_scenes=num_scenes,
+        num_scenes=len(counts_a),
         num_resamples=len(drawn),
         seed=seed,
     )
@@ -162,6 +158,8 @@ def percentile_interval(
 ) -> tuple[float, float]:
     """The 95 % interval of one figure, had other scenes of the same sort been drawn; NaN where it is never defined.
 
+    Of a single scene there is no interval, either: every resample is that scene.
+
     Args:
         counts: Shape (S, C), of each scene, that add up.
         figure: What is made of summed counts.
@@ -170,23 +168,26 @@ def percentile_interval(
 
     Source: as for `paired_bootstrap`.
     """
-    if not len(counts):
+    if len(counts) < 2:
         return math.nan, math.nan
-    drawn = np.concatenate([figure(weights @ counts) for weights in _draws(len(counts), num_resamples, seed)])
-    drawn = drawn[~np.isnan(drawn)]
-    if not len(drawn):
-        return math.nan, math.nan
-    low, high = np.percentile(drawn, (2.5, 97.5)).tolist()
+    drawn = resampled(lambda weights: figure(weights @ counts), len(counts), num_resamples, seed)
+    low, high = percentiles(drawn, (2.5, 97.5))
     return low, high
 
 
-def _draws(num_scenes: int, num_resamples: int, seed: int) -> Iterator[NDArray[np.float64]]:
-    """How often each scene is drawn, shape (R, S), a chunk of resamples at a time."""
+def resampled(figure: Figure, num_scenes: int, num_resamples: int, seed: int) -> NDArray[np.float64]:
+    """The figure of each resample in which it is defined.
+
+    Args:
+        figure: From how often each scene is drawn, shape (R, S), to a figure for each resample, shape (R,).
+        num_scenes: S.
+        num_resamples: How often scenes are drawn.
+        seed: Of the draws.
+    """
     rng = np.random.default_rng(seed)
-    for start in range(0, num_resamples, CHUNK):
-        num = min(CHUNK, num_resamples - start)
-        yield rng.multinomial(num_scenes, np.full(num_scenes, 1.0 / num_scenes), num).astype(np.float64)
-
-
-def _ratio(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.divide(part, whole, out=np.full(np.shape(whole), np.nan), where=np.asarray(whole > 0)))
+    shares = np.full(num_scenes, 1.0 / num_scenes)
+    chunks = (min(CHUNK, num_resamples - start) for start in range(0, num_resamples, CHUNK))
+    drawn: NDArray[np.float64] = np.concatenate(
+        [figure(rng.multinomial(num_scenes, shares, num).astype(np.float64)) for num in chunks]
+    )
+    return drawn[~np.isnan(drawn)]

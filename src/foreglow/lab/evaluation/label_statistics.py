@@ -1,18 +1,17 @@
-"""What labels look like in numbers: how many instances, where, and when; to set simulated labels beside real ones."""
+"""Statistics of labels, by which simulated labels are compared with real ones: number, positions and times."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import Field, RootModel
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 
@@ -25,12 +24,12 @@ MAX_RATIO = 1.5
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """The labels of one image.
+    """The labels of an image.
 
     Attributes:
         num_vehicles: Annotated vehicles.
         direct: Lamps, positions x, y as shares of the image's width and height.
-        indirect: The light that they throw, likewise.
+        indirect: Their indirect light, likewise.
     """
 
     num_vehicles: int
@@ -40,7 +39,7 @@ class LabelledImage:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Median and quartiles; NaN of nothing."""
+    """Median and quartiles; NaN if there are no values."""
 
     num: int
     lower_quartile: float
@@ -52,35 +51,35 @@ class Spread:
         """That of `values`, linear in between."""
         if not len(values):
             return cls(0, math.nan, math.nan, math.nan)
-        lower, median, upper = (float(one) for one in np.percentile(np.asarray(values, np.float64), (25, 50, 75)))
+        lower, median, upper = np.percentile(np.asarray(values, np.float64), (25, 50, 75)).tolist()
         return cls(len(values), lower, median, upper)
 
 
 @dataclass(frozen=True, slots=True)
 class LabelStatistics:
-    """Statistics of a set of sequences. A share or mean of nothing is NaN; null in JSON.
+    """Statistics of a set of sequences. An undefined share or mean is NaN; null in JSON.
 
-    Hidden images have indirect instances only, images in sight have a direct one.
+    Hidden images have indirect instances only, images in sight have a direct instance.
 
     Attributes:
         num_sequences: Sequences.
         num_images: Images.
-        num_instances: Direct and indirect ones.
+        num_instances: Direct and indirect instances.
         share_without_vehicle: Images without any vehicle.
         instances_per_image: Over all images.
-        share_direct: Of the instances.
+        share_direct: Share of direct instances.
         share_hidden: Images that are hidden.
         share_in_sight: Images that are in sight.
         indirect_per_hidden_image: Mean.
         share_one_when_hidden: Hidden images with exactly one instance.
         indirect_per_image_in_sight: Mean.
         direct_per_image_in_sight: Mean.
-        num_indirect_first: Sequences in which an indirect instance comes before the first direct one.
-        num_direct_first: Sequences in which a direct one comes first, or both in the same image.
+        num_indirect_first: Sequences in which an indirect instance comes before the first direct instance.
+        num_direct_first: Sequences in which a direct instance comes first, or both come in the same image.
         num_begun: Sequences whose first image already has an instance: their first times are unknown, and they count
-            in none of the other numbers and spreads of this list.
-        lead_frames: From the first indirect to the first direct instance, images, over the sequences in which the
-            indirect one comes first.
+            neither as indirect first nor as direct first.
+        lead_frames: Images from the first indirect to the first direct instance, over the sequences in which the
+            indirect instance comes first.
         hidden_frames: Hidden images of each sequence that has instances.
         in_sight_frames: Images in sight of each sequence that has instances.
         positions: Percentiles of the shares of width and height, by names such as `direct_x_p10`.
@@ -106,21 +105,16 @@ class LabelStatistics:
     in_sight_frames: Spread
     positions: Mapping[str, float]
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
-        return fields
-
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One figure of real and simulated labels.
+    """A figure of real and simulated labels.
 
     Attributes:
-        name: What it is.
+        name: Its name.
         real: Of the real labels.
-        simulated: Of the simulated ones.
-        ratio: Simulated over real; NaN where either is undefined or the real one is 0 and the other is not.
+        simulated: Of the simulated labels.
+        ratio: Simulated over real; NaN where either is undefined, or only the real figure is 0.
         is_close: Whether the ratio is within `MAX_RATIO` both ways.
     """
 
@@ -130,16 +124,11 @@ class Comparison:
     ratio: float
     is_close: bool
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        fields: dict[str, Any] = _without_nan(dataclasses.asdict(self))
-        return fields
-
 
 def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: float = PVDN_RATE_HZ) -> LabelStatistics:
-    """Statistics of `sequences`, each with its images in order of time, `rate_hz` of them a second.
+    """Statistics of `sequences`, each with its images in the order of time, at `rate_hz` images a second.
 
-    Spans of time are counted in frames of PVDN's rate, whatever the rate of the sequences.
+    Times are in frames at PVDN's rate, whatever the rate of the sequences.
     """
     frames = PVDN_RATE_HZ / rate_hz
     drives = [list(images) for images in sequences]
@@ -171,37 +160,37 @@ def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: floa
         num_begun=len(begun),
         lead_frames=Spread.of([frames * lead for lead in leads if 0 < lead < math.inf]),
         hidden_frames=Spread.of(
-            [frames * sum(bool(one.indirect and not one.direct) for one in drive) for drive in labelled]
+            [frames * sum(bool(image.indirect and not image.direct) for image in drive) for drive in labelled]
         ),
-        in_sight_frames=Spread.of([frames * sum(bool(one.direct) for one in drive) for drive in labelled]),
+        in_sight_frames=Spread.of([frames * sum(bool(image.direct) for image in drive) for drive in labelled]),
         positions=_percentiles("direct", direct) | _percentiles("indirect", indirect),
     )
 
 
 def compare_labels(real: LabelStatistics, simulated: LabelStatistics) -> tuple[Comparison, ...]:
     """Every figure that does not depend on the number of sequences, of real and simulated labels side by side."""
-    theirs, ours = _figures(simulated), _figures(real)
-    return tuple(_compared(name, value, theirs[name]) for name, value in ours.items())
+    simulated_figures = _figures(simulated)
+    return tuple(_compared(name, value, simulated_figures[name]) for name, value in _figures(real).items())
 
 
-def labels_of_split(dataset: PVDN) -> tuple[tuple[LabelledImage, ...], ...]:
+def labels_of_split(dataset: LabelledSource) -> tuple[tuple[LabelledImage, ...], ...]:
     """The labels of the selected images, by sequence.
 
     Raises:
         FileNotFoundError: If a keypoint file is missing.
-        ValueError: If one is broken.
+        ValueError: If a keypoint file is broken.
     """
     drives: dict[int, list[LabelledImage]] = {}
     for image_id in dataset.frame_ids:
         record = dataset.image(image_id)
         vehicles = dataset.annotations(image_id)
-        instances = [instance for vehicle in vehicles for instance in vehicle.instances]
         points = [
             (
                 instance.is_direct,
                 (instance.position_px[0] / record.width_px, instance.position_px[1] / record.height_px),
             )
-            for instance in instances
+            for vehicle in vehicles
+            for instance in vehicle.instances
         ]
         drives.setdefault(dataset.sequence(image_id).id, []).append(
             LabelledImage(
@@ -231,8 +220,8 @@ def read_label_digest(path: Path, width_px: int = 1280, height_px: int = 960) ->
 
     Args:
         path: The file.
-        width_px: Columns of all images, which the file does not tell.
-        height_px: Their rows.
+        width_px: Columns of all images, as the file does not have them.
+        height_px: Rows of all images.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -243,15 +232,15 @@ def read_label_digest(path: Path, width_px: int = 1280, height_px: int = 960) ->
         return tuple((x / width_px, y / height_px) for x, y in points)
 
     return tuple(
-        tuple(LabelledImage(len(one.vehicles), shares(one.direct), shares(one.indirect)) for one in images)
+        tuple(LabelledImage(len(image.vehicles), shares(image.direct), shares(image.indirect)) for image in images)
         for images in read_json(path, _Digest).root.values()
     )
 
 
 def _lead_frames(drive: Sequence[LabelledImage]) -> float:
-    """Images from the first indirect to the first direct instance; infinite where one never comes."""
-    first_indirect = next((place for place, image in enumerate(drive) if image.indirect), math.inf)
-    first_direct = next((place for place, image in enumerate(drive) if image.direct), math.inf)
+    """Images from the first indirect to the first direct instance; infinite without a direct instance."""
+    first_indirect = next((number for number, image in enumerate(drive) if image.indirect), math.inf)
+    first_direct = next((number for number, image in enumerate(drive) if image.direct), math.inf)
     return first_direct - first_indirect
 
 
@@ -268,7 +257,7 @@ def _percentiles(name: str, points: Sequence[Point]) -> dict[str, float]:
 
 def _figures(statistics: LabelStatistics) -> dict[str, float]:
     """The figures that can be compared, by name."""
-    num_told = statistics.num_indirect_first + statistics.num_direct_first
+    num_known = statistics.num_indirect_first + statistics.num_direct_first
     names = (
         "instances_per_image",
         "share_direct",
@@ -283,7 +272,7 @@ def _figures(statistics: LabelStatistics) -> dict[str, float]:
     spreads = ("lead_frames", "hidden_frames", "in_sight_frames")
     return {
         **{name: getattr(statistics, name) for name in names},
-        "share_indirect_first": _ratio(statistics.num_indirect_first, num_told),
+        "share_indirect_first": _ratio(statistics.num_indirect_first, num_known),
         **{
             f"{name}_{quartile}": getattr(getattr(statistics, name), quartile)
             for name in spreads
@@ -300,9 +289,3 @@ def _compared(name: str, real: float, simulated: float) -> Comparison:
 
 def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_nan(part) for name, part in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value

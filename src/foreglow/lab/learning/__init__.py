@@ -1,4 +1,4 @@
-"""Everything that makes a model; needs the `train` extra, which is imported only when it is used."""
+"""Training of models, and everything around it; needs the `train` extra, which is imported only when it is used."""
 
 from foreglow.lab.learning.weights import ImportedModel, import_weights
 

@@ -1,4 +1,4 @@
-"""Boxes for a whole data set: proposals, labelled by the key points, as PVDN's `labels/bounding_boxes/*.json`."""
+"""Boxes for a whole data set: proposals with labels from the key points, as PVDN's `labels/bounding_boxes/*.json`."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES
-from foreglow.files import write_atomic
+from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
-from foreglow.lab.learning.annotation import IGNORED, label_boxes
+from foreglow.lab.learning.annotation import IGNORED, label_image
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 
 RECORD_NAME = "bounding_boxes.toml"
-"""Beside the folder of boxes: with which parameters they were made, and how many there are."""
+"""File beside the folder of boxes that records the parameters they were made with, and their numbers."""
 
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is, and how much there is."""
+"""Called with the name of the task, how many of its steps are done, and how many there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class Annotation:
 
     Attributes:
         root: The split's folder.
-        num_images: Images.
-        num_boxes: Boxes in the files.
-        num_positive: Those of them with a key point.
-        num_ignored: Proposals with doubtful light and no key point, which no file has.
-        quality: How well the positive boxes explain the key points: the upper bound of any classifier on these boxes.
+        num_images: Number of images.
+        num_boxes: Number of boxes in the files.
+        num_positive: Number of boxes with a key point.
+        num_ignored: Number of proposals with doubtful light and no key point, which are left out of the files.
+        quality: How well the positive boxes cover the key points: the upper bound of any classifier on these boxes.
     """
 
     root: Path
@@ -56,7 +56,7 @@ class Annotation:
 
     @property
     def boxes_per_image(self) -> float:
-        """Mean number of boxes in an image's file."""
+        """Mean number of boxes per image."""
         return self.num_boxes / self.num_images if self.num_images else math.nan
 
     def to_json(self) -> dict[str, Any]:
@@ -66,12 +66,12 @@ class Annotation:
             "root": str(self.root),
             **counts,
             "boxes_per_image": self.boxes_per_image if self.num_images else None,
-            "quality": self.quality.to_json(),
+            "quality": to_json(self.quality),
         }
 
 
 class _SequenceRecord(FrozenModel):
-    """What the boxes of one sequence are."""
+    """The numbers of boxes in one sequence."""
 
     directory: str
     num_images: int
@@ -81,7 +81,7 @@ class _SequenceRecord(FrozenModel):
 
 
 class _Record(FrozenModel):
-    """`labels/bounding_boxes.toml`; a sequence is in it once all its files are written."""
+    """`labels/bounding_boxes.toml`; a sequence is listed once all its files are written."""
 
     version: str
     preset: str
@@ -90,7 +90,7 @@ class _Record(FrozenModel):
     sequences: tuple[_SequenceRecord, ...] = ()
 
     def is_made_like(self, other: _Record) -> bool:
-        """Whether both would give the same boxes; names and progress do not matter."""
+        """Whether both give the same boxes; names and progress do not matter."""
         return (self.version, self.proposals) == (other.version, other.proposals)
 
 
@@ -99,7 +99,7 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
 
     Raises:
         FileNotFoundError: If there is no such folder or split.
-        ValueError: If a name is unknown, a split was named of something that is one itself, or a name fits several.
+        ValueError: If a name is unknown, `data` is a single split with another name, or a name fits several folders.
     """
     root = Path(data)
     unknown = [name for name in names if name not in SPLIT_NAMES]
@@ -132,18 +132,18 @@ def annotate_split(
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Annotation:
-    """Writes the boxes of every image of the split `root`, in place of any that were there, and rates them.
+    """Writes the boxes of every image of the split `root`, replacing earlier ones, and rates them.
 
-    A box is labelled 1 with a key point in it and 0 without; one that holds nothing but doubtful light is neither,
-    and is left out. Each file appears whole or not at all. A sequence that an earlier call finished with the same
-    parameters is kept, unless an image or its key points are newer than the boxes: an interrupted call goes on.
+    A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
+    are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
+    are kept, unless an image or its key points are newer than the boxes.
 
     Args:
         root: The split's folder.
-        config: Whose proposal stage is used.
+        config: Its proposal stage is used.
         preset: Name of the parameters, for the record.
-        workers: Who annotates, a sequence each; None annotates in this process.
-        progress: Told of every sequence.
+        workers: Workers that take a sequence each; None annotates in this process.
+        progress: Called after every sequence.
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.
@@ -196,15 +196,14 @@ def _annotate_sequence(
 
 @functools.lru_cache(maxsize=1)
 def _dataset(root: Path, call: str) -> PVDN:  # noqa: ARG001
-    """The split, read once a process and call: at the next one the labels may be others."""
+    """The split, read once in each process and for each call, since labels may change between calls."""
     return PVDN(root)
 
 
 def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[int, int, int]:
-    """Writes the boxes of one image; how many there are, how many of them positive, and how many were left out."""
+    """Writes the boxes of one image; returns the numbers of boxes, of positive ones, and of those left out."""
     boxes = proposer.propose(dataset.read(image_id).image).boxes_xyxy_px
-    doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
-    labels = label_boxes(boxes, dataset.keypoints_px(image_id), doubtful_px)
+    labels = label_image(dataset, image_id, boxes)
     is_written = labels != IGNORED
     kept = labels[is_written]
     record = BoxLabels(
@@ -215,7 +214,7 @@ def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[i
 
 
 def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceRecord]:
-    """The sequences that were finished with the same parameters and are not older than what they were made from."""
+    """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
     if not path.is_file():
         return {}
     there = validated(_Record, _lists_as_tuples(read_toml(path)), str(path))
@@ -239,7 +238,7 @@ def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> b
 
 
 def _sources(dataset: PVDN, image_id: int) -> Iterator[Path]:
-    """The files that the boxes of an image are made from, those that exist."""
+    """The existing files that the boxes of an image are made from."""
     keypoints = dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json"
     yield from (path for path in (dataset.image_path(image_id), keypoints) if path.exists())
 
@@ -253,5 +252,5 @@ def _toml(record: _Record) -> bytes:
 
 
 def _lists_as_tuples(fields: dict[str, Any]) -> dict[str, Any]:
-    """TOML's arrays as the tuples that strict types want."""
+    """The fields with TOML's arrays as tuples, which the record's types need."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}

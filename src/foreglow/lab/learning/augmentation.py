@@ -13,24 +13,24 @@ from foreglow.lab.learning.recipes import Augmentation
 
 HAS_EARLIER = FEATURES.index("has_earlier")
 
-# Below this a crop counts as constant: a hundredth of a grey level, which no camera sees.
+# A crop with a smaller range counts as constant: a hundredth of a grey level, which no camera resolves.
 _MIN_RANGE = 1e-4
 
 
 def augment(
     crops: Tensor, features: Tensor, augmentation: Augmentation, feature_scale: Tensor, random: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Altered copies of `crops` and `features`, drawn from `random`, sample by sample.
+    """Altered copies of `crops` and `features`, drawn from `random` for each sample.
 
-    Reflection, rotation and the cut-out are one affine map with one bilinear interpolation, the same for all channels
-    of a sample. Every channel keeps to [0, 1], and a second one that is black, for want of an earlier image, stays so.
+    Reflection, rotation and cropping are one affine map with one bilinear interpolation, the same for all channels of
+    a sample. Every channel stays in [0, 1]; a second channel that is black, without an earlier image, stays black.
 
     Args:
         crops: Shape (N, C, S, S), float32 in [0, 1].
         features: Shape (N, F), float32.
         augmentation: What to do.
         feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
-        random: A generator on the CPU, whatever the device of the crops: the same seed draws the same.
+        random: A generator on the CPU, so that the same seed draws the same on every device.
     """
     has_earlier = crops[:, 1:].amax(dim=(2, 3), keepdim=True) > 0
     crops = _moved(crops, augmentation, random)
@@ -47,7 +47,7 @@ def augment(
     if augmentation.history_dropout and crops.shape[1] > 1:
         is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
         crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
-        if features.shape[1]:  # one of them says whether there is an earlier image
+        if features.shape[1]:  # one of the features says whether there is an earlier image
             features = features.clone()
             features[:, HAS_EARLIER] *= is_kept
     if augmentation.feature_noise and features.shape[1]:
@@ -57,9 +57,9 @@ def augment(
 
 
 def stretched(crops: Tensor) -> Tensor:
-    """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant ones are zero.
+    """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant crops become zero.
 
-    A second channel is stretched alike and cut at 0 and 1, as `classifier.inputs` does.
+    A second channel is stretched in the same way and clipped to [0, 1], as in `classifier.inputs`.
     """
     low = crops[:, :1].amin(dim=(2, 3), keepdim=True)
     width = crops[:, :1].amax(dim=(2, 3), keepdim=True) - low
@@ -67,11 +67,11 @@ def stretched(crops: Tensor) -> Tensor:
 
 
 def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
-    """Where each pixel of the altered crop is read: shape (N, 2, 3), from and to [-1, 1] as `affine_grid` has it.
+    """Affine maps from the altered crop to the original one, shape (N, 2, 3), in the [-1, 1] of `affine_grid`.
 
-    Read backwards, from the result to the crop: the cut-out of size (w, h) around a centre such that it stays inside,
-    turned about the crop's own centre, reflected. Area and ratio are drawn as in torchvision's RandomResizedCrop; a
-    side that would be longer than the crop is cut to it, where torchvision draws again.
+    A map takes the result to a window of size (w, h) inside the crop, turns it about the crop's centre, and reflects
+    it. Area and ratio of the window are drawn as in torchvision's RandomResizedCrop; a side that would be longer than
+    the crop is shortened, where torchvision draws again.
     """
     angle = torch.deg2rad(_uniform(num_maps, -augmentation.rotation_deg, augmentation.rotation_deg, random))
     area = _uniform(num_maps, augmentation.min_area, 1, random)

@@ -1,4 +1,4 @@
-"""Which samples an epoch learns from, in which order, and how much each counts."""
+"""The samples of an epoch, their order and their weights."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
-    """The samples of an epoch in the order in which they are learnt from: shape (M,), without ignored ones.
+    """The samples of an epoch in the order of training, shape (M,), without ignored ones.
 
-    All positives are among them, and as many negatives as the recipe allows, chosen anew in every epoch.
+    They are all positives, and as many negatives as the recipe allows, drawn again in every epoch.
     """
     random = np.random.default_rng([recipe.seed, epoch])
     positives, negatives = np.flatnonzero(labels == POSITIVE), np.flatnonzero(labels == NEGATIVE)
@@ -29,14 +29,14 @@ def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArr
 
 
 def batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.intp]]:
-    """All indices, batch by batch; the last is left out where it is a single one, which has no batch statistics."""
+    """All indices, batch by batch; a last batch of one sample is left out, since it has no batch statistics."""
     for start in range(0, len(indices), batch_size):
         if len(indices) - start > 1 or len(indices) == 1:
             yield indices[start : start + batch_size]
 
 
 def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32]:
-    """Weight of each sample, shape (N,): 1 for negatives, and on average over the positives."""
+    """Weight of each sample, shape (N,): 1 for negatives; 1 on average over the positives."""
     is_positive = samples.labels == POSITIVE
     _, group, counts = np.unique(samples.groups[is_positive], return_inverse=True, return_counts=True)
     weights = np.ones(len(samples))
@@ -46,13 +46,13 @@ def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32
 
 
 def is_direct(samples: Samples) -> NDArray[np.float32]:
-    """Shape (N,): 1 for a lamp itself, 0 for light on something, NaN without light or where that is not known."""
+    """Shape (N,): 1 for a lamp itself, 0 for light on a surface, NaN without light or where unknown."""
     is_known = (samples.labels == POSITIVE) & (samples.groups != NO_GROUP)
     return np.where(is_known, samples.groups // 2 == LIGHT_KINDS.index(LAMP), np.nan).astype(np.float32)
 
 
 def content_digest(samples: Samples) -> str:
-    """SHA-256 of the samples themselves."""
+    """SHA-256 of the samples' content."""
     digest = hashlib.sha256()
     for name in ARRAYS:
         digest.update(np.ascontiguousarray(getattr(samples, name)).data)

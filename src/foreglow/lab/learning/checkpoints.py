@@ -1,4 +1,4 @@
-"""Checkpoints: all that an interrupted training needs to go on as if nothing had been."""
+"""Checkpoints: everything that an interrupted training needs to continue as if it had not been interrupted."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ State = dict[str, Any]
 class Checkpoint:
     """The state of a training at the end of an epoch.
 
-    What is drawn depends on the seed and the epoch's number alone, and the learning rate on `epochs`, so neither
-    generators nor schedules have a state.
+    Random numbers depend on the seed and the number of the epoch alone, and the learning rate on `epochs`, so neither
+    generators nor schedules need to be stored.
 
     Attributes:
-        identity: What must be the same to go on: by name, the recipe's fields and the data's digests.
+        identity: What must be the same to continue, by name: the recipe's fields and the data's digests.
         network: Weights and buffers as they are trained.
-        averaged: Their running mean; empty where the recipe wants none.
+        averaged: Their running mean; empty if the recipe wants none.
         optimiser: The optimiser's state.
-        epochs: One row of figures an epoch.
-        best_epoch: Number of the best epoch, from 1; 0 before there is one.
-        best: Its weights and buffers.
-        num_steps: Steps taken.
+        epochs: One row of figures for each epoch.
+        best_epoch: Number of the best epoch, from 1; 0 before the first.
+        best: Weights and buffers of the best epoch.
+        num_steps: Number of steps taken.
     """
 
     identity: dict[str, Any]
@@ -47,7 +47,7 @@ class Checkpoint:
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
-    """Writes it into `folder`, in place of the one before, whole or not at all.
+    """Writes `checkpoint` into `folder` atomically, replacing an earlier one.
 
     Raises:
         OSError: If it cannot be written.
@@ -61,7 +61,7 @@ def read_checkpoint(folder: Path, identity: Mapping[str, Any]) -> Checkpoint | N
     """The checkpoint in `folder`, on the CPU; None if there is none.
 
     Raises:
-        ValueError: If it is damaged, or of a training with another identity; the message names the first difference.
+        ValueError: If it is damaged or has another identity; the message names the first difference.
     """
     path = folder / NAME
     if not path.is_file():

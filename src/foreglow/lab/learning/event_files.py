@@ -1,4 +1,4 @@
-"""TensorBoard's event files of a training, where TensorBoard is installed; never a need."""
+"""TensorBoard event files of a training, written if TensorBoard is installed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def event_files_wanted() -> bool:
 
 
 class WithEventFiles:
-    """Passes on how far a training is, and writes every epoch's figures as events into its folder."""
+    """Passes on the progress of a training, and writes the figures of every epoch as events into its folder."""
 
     def __init__(self, folder: Path, progress: TrainingProgress | None) -> None:
         from torch.utils.tensorboard import SummaryWriter

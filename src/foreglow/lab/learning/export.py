@@ -1,19 +1,19 @@
-"""Writing the classifier as ONNX, laid out so that ONNX Runtime's blocked convolutions run well.
+"""Export of the paper's classifier as ONNX, arranged so that ONNX Runtime's blocked convolutions run fast.
 
-The graph computes what `Layers` says, in an arrangement of its own. All of it is exact:
+The graph computes what `Layers` describes, rearranged without approximation:
 
-- The last row and column of conv4 are never pooled (23 is odd), so the last two rows and columns of the crop are
-  read by nothing that counts: they are cut off, which saves 7 % of everything.
-- A narrow convolution followed by the largest of 2x2 is written as one convolution of stride 2 with four times the
-  channels, one for each place in the 2x2, and the largest over these four ("phases"). ONNX Runtime computes 8 or 16
+- The last row and column of conv4 are never pooled (23 is odd), so the last two rows and columns of the crop have no
+  influence: they are cut off, which saves 7 % of the computation.
+- A narrow convolution followed by max pooling over 2x2 is written as one convolution of stride 2 with four times the
+  channels, one for each position ("phase") in the 2x2, and a maximum over the phases. ONNX Runtime computes 8 or 16
   channels at the price of one, and a narrow layer leaves most of them idle.
 - conv1, when it precedes such a layer, is written in phases too: its block is fuller, and conv2 has small filters.
-- Channel counts above 8 are filled up to multiples of four with zeros, without which a slower convolution is taken.
+- Channel counts above 8 are padded with zeros to multiples of four; otherwise a slower convolution is chosen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,31 +26,29 @@ from foreglow.lab.learning.layers import NUM_CONVOLUTIONS, POOLED, SIZE_PX, Laye
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-# ReduceMax still has its axes as an attribute; read by every ONNX Runtime since 1.12.
+# The last version in which ReduceMax has its axes as an attribute; read by every ONNX Runtime since 1.12.
 OPSET, IR_VERSION = 17, 8
 _READ_PX = SIZE_PX - 2
 _MAX_CHANNELS_IN_PHASES = 12
 _MAX_UNFILLED_CHANNELS = 8
-# Channels that ONNX Runtime computes at a time with AVX-512; fewer inputs than these are read as they are.
+# Channels that ONNX Runtime computes at a time with AVX-512.
 _BLOCK = 16
 
 
 def write_onnx(layers: Layers, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes the network to `path`, replacing what is there only once the new file is complete.
+    """Writes the network to `path` atomically.
 
     The model reads `crops`, float32 (N, 1, 64, 64), and writes `logits`, float32 (N, 1). Equal layers and metadata
     give equal bytes.
 
     Raises:
-        OSError: If the file cannot be written; nothing is left behind then.
+        OSError: If the file cannot be written.
     """
     write_atomic(path, build_onnx(layers, metadata).SerializeToString(deterministic=True))
 
 
 def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
     """The network as an ONNX model."""
-    from onnx import TensorProto, checker, helper
-
     graph = Graph()
     layers = _filled_up(layers)
     name, size_px = graph.cut("crops", _READ_PX), _READ_PX
@@ -73,28 +71,13 @@ def build_onnx(layers: Layers, metadata: Mapping[str, str]) -> ModelProto:
     for weight, bias in zip(layers.weights[NUM_CONVOLUTIONS:-1], layers.biases[NUM_CONVOLUTIONS:-1], strict=True):
         name = graph.node("Relu", graph.linear(name, weight, bias))
     graph.linear(name, layers.weights[-1], layers.biases[-1], output="logits")
-
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "foreglow_classifier",
-            [helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", 1, SIZE_PX, SIZE_PX])],
-            [helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N", 1])],
-            graph.constants,
-        ),
-        producer_name="foreglow",
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-    )
-    helper.set_model_props(model, dict(sorted(metadata.items())))
-    checker.check_model(model)
-    return model
+    return graph.model({"crops": (1, SIZE_PX, SIZE_PX)}, {"logits": (1,)}, metadata)
 
 
 def phase_filters(
     weight: NDArray[np.float64], reads: tuple[int, int] = (1, 1), writes: tuple[int, int] = (1, 1)
 ) -> NDArray[np.float64]:
-    """Filters that compute the same convolution from an input in phases, to an output in phases.
+    """Filters that compute the same convolution from an input in phases to an output in phases.
 
     An image in phases of (R, C) has the pixel (r, c) of each block of R x C pixels as channels of their own: channel
     (r C + c) x channels + channel. The stride that belongs to the filters is `writes` over `reads`, axis by axis.
@@ -124,12 +107,12 @@ def _is_narrow(layers: Layers, index: int) -> bool:
 
 
 def _phases_of_first(num_channels: int) -> tuple[int, int]:
-    """Phases in which conv1 is written for a narrow conv2: side by side while that stays below one block of 16."""
+    """Phases of conv1 before a narrow conv2: two columns while their channels stay below one block of 16, else 2x2."""
     return (1, 2) if 2 * num_channels < _BLOCK else (2, 2)
 
 
 def _filled_up(layers: Layers) -> Layers:
-    """`layers` with dead channels, so that every convolution but the last has up to 8 or a multiple of four."""
+    """`layers` with zero channels added, so that every convolution but the last has up to 8 or a multiple of four."""
     weights, biases = list(layers.weights), list(layers.biases)
     for index in range(NUM_CONVOLUTIONS - 1):
         num_channels = len(biases[index])
@@ -187,10 +170,30 @@ class Graph:
         return self.node("Relu", result)
 
     def largest_phase(self, name: str, num_channels: int, size_px: int) -> str:
-        """The largest over the four phases."""
+        """The maximum over the four phases."""
         shape = self.constant([0, 4, num_channels, size_px, size_px])
         return self.node("ReduceMax", self.node("Reshape", name, shape), axes=[1], keepdims=0)
 
     def linear(self, name: str, weight: NDArray[Any], bias: NDArray[Any], output: str = "") -> str:
         """A fully connected layer."""
         return self.node("Gemm", name, self.constant(weight), self.constant(bias), output=output, transB=1)
+
+    def model(
+        self, inputs: Mapping[str, Sequence[int]], outputs: Mapping[str, Sequence[int]], metadata: Mapping[str, str]
+    ) -> ModelProto:
+        """The checked model of this graph; `inputs` and `outputs` have a shape by name, without the free first axis."""
+        from onnx import TensorProto, checker, helper
+
+        given, made = (
+            [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *shape]) for name, shape in shapes.items()]
+            for shapes in (inputs, outputs)
+        )
+        model = helper.make_model(
+            helper.make_graph(self.nodes, "foreglow_classifier", given, made, self.constants),
+            producer_name="foreglow",
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+        )
+        helper.set_model_props(model, dict(sorted(metadata.items())))
+        checker.check_model(model)
+        return model

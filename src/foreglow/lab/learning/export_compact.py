@@ -1,4 +1,4 @@
-"""Writing a trained network of ours as ONNX: batch normalisation folded away, the rest as it is."""
+"""Export of our compact network as ONNX, with batch normalisation folded into the convolutions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from foreglow.classifier import InputSpec
 from foreglow.files import write_atomic
-from foreglow.lab.learning.export import IR_VERSION, OPSET, Graph
+from foreglow.lab.learning.export import Graph
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 
 def write_compact(network: CompactNetwork, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes `network` to `path`, replacing what is there only once the new file is complete.
+    """Writes `network` to `path` atomically.
 
     The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N, 1)
-    or (N, 2). Its metadata say what it reads.
+    or (N, 2). Its metadata describe its inputs.
 
     Raises:
-        OSError: If the file cannot be written; nothing is left behind then.
+        OSError: If the file cannot be written.
     """
     model = build_compact(network, spec, metadata)
     write_atomic(path, model.SerializeToString(deterministic=True))
@@ -36,8 +36,6 @@ def write_compact(network: CompactNetwork, spec: InputSpec, path: Path, metadata
 
 def build_compact(network: CompactNetwork, spec: InputSpec, metadata: Mapping[str, str]) -> ModelProto:
     """`network` in evaluation mode as an ONNX model."""
-    from onnx import TensorProto, checker, helper
-
     graph = Graph()
     name = "crops"
     for convolution, norm in _pairs(network.body):
@@ -56,23 +54,11 @@ def build_compact(network: CompactNetwork, spec: InputSpec, metadata: Mapping[st
     name = graph.node("Concat", graph.node("Flatten", name), "features", axis=1)
     name = graph.node("Relu", graph.linear(name, _array(network.hidden.weight), _array(network.hidden.bias)))
     graph.linear(name, _array(network.last.weight), _array(network.last.bias), output="logits")
-    inputs = [
-        helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", spec.num_channels, spec.size_px, spec.size_px]),
-        helper.make_tensor_value_info("features", TensorProto.FLOAT, ["N", spec.num_features]),
-    ]
-    outputs = [helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N", network.last.out_features])]
-    model = helper.make_model(
-        helper.make_graph(graph.nodes, "foreglow_classifier", inputs, outputs, graph.constants),
-        producer_name="foreglow",
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-    )
-    said = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
+    about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
     if spec.lag_s is not None:
-        said["lag_s"] = repr(spec.lag_s)
-    helper.set_model_props(model, dict(sorted((said | dict(metadata)).items())))
-    checker.check_model(model)
-    return model
+        about["lag_s"] = repr(spec.lag_s)
+    inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
+    return graph.model(inputs, {"logits": (network.last.out_features,)}, about | dict(metadata))
 
 
 def _pairs(body: nn.Sequential) -> list[tuple[nn.Conv2d, nn.BatchNorm2d]]:
@@ -82,7 +68,7 @@ def _pairs(body: nn.Sequential) -> list[tuple[nn.Conv2d, nn.BatchNorm2d]]:
 
 
 def _folded(convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weight and bias of the convolution with its batch normalisation in it; exact up to rounding."""
+    """Weight and bias of the convolution with its batch normalisation folded in; exact up to rounding."""
     assert norm.running_var is not None
     assert norm.running_mean is not None
     scale = _array(norm.weight) / np.sqrt(_array(norm.running_var) + norm.eps)

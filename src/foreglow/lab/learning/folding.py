@@ -1,14 +1,14 @@
-"""Removing channels that are constant, or as good as constant, from a trained classifier. Needs no data.
+"""Removing constant and nearly constant channels from a trained classifier, without any data.
 
-A channel taken as constant disappears into the biases of the layer that reads it (`Layers.without`). Two steps
-decide which ones:
+A channel that is treated as constant is absorbed by the biases of the layer that reads it (`Layers.without`). Channels
+are chosen in two steps:
 
 1. *Proven.* Interval arithmetic bounds every channel over all crops in [0, 1], and the product of absolute weights
-   along all paths bounds what a deviation of one unit in a channel can do to the logit. Channels go, those with the
-   least effect first, while the sum of (half range x gain) is proven to stay below a tenth of the tolerance.
-2. *Measured.* On generated crops (`probes.py`) the first-order change of the score when a channel is held at its
-   mean is its influence. Channels go in order of influence per multiply-add saved, as many of them as keep every
-   probe's score within the tolerance; that last figure is computed with the folded network itself.
+   along all paths bounds the effect of a unit deviation of a channel on the logit (its gain). Channels are removed in
+   order of effect, as long as the sum of half range x gain stays below a tenth of the tolerance.
+2. *Measured.* The influence of a channel is the first-order change of the score on generated crops (`probes.py`) when
+   the channel is held at its mean. Channels are removed in order of influence per multiply-add saved, as many as keep
+   every probe's score within the tolerance; this is checked with the folded network itself.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from foreglow.lab.learning.layers import NUM_CONVOLUTIONS, POOLED, SIZE_PX, Laye
 from foreglow.lab.learning.probes import render_probes
 
 _NUM_HIDDEN = 8
-# The sigmoid's slope is at most 1/4, so a bound on the logit is four times one on the score.
+# The sigmoid's slope is at most 1/4, so the logit may change four times as much as the score.
 _MAX_SIGMOID_SLOPE = 0.25
 _PROVEN_SHARE = 0.1
-# Probes that are passed through the network at a time: bounds the memory at about 100 MB.
+# Number of probes in a batch; limits the memory to about 100 MB.
 _BATCH = 32
 
 
@@ -35,13 +35,13 @@ def fold_constant_channels(layers: Layers, tolerance: float, num_probes: int = 2
 
     Args:
         layers: The network.
-        tolerance: The largest change of a score (a probability, 0 to 1) over the `num_probes` generated crops. A
-            crop unlike all of them may exceed it: what is guaranteed for every crop in [0, 1] is only the proven
-            step's share of it, a tenth. (The published weights at 1e-3, on 300 crops of another seed: 99 % within
-            5e-4, the largest change 1.8e-3.) With 0 only channels that are exactly constant, or that nothing reads, are
-            removed, and no score changes by more than rounding.
+        tolerance: The largest change of a score (a probability, 0 to 1) over the `num_probes` generated crops. Crops
+            unlike all of them may change more: only the proven step's share, a tenth, is guaranteed for every crop in
+            [0, 1]. (The published weights at 1e-3, on 300 crops of another seed: 99 % within 5e-4, the largest change
+            1.8e-3.) With 0, only channels that are exactly constant or unused are removed, and scores change by no more
+            than rounding.
         num_probes: Number of generated crops.
-        seed: Of the generated crops.
+        seed: Seed of the generated crops.
 
     Raises:
         ValueError: If the tolerance is negative, NaN or at least 1.
@@ -55,11 +55,11 @@ def fold_constant_channels(layers: Layers, tolerance: float, num_probes: int = 2
 
 
 def bound_effects(layers: Layers) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """What each hidden channel can be, and what it can do, over all crops in [0, 1].
+    """Range and effect of each hidden channel over all crops in [0, 1].
 
     Returns:
-        Eight arrays (channels,): half the sum of each channel's bounds (its constant, should it go), and eight: the
-        most that the logit can change when the channel is held there.
+        Eight arrays (channels,) with the middle of each channel's bounds, its constant if it is removed; and eight with
+        the largest change of the logit when the channel is held there.
     """
     low, high = np.zeros(1), np.ones(1)
     middles, half_ranges = [], []
@@ -75,7 +75,7 @@ def bound_effects(layers: Layers) -> tuple[list[NDArray[np.float64]], list[NDArr
     gains = np.ones(1)
     effects = []
     for weight, half_range in zip(layers.weights[:0:-1], half_ranges[::-1], strict=True):
-        # ReLU, the largest and the mean of neighbours do not amplify; a channel that cannot move passes nothing on.
+        # ReLU and pooling do not amplify; a channel that is constant passes nothing on.
         gains = np.abs(weight).reshape(*weight.shape[:2], -1).sum(axis=2).T @ gains
         effects.append(gains * half_range)
         gains = np.where(half_range > 0, gains, 0)
@@ -83,14 +83,14 @@ def bound_effects(layers: Layers) -> tuple[list[NDArray[np.float64]], list[NDArr
 
 
 def _fold_proven(layers: Layers, budget: float) -> Layers:
-    """Step 1; `budget` is the most that the logit of any crop may change."""
+    """Step 1; `budget` is the largest permitted change of the logit of any crop."""
     middles, effects = bound_effects(layers)
     num_removed = int(np.searchsorted(np.cumsum(np.sort(np.concatenate(effects))), budget, side="right"))
     return _removed(layers, [rank >= num_removed for rank in _ranks(effects)], middles, effects)
 
 
 def _fold_measured(layers: Layers, tolerance: float, probes: NDArray[np.float32]) -> Layers:
-    """Step 2: the longest prefix of the channels, least influence per multiply-add first, that keeps the scores."""
+    """Step 2: removes as many channels, by influence per multiply-add, as the scores permit; found by bisection."""
     crops = torch.from_numpy(probes)
     expected = _scores(layers, crops)
     means, influences = _influences(layers, crops)
@@ -108,7 +108,7 @@ def _fold_measured(layers: Layers, tolerance: float, probes: NDArray[np.float32]
 
 
 def _ranks(values_by_layer: list[NDArray[np.float64]]) -> list[NDArray[np.int64]]:
-    """Each value's place, from 0, in the ascending order of all of them."""
+    """Rank of each value, from 0, in the ascending order of all values."""
     values = np.concatenate(values_by_layer)
     ranks = np.empty(len(values), np.int64)
     ranks[np.argsort(values, kind="stable")] = np.arange(len(values))
@@ -121,7 +121,7 @@ def _removed(
     constants_by_layer: list[NDArray[np.float64]],
     influences: list[NDArray[np.float64]],
 ) -> Layers:
-    """`layers` with what is not kept held at its constant; each layer keeps at least its most influential channel."""
+    """`layers` without the channels that are not kept; each layer keeps at least its most influential channel."""
     for index, (is_kept, constants) in enumerate(zip(is_kept_by_layer, constants_by_layer, strict=True)):
         if not is_kept.any():
             is_kept = np.arange(len(is_kept)) == np.argmax(influences[index])
@@ -130,7 +130,7 @@ def _removed(
 
 
 def _saved_multiply_adds(layers: Layers, index: int) -> int:
-    """Multiply-adds that one channel less in hidden layer `index` saves."""
+    """Multiply-adds saved by removing one channel of hidden layer `index`."""
     is_kept = np.arange(layers.num_channels[index]) > 0
     return layers.num_multiply_adds - layers.without(index, is_kept, np.zeros(len(is_kept))).num_multiply_adds
 

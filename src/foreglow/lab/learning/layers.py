@@ -1,4 +1,4 @@
-"""The paper's classifier as nine plain layers: what is left of the network once nothing more is learnt."""
+"""The paper's classifier for inference: nine plain layers, without batch normalisation and dropout."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ NUM_CONVOLUTIONS = 6
 """The first six layers are convolutions, the last three are fully connected."""
 
 POOLED = (1, 3)
-"""Indices of the convolutions that are followed by the largest of 2x2 (paper: conv2 and conv4)."""
+"""Indices of the convolutions that are followed by max pooling over 2x2 (paper: conv2 and conv4)."""
 
-# Side of each convolution's output, for counting: 64 -> 60 -> 58 | 29 -> 25 -> 23 | 11 -> 7 -> 5.
+# Side of each convolution's output, to count operations: 64 -> 60 -> 58 | 29 -> 25 -> 23 | 11 -> 7 -> 5.
 _OUTPUT_SIZES_PX = (60, 58, 25, 23, 7, 5)
 
 _NAMES = (*(f"conv{i}" for i in range(1, 7)), *(f"int_out.afc{i}" for i in range(1, 4)))
 
-# torch's default, which the published code leaves as it is.
+# torch's default, which the published code uses.
 _BATCH_NORM_EPS = 1e-5
 
 # Far below the resolution of float32 sums (1e-7 of a value around 1), and its square is still a normal float32.
@@ -32,7 +32,7 @@ _DUST = 1e-18
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Weights and biases of the nine layers; ReLU follows all but the last, the mean of 5x5 follows the sixth.
+    """Weights and biases of the nine layers; ReLU follows all but the last, a mean over 5x5 follows the sixth.
 
     Attributes:
         weights: Six of shape (outputs, inputs, side, side), three of shape (outputs, inputs), float64.
@@ -49,7 +49,7 @@ class Layers:
 
     @property
     def num_parameters(self) -> int:
-        """Weights and biases."""
+        """Number of weights and biases."""
         return sum(weight.size for weight in self.weights) + sum(bias.size for bias in self.biases)
 
     @property
@@ -59,15 +59,15 @@ class Layers:
         return sum(weight.size * area for weight, area in zip(self.weights, areas, strict=True))
 
     def without(self, index: int, is_kept: NDArray[np.bool_], constants: NDArray[np.float64]) -> Layers:
-        """The network with some channels of hidden layer `index` taken as constant.
+        """The network with some channels of hidden layer `index` replaced by constants.
 
-        No convolution is padded, so a channel that is the same everywhere adds the same to every output of the next
-        layer: the sum of the weights that read it, times its value.
+        No convolution is padded, so a constant channel adds the same to every output of the next layer: the sum of the
+        weights that read it, times its value.
 
         Args:
             index: The hidden layer, 0 to 7.
             is_kept: Shape (channels,).
-            constants: Shape (channels,): the value of each channel after ReLU and pooling; used where not kept.
+            constants: Shape (channels,): value of each channel after ReLU and pooling, for those that are not kept.
         """
         reader = self.weights[index + 1]
         weights, biases = list(self.weights), list(self.biases)
@@ -80,8 +80,8 @@ class Layers:
 def layers_from_state(state: Mapping[str, NDArray[Any]]) -> Layers:
     """The layers of a state dict of `networks.ArtifactNetwork` in evaluation mode.
 
-    Each batch normalisation, a scale and a shift of every channel, goes into the layer that reads it. This is exact:
-    no convolution is padded.
+    Each batch normalisation, a scale and a shift of every channel, is folded into the layer that reads it. This is
+    exact, since no convolution is padded.
     """
     values = {name: np.asarray(value, np.float64) for name, value in state.items()}
     weights = [values[f"{name}.weight"] for name in _NAMES]
@@ -97,9 +97,9 @@ def layers_from_state(state: Mapping[str, NDArray[Any]]) -> Layers:
 
 
 def _without_dust(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`values` with those exactly zero that no float32 sum can notice but that make subnormal products.
+    """`values` with zeros instead of numbers so small that they only make subnormal products.
 
-    Training with weight decay leaves them in dead channels; subnormal numbers make the network 10 times slower.
+    Weight decay leaves such numbers in dead channels, and subnormal numbers make the network 10 times slower.
     """
     return np.where(np.abs(values) < _DUST, 0.0, values)
 

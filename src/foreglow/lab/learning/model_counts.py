@@ -1,4 +1,4 @@
-"""How large an ONNX model is and how much it computes, counted on its graph as it runs."""
+"""Number of parameters and multiply-adds of an ONNX model, counted on its graph."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# Place of the weights among a node's inputs.
+# Index of the weights among a node's inputs.
 _CONVOLUTIONS = {"Conv": 1, "ConvInteger": 1, "QLinearConv": 3}
 _PRODUCTS = {"Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "QLinearMatMul": 3}
-# Nodes that pass weights on, with as many values as they take.
+# Nodes that pass weights on without changing their number.
 _PASSED_ON = ("DequantizeLinear", "QuantizeLinear", "Transpose", "Identity", "Cast", "Reshape")
 
 
@@ -19,8 +19,8 @@ class ModelCounts:
     """The size of a model.
 
     Attributes:
-        num_parameters: Numbers among its constants that are multiplied or added; shapes and the like are not.
-        num_multiply_adds: Multiplications with a weight for one input (one crop); those with padding's zeros count.
+        num_parameters: Numbers among its constants that are multiplied or added, not shapes and the like.
+        num_multiply_adds: Multiplications with a weight for one input (one crop), including those with padded zeros.
     """
 
     num_parameters: int
@@ -32,7 +32,7 @@ def count_model(path: Path) -> ModelCounts:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no ONNX model, or one of its shapes cannot be told.
+        ValueError: If it is not an ONNX model, or one of its shapes cannot be inferred.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx
@@ -68,7 +68,7 @@ def count_model(path: Path) -> ModelCounts:
 
 
 def _weights(name: str, constants: dict[str, Any], makers: dict[str, Any]) -> Any:
-    """The constant behind the value `name`, or None where it is computed from the input."""
+    """The constant behind the value `name`, or None if it is computed from the input."""
     while name not in constants:
         maker = makers.get(name)
         if maker is None or maker.op_type not in _PASSED_ON:

@@ -1,9 +1,8 @@
-"""A trained network as an ONNX model that the pipeline reads, calibrated and compared with torch."""
+"""Export of a trained network as the ONNX model of the pipeline: calibrated, and compared with torch."""
 
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,15 +12,16 @@ from numpy.typing import NDArray
 from torch import nn
 
 from foreglow.classifier.inputs import InputSpec
+from foreglow.classifier.onnx import open_session
 from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.score_calibrator import Calibrator
 
 MAX_DIFFERENCE = 1e-3
-"""Exported logits differ from torch's by at most this, times 1 + their size."""
+"""Largest permitted difference of exported logits from torch's, relative to 1 + their absolute value."""
 
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
-    """A copy of `network` whose first logits are calibrated: its last linear layer takes it in.
+    """A copy of `network` whose first logit is calibrated, by changing its last linear layer.
 
     Raises:
         ValueError: If the network has no such layer of one or two outputs.
@@ -37,10 +37,10 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
 
 
 def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes `network` to `path` as ONNX, replacing what is there only once the new file is complete.
+    """Writes `network` to `path` as ONNX, atomically.
 
     Raises:
-        ValueError: If it is none of the networks that can be exported.
+        ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
     from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
@@ -60,18 +60,12 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
 
 
 def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]) -> float:
-    """How far the logits of the model at `path` are from `logits`, shape (N, outputs): the largest, over 1 + its size.
+    """Largest difference of the logits of the model at `path` from `logits`, shape (N, outputs), relative to 1 + size.
 
     Raises:
         ValueError: If the model cannot be run on these samples, or the difference is above `MAX_DIFFERENCE`.
     """
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    import onnxruntime as ort
-
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 4
-    session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    session = open_session(path, num_threads=1)
     given = {"crops": samples.crops.astype(np.float32) / 255, "features": samples.features}
     wanted = [node.name for node in session.get_inputs()]
     if not set(wanted) <= given.keys():

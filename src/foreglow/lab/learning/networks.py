@@ -1,4 +1,4 @@
-"""Networks in torch, each on one screen. Importing this module needs the `train` extra."""
+"""The networks in torch. Importing this module needs the `train` extra."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class ArtifactNetwork(nn.Module):
     """The paper's classifier: is the light artifact in this crop the light of an oncoming vehicle?
 
     Reads crops (N, 1, 64, 64) in [0, 1], writes logits (N, 1). No convolution is padded. Batch normalisation follows
-    ReLU and pooling, as in the published code, whose names of the parameters are kept.
+    ReLU and pooling, as in the published code, and parameters have the names of that code.
 
-    Source: Ewecker et al., arXiv 2107.11302, figure of the network; published code for what it leaves open.
+    Source: Ewecker et al., arXiv 2107.11302, figure of the network; the published code for what it leaves open.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class ArtifactNetwork(nn.Module):
         self.dropout = nn.Dropout(0.2)
 
     def forward(self, crops: Tensor, features: Tensor | None = None) -> Tensor:  # noqa: ARG002
-        """One logit a crop; features are not read."""
+        """One logit for each crop; features are not used."""
         x = torch.relu(self.conv1(crops))  # 60
         # ReLU after the pooling gives the same values and gradients as before it, from a quarter of the pixels.
         x = self.batch2(torch.relu(nn.functional.max_pool2d(self.conv2(x), 2)))  # 58 -> 29
@@ -53,11 +53,11 @@ class ArtifactNetwork(nn.Module):
 
 
 class CompactNetwork(nn.Module):
-    """Our classifier for one processor core: 1.3 million multiply-adds a crop.
+    """Our classifier for one processor core: 1.3 million multiply-adds for each crop.
 
-    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N, 1), of light,
-    or (N, 2), of light and of a lamp itself. The last convolutions keep where in the crop things are: the box is
-    always its middle.
+    Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N, 1) of being
+    light, or (N, 2) of being light and of being a lamp itself. Instead of global pooling, the last layer keeps the
+    position in the crop, since the box is always in its middle.
     """
 
     def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
@@ -73,7 +73,7 @@ class CompactNetwork(nn.Module):
         self.last = nn.Linear(48, num_outputs)
 
     def forward(self, crops: Tensor, features: Tensor) -> Tensor:
-        """One logit of each output a crop."""
+        """The logits of each crop."""
         x = torch.cat([self.body(crops).flatten(1), features], dim=1)
         logits: Tensor = self.last(self.dropout(torch.relu(self.hidden(x))))
         return logits
@@ -88,7 +88,7 @@ NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
     "paper": lambda spec, num_outputs: ArtifactNetwork(),  # noqa: ARG005
     "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
-"""Untrained networks by name, for what they shall read and how many logits they shall write."""
+"""Untrained networks by name, for given inputs and a given number of logits."""
 
 
 def recipe_network(recipe: Recipe) -> nn.Module:

@@ -1,4 +1,4 @@
-"""Generated crops on which a network is tried when no data may be used."""
+"""Generated crops to test a network with when no data may be used."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 
 def render_probes(num_probes: int, size_px: int, seed: int) -> NDArray[np.float32]:
-    """Crops as a night camera could give them, and stranger ones: shape (N, 1, size_px, size_px), float32 in [0, 1].
+    """Crops like those of a night camera, and stranger ones: shape (N, 1, size_px, size_px), float32 in [0, 1].
 
-    Each is a slope of brightness with up to six blobs of all sizes (soft, pointed or with a hard rim, some of them
-    dark), often an edge, noise, clipping at either end, and a gamma; stretched to [0, 1] in 256 levels as
-    `foreglow.classifier` does.
+    Each is a brightness gradient with up to six blobs of all sizes (soft, pointed or with a hard rim, some of them
+    dark), often with an edge, noise, clipping at either end, and a gamma; stretched to [0, 1] in 256 levels as in
+    `foreglow.classifier`.
     """
     random = np.random.default_rng(seed)
     rows, columns = np.mgrid[0:size_px, 0:size_px] / size_px

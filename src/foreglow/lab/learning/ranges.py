@@ -1,7 +1,16 @@
-"""Fits the model of `road_surface` to lights whose ranges are known, such as those of simulated drives.
+"""Fits the road-surface model to lights whose ranges are known, such as those of simulated drives.
 
-What is lit need not be known: each light's range is explained by the mixture of all kinds, and the likelihood of the
-true ranges is maximised. Offsets and heights of the kinds stay as they are assumed.
+The kinds of the lights need not be known. With the weights w_c and log ranges v_c of the hypotheses of
+`distance.hypotheses`, the log range of a light has the density of a mixture,
+
+    p(v) = sum over c of w_c N(v; v_c, 0.1),   w_c = softmax of the log weights                                 (1)
+
+and the fit minimises
+
+    - sum over lights of b_i log(p(log truth_i) + exp(-12)) + sum over parameters of ((x - x0) / sigma)^2 / 2   (2)
+
+by Adam. b_i balances near and far lights; x0 are the assumed values. Spreads are fitted by their logarithms. Offsets
+and heights of the kinds stay as assumed. On other drives, all sigmas are then scaled to hold the wanted shares.
 """
 
 from __future__ import annotations
@@ -17,7 +26,7 @@ import numpy as np
 import tomli_w
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import open_labelled, split_folder
 from foreglow.datasets.simulated import read_truth
 from foreglow.distance.hypotheses import (
     Hypotheses,
@@ -39,44 +48,44 @@ if TYPE_CHECKING:
     import torch
 
 PRIOR = Path(__file__).with_name("road_surface_prior.toml")
-"""The kinds of light as they are assumed: what every fit starts from."""
+"""The assumed kinds of light, from which every fit starts."""
 
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Told the step, how much of it is done, and of how much."""
+"""Called with the name of the task, how many of its steps are done, and how many there are."""
 
 SIGNED_OF_KINDS = ("log_share", "log_range", "features", "pair_logit")
 SPREADS_OF_KINDS = ("offset_sigma_m", "height_sigma_m")
 SHARED_SPREADS = ("range_log_sigma", "feature_sigmas", "pixel_sigma_rad", "slope_sigma", "box_shares")
 POSITIVE = (*SPREADS_OF_KINDS, *SHARED_SPREADS)
-"""These are fitted by their logarithms."""
+"""Parameters that are fitted by their logarithms."""
 
 FITTED = (*SIGNED_OF_KINDS, "feature_slopes", *POSITIVE)
 """Fields of `Parameters` that are fitted."""
 
 PRIOR_SIGMAS = {"log_share": 2.0, "log_range": 1.0, "features": 3.0, "feature_slopes": 0.7, "pair_logit": 2.0}
 POSITIVE_PRIOR_SIGMA = 0.5
-"""How far the fit may move, as if one light spoke against it; in logarithms for the second."""
+"""sigma in (2), by parameter; the second one for all that are fitted by their logarithms."""
 
 TOLERANCE = 0.1
-"""A range explains the truth if their logarithms differ by so much, one sigma; places are 11 % apart."""
+"""Standard deviation in (1); the arc lengths of the hypotheses are 11 % apart."""
 
 FLOOR = math.exp(-12.0)
-"""Likelihood of a range that no hypothesis explains: no light may rule the fit."""
+"""Likelihood of a range that no hypothesis explains, so that no single light dominates the fit."""
 
 BATCH = 64
 EPOCHS = 12
 LEARNING_RATE = 0.03
 NUM_RANGE_BINS = 8
 MAX_BALANCE = 4.0
-"""Lights of rare ranges count for up to so many: where encounters happen differs from drive to drive."""
+"""Largest b in (2), for lights at rare ranges, since the ranges of encounters differ from drive to drive."""
 
 COVERAGES = (0.68, 0.94)
-"""Shares within one and two sigmas; tails are heavier than those of a Gaussian."""
+"""Shares of the lights that one and two sigmas shall hold; the tails are heavier than those of a Gaussian."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangedView:
-    """What one image offers to the model, and how far away the lights in its boxes are; shape (N,), metres."""
+    """What the model needs of one image, and the true ranges of the lights in its boxes, shape (N,), metres."""
 
     view: View
     truth_m: Floats
@@ -87,13 +96,13 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
 
     Args:
         data: A data set of simulated drives.
-        config: Its proposals are the boxes, its distance says where pitch and our place come from.
-        seed: Of the order in which images are shown.
-        progress: Told how many images and epochs are done.
+        config: Its proposals make the boxes; its distance stage says where pitch and position come from.
+        seed: Seed of the order of images.
+        progress: Called after every image and epoch.
 
     Raises:
         FileNotFoundError: If a file of the data set is missing.
-        ValueError: If one is broken, or no light in it has a box and a known range.
+        ValueError: If one is broken, or no light has a box and a known range.
     """
     train, val = (list(ranged_views(split_folder(data, name), config, progress)) for name in ("train", "val"))
     if not train or not val:
@@ -106,17 +115,17 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
 
 
 def write_hypotheses(path: Path, model: Hypotheses) -> None:
-    """Writes `model` as TOML that `read_hypotheses` reads back.
+    """Writes `model` as TOML for `read_hypotheses`.
 
     Raises:
-        OSError: If that fails.
+        OSError: If it cannot be written.
     """
     write_atomic(path, tomli_w.dumps(model.model_dump()).encode())
 
 
 def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None = None) -> Iterator[RangedView]:
-    """The images of the split in `root` with lights whose ranges are known; a light's box is the smallest around it."""
-    dataset, truth = PVDN(root), read_truth(root)
+    """The images of the split in `root` with lights of known range; a light belongs to the smallest box around it."""
+    dataset, truth = open_labelled(root), read_truth(root)
     proposer, estimator = make_proposer(config.proposals), RoadSurface(config.distance)
     num_done = 0
     for drive in truth:
@@ -143,7 +152,7 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
 
 
 def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Progress | None) -> Hypotheses:
-    """`start` with the numbers of greatest likelihood, times the prior about `start`."""
+    """`start` with the parameters that minimise (2)."""
     import torch
 
     rng = np.random.default_rng(seed)
@@ -172,18 +181,18 @@ def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Pro
 
 
 def _log_likelihoods(parameters: Parameters, view: View, truth_m: torch.Tensor) -> torch.Tensor:
-    """Log density of the true log ranges under the mixture of all hypotheses, shape (N,)."""
+    """Log density of the true log ranges by (1), shape (N,), not below the floor."""
     import torch
 
     cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad, torch)
     weights = torch.log_softmax(log_weights(parameters, cells, view.boxes, torch), dim=1)
-    offs = (cells.log_ranges - truth_m.log()[:, None]) / TOLERANCE
-    kernel = -0.5 * offs * offs - math.log(TOLERANCE * math.sqrt(2.0 * math.pi))
+    deviations = (cells.log_ranges - truth_m.log()[:, None]) / TOLERANCE
+    kernel = -0.5 * deviations * deviations - math.log(TOLERANCE * math.sqrt(2.0 * math.pi))
     return torch.log(torch.exp(torch.logsumexp(weights + kernel, dim=1)) + FLOOR)
 
 
 def _balance(views: list[RangedView]) -> list[Floats]:
-    """Weight of each light: lights of all ranges count alike, as far as `MAX_BALANCE` allows."""
+    """Weight b of each light: all ranges count the same, as far as `MAX_BALANCE` allows."""
     logs = np.log(np.concatenate([ranged.truth_m for ranged in views]))
     edges = np.quantile(logs, (0.01, 0.99))
     bins = np.clip(((logs - edges[0]) / (edges[1] - edges[0]) * NUM_RANGE_BINS).astype(int), 0, NUM_RANGE_BINS - 1)
@@ -194,11 +203,11 @@ def _balance(views: list[RangedView]) -> list[Floats]:
 
 
 def _prior(initial: Parameters, free: dict[str, torch.Tensor]) -> Any:
-    """Minus the log prior of the fitted numbers."""
+    """The second sum of (2)."""
     total: Any = 0.0
     for name, raw in free.items():
-        offs = raw - _raw(name, getattr(initial, name))
-        total = total + 0.5 * ((offs / PRIOR_SIGMAS.get(name, POSITIVE_PRIOR_SIGMA)) ** 2).sum()
+        moved = raw - _raw(name, getattr(initial, name))
+        total = total + 0.5 * ((moved / PRIOR_SIGMAS.get(name, POSITIVE_PRIOR_SIGMA)) ** 2).sum()
     return total
 
 
@@ -207,7 +216,7 @@ def _raw(name: str, value: torch.Tensor) -> torch.Tensor:
 
 
 def _with_fitted(initial: Parameters, free: dict[str, torch.Tensor]) -> Parameters:
-    """`initial` with the fitted numbers; the slopes of shape and contrast are the same for all kinds."""
+    """`initial` with the fitted parameters; the slopes of shape and contrast are the same for all kinds."""
     import torch
 
     values = {name: raw.exp() if name in POSITIVE else raw for name, raw in free.items()}
@@ -242,7 +251,7 @@ def _tensor_view(view: View) -> View:
 
 
 def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
-    """`start` with the fitted `numbers`, rounded to what matters."""
+    """`start` with the fitted `numbers`, rounded to four digits."""
 
     def plain(value: Any) -> Any:
         return float(f"{float(value):.4g}") if np.ndim(value) == 0 else tuple(plain(part) for part in value)
@@ -261,7 +270,7 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
 
 
 def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
-    """The factor on the sigmas: between those with which one, and two, hold `COVERAGES`."""
+    """Factor on the sigmas: the geometric mean of those with which one and two sigmas hold `COVERAGES`."""
     parameters = parameters_of(model)
     ratios = []
     for ranged in views:

@@ -1,4 +1,4 @@
-"""Recipes: everything but the data that decides a training."""
+"""Recipes: everything that determines a training, except the data."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
 class Augmentation(FrozenModel):
-    """What is done to a crop before it is learnt from; the defaults do nothing.
+    """Random changes of training crops; the defaults change nothing.
 
     Attributes:
         flip: Probability of a reflection left to right.
-        rotation_deg: The crop turns by up to this to either side; what comes in from outside is black.
-        min_area: The part that is cut out and stretched back to the crop's size has at least this share of its area.
-        max_ratio: That part is up to this many times wider than high, or higher than wide; even in the logarithm.
+        rotation_deg: Largest rotation to either side; areas from outside the crop are black.
+        min_area: Smallest area, as a share of the crop's, of the window that is stretched to the crop's size.
+        max_ratio: Largest ratio of the window's sides, either way; uniform in the logarithm.
         gamma: The exponent is 1 / g with g in 1 - gamma .. 1 + gamma.
-        noise: Standard deviation of the noise on every pixel, drawn for each crop between 0 and this; white is 1.
+        noise: Largest standard deviation of the noise on every pixel, drawn for each crop from 0; white is 1.
         normalise: Stretch every crop to [0, 1] afterwards by its own range, a second channel by that of the first.
         history_dropout: Probability that the second channel, the earlier image, is black, as at a sequence's start.
-        feature_noise: Standard deviation of the noise on the features, in standard deviations of each over the
+        feature_noise: Standard deviation of the noise on the features, in units of their standard deviations over the
             training samples.
     """
 
@@ -48,38 +48,39 @@ class Recipe(FrozenModel):
 
     Attributes:
         network: Name of the network, a key of `networks.NETWORKS`.
-        inputs: What the network reads.
+        inputs: The network's inputs.
         jitter: Moved and resized copies of the training boxes.
-        epochs: Passes over the training samples, at most.
-        patience: Epochs without a better one after which training ends; None trains all epochs.
-        batch_size: Samples of one step.
-        optimiser: `adam` adds the weight decay to the gradient (L2, as published), `adamw` takes it off the weights.
+        epochs: Largest number of passes over the training samples.
+        patience: Training ends after this many epochs without a better one; None trains all epochs.
+        batch_size: Samples in one step.
+        optimiser: `adam` adds the weight decay to the gradient (L2, as published), `adamw` subtracts it from the
+            weights.
         learning_rate: At the start, or after the warm-up.
-        weight_decay: Strength of the optimiser's decay; `adamw` leaves biases and normalisation without.
+        weight_decay: Strength of the decay; `adamw` does not decay biases and normalisation.
         schedule: `plateau` multiplies the rate by `plateau_factor` once the validation loss has not fallen for more
-            than `plateau_patience` epochs; `cosine` falls from step to step to zero at the last epoch; `constant`.
+            than `plateau_patience` epochs; `cosine` falls at every step, to zero at the last epoch; `constant`.
         plateau_factor: See `schedule`.
         plateau_patience: See `schedule`.
-        warmup_epochs: The rate rises from zero over this many epochs, fractions allowed; not with `plateau`.
-        max_gradient: The gradient's norm is cut to this; None leaves it.
-        ema_decay: The weights that are validated and kept are a running mean, of which each step keeps this share;
-            0 keeps the weights themselves.
+        warmup_epochs: Number of epochs, also fractional, over which the rate rises from zero; not with `plateau`.
+        max_gradient: The gradient's norm is clipped to this; None does not clip.
+        ema_decay: Decay of an exponential moving average of the weights, which is then validated and kept; 0 keeps the
+            weights themselves.
         positive_weight: Weight of a positive sample against a negative one in the loss: `balanced` is negatives over
             positives (as published), `equal` is 1.
-        group_balance: How evenly groups of light artifacts (what the light is seen on, vehicle hidden or in sight)
-            count among the positives: 0 each sample alike, 1 each group alike; weights go with 1 / number to this
-            power, and are 1 on average.
-        label_smoothing: Labels are drawn by this share towards 1/2.
-        direct_weight: Weight of a second loss, of lamps against their light on something, which count alike; 0 for
-            networks that only say whether there is light.
-        max_negatives_per_positive: Each epoch sees at most this many negatives for each positive, others each time;
+        group_balance: How evenly the groups of light artifacts (what the light is seen on, vehicle hidden or in sight)
+            count among the positives: with 0 each sample counts the same, with 1 each group. Weights are proportional
+            to 1 / size of the group to this power, and 1 on average.
+        label_smoothing: Labels are moved by this share towards 1/2.
+        direct_weight: Weight of a second loss that separates lamps from their light on surfaces, both of which count
+            the same; 0 for networks that only detect light.
+        max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
-        augmentation: What is done to crops; validation samples are never touched.
+        augmentation: Random changes of training crops; validation samples are never changed.
         best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5.
-        calibration: `temperature` divides the logits so that the scores of the validation samples say how often they
-            are right, `platt` also shifts them (which moves the threshold); `none` leaves them.
-        precision: `bf16` computes with bfloat16 where that is safe: faster on processors and GPUs that have it.
-        seed: Of everything that is drawn.
+        calibration: `temperature` divides the logits so that the scores of the validation samples are probabilities,
+            `platt` also shifts them (which moves the threshold); `none` leaves them.
+        precision: `bf16` computes with bfloat16 where that is safe: faster on processors and GPUs that support it.
+        seed: Seed of all random numbers.
 
     Source: Ewecker et al., arXiv 2107.11302, and the published code, for what `RECIPES["paper"]` sets.
     """
@@ -120,7 +121,7 @@ class Recipe(FrozenModel):
 
     @property
     def num_outputs(self) -> int:
-        """Logits of a sample: of light, and of a lamp itself where that is learnt."""
+        """Number of logits for each sample: of being light, and of being a lamp itself if that is trained."""
         return 2 if self.direct_weight else 1
 
 
@@ -204,7 +205,7 @@ def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Rec
 def read_recipe(path: Path, base: Recipe) -> Recipe:
     """The recipe in the TOML file `path`; what it does not mention comes from `base`.
 
-    TOML knows no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive` and
+    TOML has no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive` and
     `inputs.lag_s`.
 
     Raises:

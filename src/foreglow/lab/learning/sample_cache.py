@@ -1,4 +1,4 @@
-"""Samples on disk, so that a second training does not decode, propose and crop again."""
+"""Samples on disk, so that later trainings need not decode, propose and crop again."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ import numpy as np
 import foreglow._native as _native
 import foreglow.classifier as classifier
 import foreglow.proposals as proposals
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
 FORMAT = 1
-"""Counts up when samples made from the same images and configuration change."""
+"""Increased whenever the samples made from the same images and configuration change."""
 
 _DONE = "samples.json"
 _HEADER_BYTES = 128
 
 
-def cached_samples(dataset: PVDN, config: SampleConfig, cache: Path, progress: Progress | None = None) -> Samples:
+def cached_samples(
+    dataset: LabelledSource, config: SampleConfig, cache: Path, progress: Progress | None = None
+) -> Samples:
     """The samples of the selected images of `dataset`, memory-mapped from a folder in `cache`.
 
-    They are collected if they are not there for these images, labels and this configuration, and written image by
-    image: 0.35 GB for 86,000 crops of 64x64. When that is interrupted nothing is left behind.
+    Unless samples of these images, labels and configuration exist, they are collected and written image by image:
+    0.35 GB for 86,000 crops of 64x64. An interrupted call leaves nothing behind.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -61,8 +63,8 @@ def cached_samples(dataset: PVDN, config: SampleConfig, cache: Path, progress: P
     return written
 
 
-def samples_digest(dataset: PVDN, config: SampleConfig) -> str:
-    """SHA-256 of all that decides the samples.
+def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
+    """SHA-256 of everything that determines the samples.
 
     That is: images (path, size, time of change), labels, configuration, and the code of the two stages.
     """
@@ -82,14 +84,14 @@ def samples_digest(dataset: PVDN, config: SampleConfig) -> str:
 
 
 def _code_digest() -> str:
-    """SHA-256 of the files that make boxes and crops, so that no change of theirs meets old samples."""
+    """SHA-256 of the code that makes boxes and crops, so that samples of older code are not used."""
     folders = (Path(proposals.__file__).parent, Path(classifier.__file__).parent)
     files = [Path(_native.__file__), *(path for folder in folders for path in sorted(folder.glob("*.py")))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
-    """Writes all parts as one array a file; returns the number of samples."""
+    """Writes all parts, with one file for each array; returns the number of samples."""
     files = {name: (folder / f"{name}.npy").open("wb") for name in ARRAYS}
     try:
         for name, file in files.items():
@@ -108,18 +110,18 @@ def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
 
 
 def _write_header(file: BinaryIO, empty: np.ndarray[Any, Any], num_samples: int) -> None:
-    """The header of a .npy file of `num_samples` rows; NumPy leaves room in it for the first axis to grow."""
+    """Writes the header of a .npy file of `num_samples` rows; NumPy leaves room in it for the first axis to grow."""
     file.seek(0)
     header = {"descr": empty.dtype.str, "fortran_order": False, "shape": (num_samples, *empty.shape[1:])}
     np.lib.format.write_array_header_1_0(file, header)
 
 
 def _read(folder: Path, digest: str) -> Samples | None:
-    """The samples in `folder` if they are whole and those of `digest`."""
+    """The samples in `folder` if they are complete and have this digest."""
     try:
         if json.loads((folder / _DONE).read_text(encoding="utf-8"))["digest"] != digest:
             return None
-        # Mapped are the crops alone; NumPy maps no empty array.
+        # Only the crops are memory-mapped; NumPy cannot map an empty array.
         has_crops = (folder / "crops.npy").stat().st_size > _HEADER_BYTES
         modes = dict.fromkeys(ARRAYS) | {"crops": "r" if has_crops else None}
         arrays = {name: np.load(folder / f"{name}.npy", mode, allow_pickle=False) for name, mode in modes.items()}

@@ -14,20 +14,20 @@ from pydantic import BeforeValidator, Field
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, read_lights
-from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes
+from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
 from foreglow.types import Boxes, Frame, Proposals
 
 NO_GROUP = -1
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with how many are done and how many there are."""
+"""Called with the number of images done, and of all images."""
 
 
 def input_spec(fields: Any) -> Any:
-    """An `InputSpec` of a dict of fields by name, such as a table of a TOML file; anything else as it is.
+    """An `InputSpec` made of a dict of fields, such as a table of a TOML file; anything else is returned unchanged.
 
     Raises:
         ValueError: If a field is unknown or of another type.
@@ -47,20 +47,20 @@ def input_spec(fields: Any) -> Any:
 
 
 Inputs: TypeAlias = Annotated[InputSpec, BeforeValidator(input_spec)]
-"""What a model reads, as a field of a configuration."""
+"""The inputs of a model, as a field of a configuration."""
 
 
 class Jitter(FrozenModel):
     """Copies of every box, moved and resized a little before they are cropped.
 
-    They show the network what a box a few pixels beside looks like. A copy keeps the label of its box.
+    They show the network boxes that are a few pixels off. A copy keeps the label of its box.
 
     Attributes:
         num_copies: Copies of each box, besides the box itself.
-        centre: The centre moves by up to this share of the box's width and height, to either side.
-        min_scale: Width and height shrink to no less than this share, each by itself.
-        max_scale: They grow to no more than this share.
-        seed: Of what is drawn.
+        centre: Largest shift of the centre to either side, as a share of the box's width and height.
+        min_scale: Smallest factor on width and height, drawn for each.
+        max_scale: Largest factor on width and height.
+        seed: Seed of the random numbers.
     """
 
     num_copies: Annotated[int, Field(ge=0, le=16)] = 0
@@ -71,7 +71,7 @@ class Jitter(FrozenModel):
 
 
 class SampleConfig(FrozenModel):
-    """Everything but the data that decides what the samples are."""
+    """Everything that determines the samples, except the data."""
 
     proposals: ProposalConfig = ProposalConfig()
     inputs: Inputs = InputSpec()
@@ -80,21 +80,21 @@ class SampleConfig(FrozenModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """N labelled inputs of a classifier; arrays may be memory-mapped and are not to be written to.
+    """N labelled inputs of a classifier; arrays may be memory-mapped and must not be written to.
 
     Attributes:
         crops: Shape (N, C, S, S), uint8: 255 times the crop, rounded; a second channel is clipped to [0, 1] first.
         features: Shape (N, F), float32.
-        labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not to be learnt from.
-        groups: Shape (N,), int8: of the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
-            plus 1 where its vehicle is hidden; -1 without light.
+        labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not used for training.
+        groups: Shape (N,), int8: for the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
+            plus 1 if its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
-        image_ids: Shape (N,), int64; each data set counts its own.
-        sequence_ids: Shape (N,), int32; likewise.
+        image_ids: Shape (N,), int64, unique within a data set.
+        sequence_ids: Shape (N,), int32, unique within a data set.
         digest: Of the data and the configuration that they were made from; empty where unknown.
 
     Raises:
-        ValueError: If a dtype or a shape is wrong, or a label is none of the three.
+        ValueError: If a dtype or a shape is wrong, or a label has another value.
     """
 
     crops: NDArray[np.uint8]
@@ -135,7 +135,7 @@ class Samples:
         return int(np.count_nonzero(self.labels == label))
 
 
-# By field of `Samples`: dtype, and shape after the first axis, None where it is free.
+# Dtype, and shape after the first axis with None where it is free, by field of `Samples`.
 ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "crops": (np.uint8, (None, None, None)),
     "features": (np.float32, (None,)),
@@ -149,7 +149,7 @@ assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(S
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
-    """The samples of several data sets, one or more, in one; in memory, unless it is a single one.
+    """The samples of one or several data sets together; in memory if there are several.
 
     Raises:
         ValueError: If they were not made for the same inputs.
@@ -162,10 +162,10 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return Samples(**arrays, digest=digest)
 
 
-def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Samples:
+def collect_samples(dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None) -> Samples:
     """All samples of the selected images of `dataset`, in memory.
 
-    For the samples of a large split, which shall be kept between runs, see `sample_cache.cached_samples`.
+    For a large split, whose samples should be kept between runs, see `sample_cache.cached_samples`.
 
     Raises:
         FileNotFoundError: If an image or a keypoint file is missing.
@@ -177,14 +177,16 @@ def collect_samples(dataset: PVDN, config: SampleConfig, progress: Progress | No
     return joined(parts)
 
 
-def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | None = None) -> Iterator[Samples]:
+def samples_by_image(
+    dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None
+) -> Iterator[Samples]:
     """The samples of one image after another, in the order of sequences and time; jittered copies follow their boxes.
 
-    The inputs are made as the pipeline makes them: every image of a sequence is shown in order, and what is kept
-    between images is forgotten at a new sequence.
+    The inputs are made as in the pipeline: the images of a sequence come in order, and earlier images are forgotten at
+    the start of a new sequence.
     """
     proposer = make_proposer(config.proposals)
-    # What a maker keeps of earlier boxes must not mix a box with its copies.
+    # One maker for the boxes and one for each set of copies, so that what they remember is not mixed.
     makers = [InputMaker(config.inputs) for _ in range(1 + config.jitter.num_copies)]
     lights = read_lights(dataset)
     sequence_id = -1
@@ -197,8 +199,7 @@ def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | N
                 maker.reset()
         frame = dataset.read(image_id)
         boxes = proposer.propose(frame.image).boxes_xyxy_px
-        doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
-        labels = label_boxes(boxes, dataset.keypoints_px(image_id), doubtful_px)
+        labels = label_image(dataset, image_id, boxes)
         groups = box_groups(boxes, lights[image_id])
         random = np.random.default_rng([config.jitter.seed, image_id])
         for number, maker in enumerate(makers):
@@ -211,14 +212,14 @@ def samples_by_image(dataset: PVDN, config: SampleConfig, progress: Progress | N
 def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
     """The group of each box as in `Samples.groups`, shape (N,); a lamp is stronger than any other light."""
     groups = np.full(len(boxes_xyxy_px), NO_GROUP, np.int8)
-    for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, over all others
+    for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, so that it overwrites the others
         is_inside = label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE
         groups[is_inside] = 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden
     return groups
 
 
 def jittered(boxes_xyxy_px: Boxes, frame: Frame, jitter: Jitter, random: np.random.Generator) -> Boxes:
-    """The boxes moved and resized as `jitter` says, at least one pixel wide and high, cut at the frame's border."""
+    """The boxes moved and resized as `jitter` says, at least one pixel wide and high, clipped to the frame."""
     corners = boxes_xyxy_px.astype(np.float64)
     sizes = corners[:, 2:] - corners[:, :2]
     centres = (corners[:, :2] + corners[:, 2:]) / 2 + random.uniform(-jitter.centre, jitter.centre, sizes.shape) * sizes

@@ -1,4 +1,4 @@
-"""The learning rate at any moment of a training, from the recipe and what has been validated; no state of its own."""
+"""The learning rate at any time of a training, as a function of the recipe and the validation losses so far."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from foreglow.lab.learning.recipes import Recipe
 
-# As torch's ReduceLROnPlateau, which the published code uses: a loss is lower if it is so by this share.
+# As in torch's ReduceLROnPlateau, which the published code uses: a loss has to be lower by this share.
 _PLATEAU_SHARE = 1e-4
 
 
@@ -16,8 +16,8 @@ def learning_rate(recipe: Recipe, epochs_done: float, val_losses: Sequence[float
 
     Args:
         recipe: Rate and schedule.
-        epochs_done: Passes over the data so far, with a fraction within one.
-        val_losses: Of the epochs that are over, in order; used by the schedule `plateau` alone.
+        epochs_done: Passes over the data so far, fractions included.
+        val_losses: Validation losses of the finished epochs, in order; used by the schedule `plateau` only.
     """
     if recipe.schedule == "plateau":
         factor = recipe.plateau_factor ** num_plateaus(val_losses, recipe.plateau_patience)
@@ -32,7 +32,7 @@ def learning_rate(recipe: Recipe, epochs_done: float, val_losses: Sequence[float
 
 
 def num_plateaus(losses: Sequence[float], patience: int) -> int:
-    """How often the loss has not fallen for more than `patience` epochs in a row, counted anew each time.
+    """How often the loss has not fallen for more than `patience` epochs in a row; counting restarts each time.
 
     >>> num_plateaus([1.0, 0.9, 0.95, 0.93, 0.92], patience=2)
     1

@@ -1,4 +1,4 @@
-"""Makes scores say how often they are right, by one or two numbers fitted on validation samples."""
+"""Calibration: scores become probabilities by one or two parameters fitted on validation samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log
 Kind: TypeAlias = Literal["none", "temperature", "platt"]
 
 MAX_TEMPERATURE = 100.0
-"""Limit of the temperature that goes with a shift, and of its inverse: logits without an error would have none."""
+"""Limit of the temperature and of its inverse when a shift is fitted as well; without errors there would be none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +23,8 @@ class Calibrator:
     """Calibrated logits are `logits / temperature + shift`.
 
     Attributes:
-        temperature: Above 1 where the network was too sure of itself.
-        shift: 0 but for `platt`.
+        temperature: Above 1 for a network that was overconfident.
+        shift: 0 except for `platt`.
     """
 
     temperature: float = 1.0
@@ -36,15 +36,15 @@ class Calibrator:
 
 
 def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], kind: Kind = "temperature") -> Calibrator:
-    """The calibrator with the least mean log loss, every sample counting alike.
+    """The calibrator with the least mean log loss over all samples.
 
     Args:
         logits: Shape (N,).
         labels: Shape (N,), 1 and 0.
-        kind: `temperature` keeps which scores are above 1/2; `platt` may move them; `none` is the identity.
+        kind: `temperature` keeps which scores are above 1/2; `platt` may change that; `none` is the identity.
 
     Raises:
-        ValueError: If a temperature is wanted and the labels are all alike.
+        ValueError: If a temperature is wanted and all labels are the same.
 
     Source: Guo et al., On Calibration of Modern Neural Networks, arXiv 1706.04599, section 4.2; Platt, 1999.
 
@@ -60,7 +60,7 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], kind: Kind = 
     def loss(parameters: NDArray[np.float64]) -> float:
         return log_loss(values * math.exp(-parameters[0]) + parameters[1], labels)
 
-    # The loss is convex in 1 / temperature and the shift, so any start ends at the same place.
+    # The loss is convex in 1 / temperature and the shift, so that any start leads to the same minimum.
     limit = math.log(MAX_TEMPERATURE)
     bounds = [(-limit, limit), (-50.0, 50.0)]
     found = minimize(loss, np.zeros(2), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})

@@ -1,4 +1,4 @@
-"""What logits are worth against labels; plain NumPy."""
+"""Scores of logits against labels, in plain NumPy."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from foreglow.lab.evaluation.boxes.directness import balanced_accuracy
 
 @dataclass(frozen=True, slots=True)
 class BoxScores:
-    """How well boxes were classified at a score of 0.5; NaN where nothing was there to be rated.
+    """How well boxes were classified at a score of 0.5; NaN where undefined.
 
-    Boxes are counted, not light artifacts: for those see `evaluation.evaluate_boxes`.
+    These count boxes; for light artifacts see `evaluation.evaluate_boxes`.
 
     Attributes:
-        precision: Of the accepted boxes, the share that hold a light artifact.
-        recall: Of the boxes that hold one, the share that are accepted.
+        precision: Share of the accepted boxes that contain a light artifact.
+        recall: Share of the boxes with a light artifact that are accepted.
         f1: Their harmonic mean.
     """
 
@@ -46,10 +46,10 @@ def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
 
 
 def direct_accuracy(logits: NDArray[np.float32], is_direct: NDArray[np.float32]) -> float:
-    """How well logits, shape (N, outputs), tell lamps from their light on something: mean over the two.
+    """Balanced accuracy of logits, shape (N, outputs), in separating lamps from their light on surfaces.
 
-    `is_direct`, shape (N,), is 1 or 0, NaN where nothing is to be told. NaN where the logits do not say, or one of the
-    two is missing.
+    `is_direct`, shape (N,), is 1 or 0, or NaN where neither applies. The result is NaN if there is only one output, or
+    if one of the classes is missing.
     """
     is_known = ~np.isnan(is_direct)
     if logits.shape[1] < 2 or not is_known.any():

@@ -1,7 +1,7 @@
-"""The training loop: a recipe, samples and a folder in; the best network out. Importing this needs the `train` extra.
+"""The training loop: from a recipe and samples to the best network. Importing this needs the `train` extra.
 
-Every random number is drawn from the seed and the number of the epoch, so a training that was interrupted and goes on
-ends with the same bits as one that was not, on the same processor with as many threads.
+All random numbers follow from the seed and the number of the epoch. So a training that was interrupted and continued
+ends with the same bits as one that was not, on the same processor with the same number of threads.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 
 CURVES = "curves.csv"
 
-# Larger ones are slower on a processor: their activations leave every cache.
+# Larger batches are slower on a CPU, since their activations do not fit any cache.
 _SCORING_BATCH = 32
 
 
@@ -48,16 +48,16 @@ class Epoch:
     """Figures of one pass over the training samples.
 
     Attributes:
-        number: From 1.
-        learning_rate: Of its last step.
-        train_loss: Mean loss over its samples, augmented, while they were learnt from.
-        val_loss: Of the validation samples as they are, after it; positives weighted as in training.
-        precision: Of the validation boxes at a score of 0.5.
-        recall: Likewise.
-        f1: Likewise; NaN without positives.
-        direct_accuracy: How well lamps are told from their light among the validation boxes with light, mean over
-            the two at a probability of 0.5; NaN where that is not learnt.
-        seconds: It took, validation included.
+        number: Number of the epoch, from 1.
+        learning_rate: Rate of its last step.
+        train_loss: Mean loss over its augmented samples, during training.
+        val_loss: Loss of the validation samples after it, without augmentation; positives weighted as in training.
+        precision: Precision of the validation boxes at a score of 0.5.
+        recall: Recall of the validation boxes at a score of 0.5.
+        f1: F of the validation boxes at a score of 0.5; NaN without positives.
+        direct_accuracy: Balanced accuracy in separating lamps from their light, over the validation boxes with light,
+            at a probability of 0.5; NaN if that is not trained.
+        seconds: Duration, validation included.
     """
 
     number: int
@@ -73,17 +73,17 @@ class Epoch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingResult:
-    """What came of a training.
+    """The result of a training.
 
     Attributes:
-        network: With the weights of the best epoch, on the CPU, in evaluation mode.
+        network: The network with the weights of the best epoch, on the CPU, in evaluation mode.
         epochs: All epochs, in order.
         best: The epoch that was kept.
-        val_logits: Shape (N, `Recipe.num_outputs`), float32: of all validation samples, the ignored ones included;
-            without calibration.
-        num_train: Training samples that are not ignored.
-        num_val: Likewise for validation.
-        device: Where it was trained: `cpu` or `cuda`.
+        val_logits: Shape (N, `Recipe.num_outputs`), float32: uncalibrated logits of all validation samples, including
+            ignored ones.
+        num_train: Number of training samples that are not ignored.
+        num_val: Number of validation samples that are not ignored.
+        device: Device of the training: `cpu` or `cuda`.
     """
 
     network: nn.Module
@@ -96,14 +96,14 @@ class TrainingResult:
 
 
 class TrainingProgress(Protocol):
-    """Is told how far a training is."""
+    """Callbacks for the progress of a training."""
 
     def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """`num_done` of the `num_steps` of epoch number `epoch` are over."""
+        """Called when `num_done` of the `num_steps` steps of epoch number `epoch` are done."""
         ...
 
     def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """`epoch` is over; at most `num_epochs` are made."""
+        """Called when `epoch` is done, out of at most `num_epochs`."""
         ...
 
 
@@ -117,21 +117,21 @@ def train(
     device: str = "auto",
     progress: TrainingProgress | None = None,
 ) -> TrainingResult:
-    """Trains until the recipe's epochs, or its patience, are over; goes on where an earlier call in `folder` stopped.
+    """Trains until the recipe's epochs or its patience run out; continues where an earlier call in `folder` stopped.
 
-    After every epoch the folder holds a checkpoint and `curves.csv`, so that nothing more than an epoch is lost.
+    A checkpoint and `curves.csv` are written after every epoch, so that at most one epoch is lost.
 
     Args:
         recipe: How to train.
-        train_samples: To learn from; those with label -1 are left out.
-        val_samples: To choose the best epoch by; never augmented.
-        folder: For the checkpoint; made if need be.
-        make_network: Makes the network before training; None takes the recipe's from `networks.NETWORKS`.
-        device: `cpu`, `cuda`, or `auto` for a GPU where there is one.
-        progress: Is told how far it is.
+        train_samples: Samples for training; those with label -1 are left out.
+        val_samples: Samples to choose the best epoch by; never augmented.
+        folder: Folder for the checkpoint; made if it does not exist.
+        make_network: Makes the untrained network; None takes the recipe's from `networks.NETWORKS`.
+        device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
+        progress: Called after every step and epoch.
 
     Raises:
-        ValueError: If the samples have no positive or no negative among them, do not fit each other, the folder holds
+        ValueError: If there is no positive or no negative sample, the samples do not fit each other, the folder holds
             another training or a damaged checkpoint, or there is no such device.
     """
     chosen = torch_device(device)
@@ -179,7 +179,7 @@ def train(
 
 
 def torch_device(name: str) -> torch.device:
-    """The device called `name`: `cpu`, `cuda`, or `auto` for a GPU where there is one.
+    """The device called `name`: `cpu`, `cuda`, or `auto` for a GPU if there is one.
 
     Raises:
         ValueError: If there is no such device.
@@ -194,24 +194,24 @@ def torch_device(name: str) -> torch.device:
 def score_samples(
     network: nn.Module, samples: Samples, device: torch.device, precision: str = "fp32"
 ) -> NDArray[np.float32]:
-    """Logits of all samples as they are, shape (N, outputs); the network is left in evaluation mode."""
+    """Logits of all samples without augmentation, shape (N, outputs); leaves the network in evaluation mode."""
     network.eval()
     logits = []
     with torch.inference_mode(), _precision(precision, device):
-        for start in range(0, max(len(samples), 1), _SCORING_BATCH):  # without samples, once: it has the shape
+        for start in range(0, max(len(samples), 1), _SCORING_BATCH):  # at least once, to get the shape
             crops, features = _tensors(samples, np.arange(start, min(start + _SCORING_BATCH, len(samples))), device)
             logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
 
 
 def best_number(recipe: Recipe, epochs: list[dict[str, float]]) -> int:
-    """Number of the best epoch, from 1, the first of equals; a NaN is never better."""
+    """Number of the best epoch, from 1, the first of equals; NaN is never better."""
     figures = [-row["val_loss"] if recipe.best_by == "loss" else row["f1"] for row in epochs]
     return int(np.argmax([-math.inf if math.isnan(figure) else figure for figure in figures])) + 1
 
 
 def curves_csv(epochs: list[dict[str, float]]) -> str:
-    """One line an epoch, with the names of the columns first."""
+    """One line for each epoch, after a line with the names of the columns."""
     text = io.StringIO()
     names = [field.name for field in dataclasses.fields(Epoch)]
     writer = csv.DictWriter(text, names, lineterminator="\n")
@@ -246,13 +246,13 @@ class _Trainer:
         self._direct_weight = float(num_indirect / max(num_direct, 1))
 
     def states(self) -> tuple[State, State, State]:
-        """Copies of the network's, the running mean's and the optimiser's state on the CPU."""
+        """Copies of the states of the network, the running mean and the optimiser, on the CPU."""
         averaged = {name: value.cpu().clone() for name, value in self._averaged.items()}
         network = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
         return network, averaged, _on_cpu(self._optimiser.state_dict())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Goes back to `checkpoint`."""
+        """Restores the state of `checkpoint`."""
         self.network.load_state_dict(checkpoint.network)
         self._averaged = {name: value.to(self._device) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)
@@ -262,7 +262,7 @@ class _Trainer:
         started = time.perf_counter()
         number = len(checkpoint.epochs) + 1
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
-        torch.manual_seed(_epoch_seed(self._recipe, number))  # of dropout
+        torch.manual_seed(_epoch_seed(self._recipe, number))  # for dropout
         random = torch.Generator().manual_seed(_epoch_seed(self._recipe, number) + 1)
         chosen = list(batches(epoch_indices(self._samples.labels, self._recipe, number), self._recipe.batch_size))
         total, num_samples, rate = 0.0, 0, 0.0
@@ -294,7 +294,7 @@ class _Trainer:
         )
 
     def _step(self, batch: NDArray[np.intp], rate: float, random: torch.Generator) -> float:
-        """Learns from one batch; its mean loss."""
+        """Takes a step with one batch; returns its mean loss."""
         recipe = self._recipe
         for group in self._optimiser.param_groups:
             group["lr"] = rate
@@ -320,7 +320,7 @@ class _Trainer:
         return float(loss.detach())
 
     def _direct_loss(self, logits: Tensor, truth: NDArray[np.float32]) -> Tensor:
-        """Of lamps against their light on something, which count alike; 0 where the batch has neither."""
+        """Loss of separating lamps from their light on surfaces, equally weighted; 0 if the batch has neither."""
         targets = torch.from_numpy(truth).to(self._device)
         is_known = ~targets.isnan()
         losses = nn.functional.binary_cross_entropy_with_logits(
@@ -332,7 +332,7 @@ class _Trainer:
         return losses / is_known.sum().clamp_min(1)
 
     def _average(self, num_steps: int) -> None:
-        """Moves the running mean towards the weights; faster at the start, when it is far from them."""
+        """Moves the running mean towards the weights, faster at the start."""
         decay = min(self._recipe.ema_decay, num_steps / (num_steps + 10))
         for name, value in self.network.state_dict().items():
             if name in self._averaged:
@@ -373,7 +373,7 @@ def _tensors(samples: Samples, indices: NDArray[np.intp], device: torch.device) 
 
 
 def _laid_out(crops: Tensor) -> Tensor:
-    """The crops with their channels last, as the network's weights are: a third less time for the paper's on a CPU."""
+    """The crops with channels last in memory, like the network's weights: saves a third of the time on a CPU."""
     return crops.contiguous(memory_format=torch.channels_last)
 
 

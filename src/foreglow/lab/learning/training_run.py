@@ -1,4 +1,4 @@
-"""The whole of `foreglow train`: from a data set and a recipe to a folder with a model and what it is worth."""
+"""The whole of `foreglow train`: from a data set and a recipe to a folder with a model and its figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.datasets import PVDN, SplitName, split_folder
+from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.files import write_atomic, write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from foreglow.lab.learning.training import Epoch, TrainingResult
 
 MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
-"""What a training leaves in its folder, besides `training.CURVES` and the checkpoint."""
+"""Files that a training writes to its folder, besides `training.CURVES` and the checkpoint."""
 
 _NUM_COMPARED = 400
 
 
 class RunProgress(Protocol):
-    """Is told how far a run is: first the samples of both splits, then the training (as `TrainingProgress`)."""
+    """Callbacks for the progress of a run: first the samples of both splits, then the training."""
 
     def samples(self, split: str, num_done: int, num_images: int) -> None:
-        """The samples of `num_done` images of a split are there."""
+        """Called when the samples of `num_done` images of a split are collected."""
         ...
 
     def step(self, epoch: int, num_done: int, num_steps: int) -> None:
@@ -55,11 +55,11 @@ class RunProgress(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedModel:
-    """What a run made.
+    """The result of a run.
 
     Attributes:
-        folder: Everything is in here.
-        model: The ONNX model, calibrated.
+        folder: Folder with all files.
+        model: The calibrated ONNX model.
         summary: The content of `summary.json`.
         result: Network, epochs and validation logits before calibration.
     """
@@ -80,25 +80,25 @@ def train_model(
     cache: Path | None = None,
     progress: RunProgress | None = None,
 ) -> TrainedModel:
-    """Trains the recipe's network on the boxes that `config` proposes in every DATA/train, chosen on every DATA/val.
+    """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
-    An interrupted run goes on when it is called again with the same arguments.
+    An interrupted run continues when it is called again with the same arguments.
 
     Args:
-        data: Data sets with the splits train and val, one or more.
+        data: One or more data sets with the splits train and val.
         recipe: How to train.
-        config: Its proposals are what the network learns to judge.
-        folder: Where everything goes; made if need be.
-        device: `cpu`, `cuda`, or `auto` for a GPU where there is one.
-        cache: Where samples are kept between runs; None keeps them in the folder.
-        progress: Is told how far it is.
+        config: Its proposals are the boxes that the network is trained on.
+        folder: Folder for all results; made if it does not exist.
+        device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
+        cache: Folder in which samples are kept between runs; None keeps them in `folder`.
+        progress: Called after every image, step and epoch.
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
         ValueError: If one is broken, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
-    import onnx  # noqa: F401  (asked for here, so that nothing is computed in vain)
+    import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
     from foreglow.lab.learning.event_files import WithEventFiles, event_files_wanted
@@ -106,7 +106,7 @@ def train_model(
 
     started = time.perf_counter()
     names: tuple[SplitName, ...] = ("train", "val")
-    splits = {name: [PVDN(split_folder(folder, name)) for folder in data] for name in names}
+    splits = {name: [open_labelled(split_folder(folder, name)) for folder in data] for name in names}
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
@@ -132,13 +132,13 @@ def train_model(
 
 
 def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
-    """Calibrates the network, writes it as weights and as ONNX model, compares the two, and says what it is worth.
+    """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
 
     Args:
-        recipe: It was trained by.
-        result: Of the training.
-        val: The validation samples, which calibrate it.
-        folder: Where both files go.
+        recipe: The recipe that it was trained with.
+        result: The result of the training.
+        val: The validation samples, used for the calibration.
+        folder: Folder for both files.
 
     Returns:
         Figures for `summary.json`, by name.
@@ -182,20 +182,25 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
 
 
 def _samples(
-    dataset: PVDN, recipe: Recipe, config: PipelineConfig, split: SplitName, cache: Path, progress: RunProgress | None
+    dataset: LabelledSource,
+    recipe: Recipe,
+    config: PipelineConfig,
+    split: SplitName,
+    cache: Path,
+    progress: RunProgress | None,
 ) -> Samples:
     jitter = recipe.jitter if split == "train" else Jitter()
     sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter)
 
-    def told(num_done: int, num_images: int) -> None:
+    def report(num_done: int, num_images: int) -> None:
         if progress is not None:
             progress.samples(split, num_done, num_images)
 
-    return cached_samples(dataset, sample_config, cache, told)
+    return cached_samples(dataset, sample_config, cache, report)
 
 
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
-    """What the validation boxes say, before and after calibration; precision, recall and F after it."""
+    """Figures of the validation boxes before and after calibration; precision, recall and F after it."""
     after = calibrator.applied(logits)
     errors = [expected_calibration_error(expit(values), labels) for values in (logits, after)]
     return {
@@ -217,7 +222,7 @@ def _as_text(values: dict[str, Any]) -> dict[str, str]:
 
 
 def _without_nan(value: Any) -> Any:
-    """The same with null instead of NaN."""
+    """`value` with None instead of NaN and infinity."""
     if isinstance(value, dict):
         return {key: _without_nan(part) for key, part in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

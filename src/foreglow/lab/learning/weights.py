@@ -1,4 +1,4 @@
-"""Importing the published classifier: a torch state dict becomes an ONNX model."""
+"""Import of the published classifier: from a torch state dict to an ONNX model."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from foreglow.lab.learning.layers import layers_from_state
 
 @dataclass(frozen=True, slots=True)
 class ImportedModel:
-    """What an imported model is made of.
+    """An imported model and its size.
 
     Attributes:
         path: The ONNX model.
         num_channels: Channels of the eight hidden layers, convolutions first.
-        num_parameters: Weights and biases, batch normalisation merged into them.
+        num_parameters: Number of weights and biases, with batch normalisation merged into them.
         num_multiply_adds: Multiply-adds for one crop.
     """
 
@@ -38,8 +38,8 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Impor
 
     Args:
         weights: A state dict of `networks.ArtifactNetwork`, as written by `torch.save`.
-        out: The ONNX model; its folder must exist. A file that is there is replaced once the new one is complete.
-        fold: The tolerance of `folding.fold_constant_channels`, in units of the score; None keeps all channels.
+        out: The ONNX model to write; its folder must exist. An existing file is replaced atomically.
+        fold: Tolerance of `folding.fold_constant_channels`, in units of the score; None keeps all channels.
 
     Raises:
         FileNotFoundError: If the weights, or the folder of `out`, do not exist.
@@ -70,7 +70,7 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Impor
 
 
 def read_state(path: Path) -> dict[str, NDArray[Any]]:
-    """The state dict in `path`, checked against `networks.ArtifactNetwork`; no code in the file is ever run.
+    """The state dict in `path`, checked against `networks.ArtifactNetwork`; code in the file is never executed.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -80,7 +80,7 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of weights")
     try:
-        import onnx  # noqa: F401  (asked for here, so that nothing is computed in vain)
+        import onnx  # noqa: F401  (fails early if it is missing)
         import torch
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from importlib import metadata
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from foreglow.files import write_atomic, write_json_results
-from foreglow.lab.evaluation.boxes.breakdown import FalseBoxes, ImageGroup, LightGroup
+from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup
 from foreglow.lab.evaluation.boxes.directness import Directness
-from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
-from foreglow.lab.evaluation.boxes.first_found import share_found_ahead
+from foreglow.lab.evaluation.boxes.examination import Examination, OperatingPoint, Ranking
+from foreglow.lab.evaluation.boxes.first_found import FirstFound, share_found_ahead
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
-from foreglow.lab.reports.evaluation_plots import evaluation_plots
-from foreglow.lab.reports.numbers import number
-from foreglow.provenance import checkout_state, processor_name
+from foreglow.lab.reports.evaluation_plots import curve_plot, distance_plot, hidden_plot, kinds_plot, reliability_plot
+from foreglow.lab.reports.numbers import DASH, number
+from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.provenance import processor_name
 
 ASPECTS = {
     "kind": "by kind",
@@ -46,35 +45,41 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
         OSError: If a file cannot be written.
         ModuleNotFoundError: If matplotlib is not installed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    commit, has_local_changes = checkout_state()
-    made_with = {
-        "version": metadata.version("foreglow"),
-        "commit": commit,
-        "has_local_changes": has_local_changes,
-        "processor": processor_name(),
-        **origin,
-    }
-    results = {"made_with": made_with, **examination.to_json()}
-    plots = evaluation_plots(examination)
-    for name, plot in plots.items():
-        write_atomic(folder / name, plot)
-    report = folder / "report.md"
-    write_atomic(report, ("\n".join(_lines(examination, set(plots))) + "\n").encode())
-    write_json_results(folder / "results.json", results)
-    return report
+    page = Page(f"{examination.detector} on {examination.name}")
+    page.items(examination_lines(examination))
+    page.text("What every figure means: `docs/evaluation.md`.")
+    _add_quality(page, examination)
+    if examination.ranking is not None:
+        _add_ranking(page, examination.ranking, examination.breakdown)
+    _add_breakdown(page, examination.breakdown)
+    _add_vehicles(page, examination.vehicles, examination.rate_hz)
+    if examination.run_time_ms:
+        page.section("Run-time")
+        rows = [
+            [stage, *(number(times_ms[name]) for name in ("median", "p95", "p99"))]
+            for stage, times_ms in examination.run_time_ms.items()
+        ]
+        page.table(Table(["stage, ms a frame", "median", "p95", "p99"], rows))
+    if examination.robustness:
+        _add_robustness(page, examination.robustness)
+    made_with = {"processor": processor_name(), **origin}
+    return page.write(folder / "report.md", results=examination, made_with=made_with)
 
 
 def examination_lines(examination: Examination) -> list[str]:
     """The figures that matter most, one fact a line, for a terminal."""
-    lines = []
-    hidden = examination.breakdown.group("sight", "hidden")
+    breakdown, lines = examination.breakdown, []
+    hidden = breakdown.group("sight", "hidden")
     if hidden is not None:
         lines.append(
             f"hidden vehicles: {_number(hidden.recall)} of {hidden.num} lights in an accepted box, "
             f"{_number(hidden.ceiling)} in any box"
         )
-    lines.append(f"false boxes a frame: {_false_boxes_in_words(examination)}")
+    everywhere, empty = breakdown.false_boxes, breakdown.false_boxes_empty
+    lines.append(
+        f"false boxes a frame: {_number(everywhere.per_frame)} in all {everywhere.num_images} images, "
+        f"{_number(empty.per_frame)} in the {empty.num_images} without vehicles"
+    )
     if examination.ranking is not None:
         ranking = examination.ranking
         lines.append(
@@ -97,7 +102,7 @@ def examination_lines(examination: Examination) -> list[str]:
 
 
 def _directness_lines(directness: Directness) -> Iterator[str]:
-    """How well lamps are told from their light, and grouped into vehicles, where a run says so."""
+    """How well direct and indirect light are distinguished, and lamps grouped into vehicles, where a run does that."""
     for name, quality in (("accepted boxes", directness.boxes), ("plausible tracks", directness.tracks)):
         if quality is not None:
             yield (
@@ -113,167 +118,120 @@ def _directness_lines(directness: Directness) -> Iterator[str]:
         )
 
 
-def _lines(examination: Examination, plots: set[str]) -> Iterator[str]:
-    breakdown = examination.breakdown
-    yield f"# {examination.detector} on {examination.name}"
-    yield ""
-    yield from (f"- {line}" for line in examination_lines(examination))
-    yield ""
-    yield "What every figure means: `docs/evaluation.md`."
-    yield ""
-    yield from _quality_lines(examination)
-    if examination.ranking is not None:
-        yield from _ranking_lines(examination.ranking)
-    yield "## Recall by what a light is"
-    yield ""
-    yield (
-        f"At threshold {breakdown.threshold:g}; the ceiling is the recall of all proposals. F is that of this recall "
-        f"and of the precision of all boxes, {_number(breakdown.precision)}."
-    )
-    yield ""
-    yield "![kinds](kinds.png)"
-    yield ""
-    if "distance.png" in plots:
-        yield "![distance](distance.png)"
-        yield ""
-    yield from _table(["lights", "number", "recall", "ceiling", "F"], _group_rows(breakdown.groups))
-    yield "## False boxes"
-    yield ""
-    rows = [_false_row("all", breakdown.false_boxes), _false_row("without vehicles", breakdown.false_boxes_empty)]
-    head = ["images", "number", "false boxes", "with doubtful light", "a frame", "without doubtful", "a minute"]
-    yield from _table(head, rows)
-    yield "A minute has 18 x 60 images, whatever the rate of the data set."
-    yield ""
-    yield "## By weather"
-    yield ""
-    head = ["weather", "images", "lights", "P", "R", "ceiling", "F", "false boxes a frame"]
-    yield from _table(head, [_weather_row(one) for one in breakdown.weathers])
-    yield from _vehicle_lines(examination)
-    if examination.run_time_ms:
-        yield "## Run-time"
-        yield ""
-        times = [
-            [stage, *(number(its[p]) for p in ("median", "p95", "p99"))]
-            for stage, its in examination.run_time_ms.items()
-        ]
-        yield from _table(["stage, ms a frame", "median", "p95", "p99"], times)
-    if examination.robustness:
-        yield from _robustness_lines(examination.robustness)
-
-
-def _quality_lines(examination: Examination) -> Iterator[str]:
+def _add_quality(page: Page, examination: Examination) -> None:
     quality = examination.quality
-    yield "## The paper's metrics"
-    yield ""
-    yield f"{quality.num_images} images; boxes count with a score above {quality.threshold:g}."
-    yield ""
-    names = ["precision", "recall", "f1", "q", "q_k", "q_b"]
-    row = [*(_number(getattr(quality, name)) for name in names), quality.tp, quality.fp, quality.fn]
-    yield from _table(["P", "R", "F", "q", "q_K", "q_B", "TP", "FP", "FN"], [row])
+    words = f"{quality.num_images} images; boxes count with a score above {quality.threshold:g}."
+    page.section("The paper's metrics", words)
+    rates = [_number(getattr(quality, name)) for name in ("precision", "recall", "f1", "q", "q_k", "q_b")]
+    row = [*rates, quality.tp, quality.fp, quality.fn]
+    page.table(Table(["P", "R", "F", "q", "q_K", "q_B", "TP", "FP", "FN"], [row]))
 
 
-def _ranking_lines(ranking: Ranking) -> Iterator[str]:
-    yield "## Over all thresholds"
-    yield ""
-    yield "![curve](curve.png)"
-    yield ""
-    yield (
+def _add_ranking(page: Page, ranking: Ranking, breakdown: Breakdown) -> None:
+    page.section("Over all thresholds")
+    page.figure(Figure(curve_plot(ranking, breakdown.threshold), "The metrics by threshold", "curve.png"))
+    page.text(
         f"Best F {_number(ranking.best_f1)} at threshold {_number(ranking.best_threshold)}; average precision "
         f"{_number(ranking.average_precision)}."
     )
-    yield ""
-    yield "## Hidden vehicles against false boxes"
-    yield ""
-    yield "![hidden](hidden.png)"
-    yield ""
-    head = ["false boxes a frame without vehicles, at most", "threshold", "recall hidden", "P", "R", "F"]
-    points = [
-        [f"{one.limit:g}", *map(_number, (one.threshold, one.recall_hidden, one.precision, one.recall, one.f1))]
-        for one in ranking.operating_points
-    ]
-    yield from _table(head, points)
+    page.section("Hidden vehicles against false boxes")
+    page.figure(Figure(hidden_plot(ranking, breakdown), "Hidden vehicles against false boxes", "hidden.png"))
+    columns: dict[str, Callable[[OperatingPoint], str]] = {
+        "false boxes a frame without vehicles, at most": lambda point: f"{point.limit:g}",
+        "threshold": lambda point: _number(point.threshold),
+        "recall hidden": lambda point: _number(point.recall_hidden),
+        "P": lambda point: _number(point.precision),
+        "R": lambda point: _number(point.recall),
+        "F": lambda point: _number(point.f1),
+    }
+    page.table(Table.of(columns, ranking.operating_points))
     calibration = ranking.calibration
-    if calibration is None:
-        return
-    yield "## Are scores probabilities?"
-    yield ""
-    yield "![reliability](reliability.png)"
-    yield ""
-    values = (calibration.ece, calibration.brier, calibration.nll, calibration.temperature)
-    after = (calibration.ece_at_temperature, calibration.nll_at_temperature)
-    head = ["boxes", "with artifact", "ECE", "Brier", "NLL", "temperature", "ECE with it", "NLL with it"]
-    yield from _table(head, [[calibration.num, *map(_number, (calibration.share, *values, *after))]])
+    if calibration is not None:
+        page.section("Are scores probabilities?")
+        page.figure(Figure(reliability_plot(calibration), "Share of light artifacts by score", "reliability.png"))
+        values = (calibration.share, calibration.ece, calibration.brier, calibration.nll, calibration.temperature)
+        after = (calibration.ece_at_temperature, calibration.nll_at_temperature)
+        head = ["boxes", "with artifact", "ECE", "Brier", "NLL", "temperature", "ECE with it", "NLL with it"]
+        page.table(Table(head, [[calibration.num, *map(_number, (*values, *after))]]))
 
 
-def _vehicle_lines(examination: Examination) -> Iterator[str]:
-    vehicles = examination.vehicles
-    yield "## From first light to first box"
-    yield ""
-    delays = [one.delay_s for one in vehicles if not math.isnan(one.delay_s)]
-    ahead = [one for one in vehicles if one.light_s < one.lamp_s]
-    leads = [one.lead_s for one in ahead if not math.isnan(one.lead_s)]
-    yield (
-        f"{examination.rate_hz:g} images a second. {len(vehicles)} oncoming vehicles, {len(delays)} of them found: "
-        f"{_spread(delays)} s after their first light. The light of {len(ahead)} comes before their first lamp; "
-        f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
-        f"all, {_spread(leads)} s before it."
+def _add_breakdown(page: Page, breakdown: Breakdown) -> None:
+    page.section(
+        "Recall by what a light is",
+        f"At threshold {breakdown.threshold:g}; the ceiling is the recall of all proposals. F is that of this recall "
+        f"and of the precision of all boxes, {_number(breakdown.precision)}.",
     )
-    yield ""
-    rows = [
-        [one.sequence_id, one.vehicle_id, *map(_number, (one.light_s, one.found_s, one.lamp_s, one.lead_s))]
-        for one in vehicles
-    ]
-    yield from _table(["sequence", "vehicle", "first light, s", "first box, s", "first lamp, s", "lead, s"], rows)
+    page.figure(Figure(kinds_plot(breakdown), "Recall by kind", "kinds.png"))
+    if breakdown.groups["distance"]:
+        page.figure(Figure(distance_plot(breakdown), "Recall by distance", "distance.png"))
+    rows: list[list[Any]] = []
+    for aspect, title in ASPECTS.items():
+        groups = breakdown.groups[aspect]
+        rows += [[f"**{title}**", "", "", "", ""]] if groups else []
+        rows += [[group.name, group.num, *map(_number, (group.recall, group.ceiling, group.f1))] for group in groups]
+    page.table(Table(["lights", "number", "recall", "ceiling", "F"], rows))
+    page.section("False boxes")
+    named = {"all": breakdown.false_boxes, "without vehicles": breakdown.false_boxes_empty}
+    page.table(Table.of(FALSE_COLUMNS, named.items()))
+    page.text("A minute has 18 x 60 images, whatever the rate of the data set.")
+    page.section("By weather")
+    page.table(Table.of(WEATHER_COLUMNS, breakdown.weathers))
 
 
-def _robustness_lines(rows: Sequence[RobustnessRow]) -> Iterator[str]:
-    yield "## Robustness"
-    yield ""
-    yield "The same images, disturbed; the haze is drawn onto the image, not simulated."
-    yield ""
+FALSE_COLUMNS: Mapping[str, Callable[[tuple[str, FalseBoxes]], object]] = {
+    "images": lambda named: named[0],
+    "number": lambda named: named[1].num_images,
+    "false boxes": lambda named: named[1].num,
+    "with doubtful light": lambda named: named[1].num_doubtful,
+    "a frame": lambda named: _number(named[1].per_frame),
+    "without doubtful": lambda named: _number(named[1].per_frame_without_doubtful),
+    "a minute": lambda named: f"{named[1].per_minute:.0f}",
+}
+
+WEATHER_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
+    "weather": lambda group: group.name,
+    "images": lambda group: group.false_boxes.num_images,
+    "lights": lambda group: group.lights.num,
+    "P": lambda group: _number(group.precision),
+    "R": lambda group: _number(group.lights.recall),
+    "ceiling": lambda group: _number(group.lights.ceiling),
+    "F": lambda group: _number(group.lights.f1),
+    "false boxes a frame": lambda group: _number(group.false_boxes.per_frame),
+}
+
+
+def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) -> None:
+    delays_s = [vehicle.delay_s for vehicle in vehicles if not math.isnan(vehicle.delay_s)]
+    ahead = [vehicle for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s]
+    leads_s = [vehicle.lead_s for vehicle in ahead if not math.isnan(vehicle.lead_s)]
+    page.section(
+        "From first light to first box",
+        f"{rate_hz:g} images a second. {len(vehicles)} oncoming vehicles, {len(delays_s)} of them found: "
+        f"{_spread(delays_s)} s after their first light. The light of {len(ahead)} comes before their first lamp; "
+        f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
+        f"all, {_spread(leads_s)} s before it.",
+    )
+    columns: dict[str, Callable[[FirstFound], object]] = {
+        "sequence": lambda vehicle: vehicle.sequence_id,
+        "vehicle": lambda vehicle: vehicle.vehicle_id,
+        "first light, s": lambda vehicle: _number(vehicle.light_s),
+        "first box, s": lambda vehicle: _number(vehicle.found_s),
+        "first lamp, s": lambda vehicle: _number(vehicle.lamp_s),
+        "lead, s": lambda vehicle: _number(vehicle.lead_s),
+    }
+    page.table(Table.of(columns, vehicles))
+
+
+def _add_robustness(page: Page, rows: Sequence[RobustnessRow]) -> None:
+    words = "The same images, disturbed; the haze is drawn onto the image, not simulated."
+    page.section("Robustness", words)
     head = ["images", "F", "P", "R", "ceiling", "R hidden", "false boxes a frame", "without vehicles", "proposals"]
     names = [name for name in RobustnessRow.__slots__ if name != "name"]
-    yield from _table(head, [[row.name, *(_number(getattr(row, name)) for name in names)] for row in rows])
-
-
-def _group_rows(groups: Mapping[str, Sequence[LightGroup]]) -> Iterator[list[Any]]:
-    for aspect, title in ASPECTS.items():
-        if groups[aspect]:
-            yield [f"**{title}**", "", "", "", ""]
-        for one in groups[aspect]:
-            yield [one.name, one.num, *map(_number, (one.recall, one.ceiling, one.f1))]
-
-
-def _false_row(name: str, boxes: FalseBoxes) -> list[Any]:
-    rates = (boxes.per_frame, boxes.per_frame_without_doubtful)
-    return [name, boxes.num_images, boxes.num, boxes.num_doubtful, *map(_number, rates), f"{boxes.per_minute:.0f}"]
-
-
-def _weather_row(group: ImageGroup) -> list[Any]:
-    lights, false = group.lights, group.false_boxes
-    rates = (group.precision, lights.recall, lights.ceiling, lights.f1, false.per_frame)
-    return [group.name, false.num_images, lights.num, *map(_number, rates)]
-
-
-def _false_boxes_in_words(examination: Examination) -> str:
-    breakdown = examination.breakdown
-    everywhere, empty = breakdown.false_boxes, breakdown.false_boxes_empty
-    return (
-        f"{_number(everywhere.per_frame)} in all {everywhere.num_images} images, "
-        f"{_number(empty.per_frame)} in the {empty.num_images} without vehicles"
-    )
-
-
-def _table(head: Sequence[str], rows: Iterator[list[Any]] | Sequence[Sequence[Any]]) -> Iterator[str]:
-    yield "| " + " | ".join(head) + " |"
-    yield "|---" * len(head) + "|"
-    for row in rows:
-        yield "| " + " | ".join(str(cell) for cell in row) + " |"
-    yield ""
+    page.table(Table(head, [[row.name, *(_number(getattr(row, name)) for name in names)] for row in rows]))
 
 
 def _spread(values: Sequence[float]) -> str:
     if not values:
-        return "–"
+        return DASH
     low, median, high = np.percentile(values, (25, 50, 75))
     return f"{median:.2f} (quartiles {low:.2f} to {high:.2f})"

@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from foreglow.lab.evaluation.boxes.breakdown import Breakdown, LightGroup
-from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
+from foreglow.lab.evaluation.boxes.breakdown import Breakdown
+from foreglow.lab.evaluation.boxes.examination import Ranking
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, PALE, png, subplots
 
 FEWEST_FALSE_BOXES = 0.01
 """Left end of the axis of false boxes a frame."""
-
-
-def evaluation_plots(examination: Examination) -> dict[str, bytes]:
-    """The plots as PNG by file name; those that need scores are left out without them."""
-    plots = {
-        "kinds.png": kinds_plot(examination.breakdown),
-        "distance.png": distance_plot(examination.breakdown),
-    }
-    ranking = examination.ranking
-    if ranking is not None:
-        plots["curve.png"] = curve_plot(ranking, examination.breakdown.threshold)
-        plots["hidden.png"] = hidden_plot(ranking, examination.breakdown)
-        if ranking.calibration is not None:
-            plots["reliability.png"] = reliability_plot(ranking.calibration)
-    if not examination.breakdown.groups["distance"]:
-        del plots["distance.png"]
-    return plots
 
 
 def curve_plot(ranking: Ranking, threshold: float) -> bytes:
@@ -77,7 +59,7 @@ def reliability_plot(calibration: Calibration) -> bytes:
     axes[0].plot([0, 1], [0, 1], color=GREY, linewidth=0.8, linestyle=":")
     kinds = (("tenths of the score", calibration.tenths, AMBER), ("equal counts", calibration.bins, BLUE))
     for label, bins, color in kinds:
-        scores, shares = [one.mean_score for one in bins], [one.share for one in bins]
+        scores, shares = [part.mean_score for part in bins], [part.share for part in bins]
         axes[0].plot(scores, shares, color=color, marker="o", markersize=4, label=label)
     axes[0].legend(frameon=False)
     axes[0].set(xlabel="mean score of a bin", ylabel="share with a light artifact", xlim=(0, 1), ylim=(0, 1))
@@ -90,10 +72,10 @@ def kinds_plot(breakdown: Breakdown) -> bytes:
     groups = breakdown.groups
     listed = [*groups["kind"], *groups["sight"], *groups["strength"]]
     figure, axes = subplots(1, width_in=7.0, height_in=0.9 + 0.3 * len(listed))
-    places = np.arange(len(listed))
-    axes[0].barh(places, [one.ceiling for one in listed], color=PALE, height=0.7, label="all proposals")
-    axes[0].barh(places, [one.recall for one in listed], color=AMBER, height=0.4, label="accepted")
-    axes[0].set_yticks(places, [f"{one.name} ({one.num})" for one in listed])
+    rows = np.arange(len(listed))
+    axes[0].barh(rows, [group.ceiling for group in listed], color=PALE, height=0.7, label="all proposals")
+    axes[0].barh(rows, [group.recall for group in listed], color=AMBER, height=0.4, label="accepted")
+    axes[0].set_yticks(rows, [f"{group.name} ({group.num})" for group in listed])
     axes[0].invert_yaxis()
     axes[0].set(xlabel="recall", xlim=(0, 1))
     axes[0].legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -104,15 +86,15 @@ def distance_plot(breakdown: Breakdown) -> bytes:
     """F and recall over the distance to the vehicle, with the ceiling of all proposals."""
     groups = breakdown.groups["distance"]
     figure, axes = subplots(1)
-    places = np.arange(len(groups))
-    for name, color, style in (("f1", INK, "-"), ("recall", AMBER, "-"), ("ceiling", GREY, ":")):
-        label = {"f1": "F", "recall": "recall", "ceiling": "recall of all proposals"}[name]
-        axes[0].plot(places, _values(groups, name), color=color, linestyle=style, marker="o", markersize=4, label=label)
-    axes[0].set_xticks(places, [one.name.removesuffix(" m") for one in groups])
+    curves = {
+        "F": ("f1", INK, "-"),
+        "recall": ("recall", AMBER, "-"),
+        "recall of all proposals": ("ceiling", GREY, ":"),
+    }
+    for label, (name, color, style) in curves.items():
+        values = [getattr(group, name) for group in groups]
+        axes[0].plot(values, color=color, linestyle=style, marker="o", markersize=4, label=label)
+    axes[0].set_xticks(range(len(groups)), [group.name.removesuffix(" m") for group in groups])
     axes[0].set(xlabel="metres to the vehicle", ylim=(0, 1))
     axes[0].legend(frameon=False)
     return png(figure)
-
-
-def _values(groups: Sequence[LightGroup], name: str) -> list[float]:
-    return [getattr(one, name) for one in groups]

@@ -7,17 +7,17 @@ import math
 DASH = "–"
 
 
-def number(value: float | None, digits: int = 2) -> str:
-    """`value` with so many decimals.
+def number(value: float | None, digits: int = 2, missing: str = DASH) -> str:
+    """`value` with `digits` decimals.
 
-    >>> number(0.125, 2), number(None)
-    ('0.12', '–')
+    >>> number(0.125, 2), number(None), number(math.nan, missing="")
+    ('0.12', '–', '')
     """
-    return DASH if value is None or math.isnan(value) else f"{value:.{digits}f}"
+    return missing if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """The same with its sign.
+    """`value` with its sign and `digits` decimals.
 
     >>> signed(0.5)
     '+0.50'

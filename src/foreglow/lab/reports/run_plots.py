@@ -21,7 +21,7 @@ HEIGHTS_IN = {"lights": 2.2, "ranges": 1.7, "confidences": 1.2, "beam": 1.7, "le
 
 
 def sequence_figure(results: Sequence[FrameResult], num_columns: int) -> bytes:
-    """What happened in one sequence over time, as PNG; parts that the run did not make are left out.
+    """What happened in one sequence over time, as PNG; what the run did not compute is left out.
 
     Args:
         results: Of its frames, in the order of time.
@@ -73,7 +73,7 @@ def stage_figure(results: Sequence[FrameResult]) -> bytes:
 def _draw_proposals(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> None:
     axes.plot(times_s, [len(result.proposals) for result in results], color=GREY, label="proposals")
     if any(result.detections is not None for result in results):
-        accepted = [0 if one.detections is None else int(one.detections.is_accepted.sum()) for one in results]
+        accepted = [0 if result.detections is None else int(result.detections.is_accepted.sum()) for result in results]
         axes.plot(times_s, accepted, color=AMBER, label="light artifacts")
     axes.set(ylabel="boxes a frame")
     axes.set_ylim(bottom=0)
@@ -83,13 +83,13 @@ def _draw_proposals(axes: Any, results: Sequence[FrameResult], times_s: Floats) 
 def _draw_tracks(axes: Any, name: str, results: Sequence[FrameResult], times_s: Floats) -> None:
     """One of the panels about tracks."""
     histories = _histories(results, times_s)
-    longest = sorted(histories, key=lambda one: -len(histories[one]))[:MAX_ROWS]
+    longest = sorted(histories, key=lambda number: -len(histories[number]))[:MAX_ROWS]
     period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.05
     for row, number in enumerate(sorted(longest)):
         history = histories[number]
         if name == "lights":
             begins = [(time_s - period_s / 2, period_s) for time_s in history[:, 0]]
-            axes.broken_barh(begins, (row - 0.35, 0.7), color=[_colour(one) for one in history])
+            axes.broken_barh(begins, (row - 0.35, 0.7), color=[_colour(row) for row in history])
         elif name == "ranges":
             (line,) = axes.plot(history[:, 0], history[:, 1], linewidth=1.2)
             sigmas = np.where(np.isfinite(history[:, 2]), history[:, 2], 0.0)
@@ -107,7 +107,7 @@ def _draw_tracks(axes: Any, name: str, results: Sequence[FrameResult], times_s: 
         axes.set_ylim(-0.6, max(len(longest), 1) + 0.9)
     elif name == "ranges":
         axes.set_ylabel("range ± sigma, m", fontsize=8)
-        top_m = max((float(np.nanmax(one[:, 1], initial=0.0)) for one in histories.values()), default=0.0)
+        top_m = max((float(np.nanmax(history[:, 1], initial=0.0)) for history in histories.values()), default=0.0)
         axes.set_ylim(0.0, 1.2 * top_m or 1.0)
     else:
         axes.set_ylabel("confidence", fontsize=8)
@@ -121,17 +121,12 @@ def _histories(results: Sequence[FrameResult], times_s: Floats) -> dict[int, Flo
         tracks = result.tracks
         if tracks is None:
             continue
-        for place in np.flatnonzero(tracks.is_plausible):
-            row = (
-                time_s,
-                tracks.ranges_m[place],
-                tracks.sigmas_m[place],
-                tracks.confidences[place],
-                tracks.direct_probabilities[place],
-                float(tracks.states[place] == TrackState.COASTING),
-            )
-            rows.setdefault(int(tracks.ids[place]), []).append(row)
-    return {number: np.array(its, np.float64) for number, its in rows.items()}
+        is_coasting = tracks.states == TrackState.COASTING
+        columns = (tracks.ranges_m, tracks.sigmas_m, tracks.confidences, tracks.direct_probabilities, is_coasting)
+        for track in np.flatnonzero(tracks.is_plausible):
+            row = (time_s, *(float(column[track]) for column in columns))
+            rows.setdefault(int(tracks.ids[track]), []).append(row)
+    return {number: np.array(history, np.float64) for number, history in rows.items()}
 
 
 def _colour(row: Floats) -> tuple[str, float]:
@@ -147,7 +142,7 @@ def _draw_beam(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> No
     for mode, (words, (blue, green, red)) in MODES.items():
         colour = (red / 255, green / 255, blue / 255)
         is_mode = [result.beam is not None and result.beam.mode == mode for result in results]
-        spans = [(begin, end - begin) for begin, end, is_it in zip(times_s, ends_s, is_mode, strict=True) if is_it]
+        spans = [(begin, end - begin) for begin, end, is_on in zip(times_s, ends_s, is_mode, strict=True) if is_on]
         axes.broken_barh(spans, (-30.0, 60.0), color=colour, alpha=0.25, linewidth=0)
         axes.plot([], [], color=colour, alpha=0.5, linewidth=6, label=words.lower())
     gaps = [
@@ -166,9 +161,9 @@ def _draw_beam(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> No
 def _draw_leds(axes: Any, results: Sequence[FrameResult], times_s: Floats, num_columns: int) -> None:
     """The LEDs' levels, mean of each column: from above the left lamp's from left to right, then the right lamp's."""
     columns = np.full((len(results), 2 * num_columns), np.nan)
-    for place, result in enumerate(results):
+    for index, result in enumerate(results):
         if result.beam is not None:
-            columns[place] = result.beam.levels.reshape(2, -1, num_columns).mean(axis=1)[:, ::-1].ravel()
+            columns[index] = result.beam.levels.reshape(2, -1, num_columns).mean(axis=1)[:, ::-1].ravel()
     edges_s = np.append(times_s, times_s[-1] + (times_s[-1] - times_s[-2] if len(times_s) > 1 else 0.05))
     mesh = axes.pcolormesh(edges_s, np.arange(2 * num_columns + 1), columns.T, cmap="inferno", vmin=0.0, vmax=1.0)
     axes.axhline(num_columns, color=PALE, linewidth=1.0)

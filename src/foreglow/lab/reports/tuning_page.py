@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import math
 import re
-from importlib.metadata import version
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,10 @@ from foreglow.files import write_atomic, write_json_results
 from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.numbers import number
-from foreglow.provenance import checkout_state
+from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.provenance import provenance
+
+SPLITS = ("train", "val", "test")
 
 HEADINGS = {
     "q": "q",
@@ -43,17 +44,11 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_atomic(folder / "best.toml", _best_toml(tuning).encode())
-    write_atomic(folder / "trials.csv", _trials_csv(tuning).encode())
-    write_json_results(folder / "summary.json", _summary(tuning))
-    write_atomic(folder / "parallel.png", png(_parallel_figure(tuning)))
-    importance = folder / "importance.png"
-    if tuning.importances:
-        write_atomic(importance, png(_importance_figure(tuning.importances)))
-    else:
-        importance.unlink(missing_ok=True)
-    report = folder / "report.md"
-    write_atomic(report, "\n".join(_lines(tuning)).encode())
-    return report
+    write_atomic(folder / "trials.csv", _trials(tuning).csv().encode())
+    write_json_results(folder / "summary.json", provenance() | _summary(tuning))
+    if not tuning.importances:
+        (folder / "importance.png").unlink(missing_ok=True)
+    return _page(tuning).write(folder / "report.md")
 
 
 def _best_toml(tuning: Tuning) -> str:
@@ -65,36 +60,40 @@ def _best_toml(tuning: Tuning) -> str:
     )
 
 
-def _trials_csv(tuning: Tuning) -> str:
-    ranges = SPACES[tuning.settings.space_name].ranges
-    names = ["number", "state", "loss", *ranges, "num_images", "num_boxes", *HEADINGS]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    for one in tuning.trials:
-        writer.writerow(
-            {"number": one.number, "state": one.state, "loss": one.loss, **one.parameters, **one.measurement}
-        )
-    return text.getvalue()
+def _trials(tuning: Tuning) -> Table:
+    """A row for each trial."""
+    parameters = SPACES[tuning.settings.space_name].ranges
+    measured = ["num_images", "num_boxes", *HEADINGS]
+    rows = [
+        [
+            trial.number,
+            trial.state,
+            trial.loss,
+            *(trial.parameters.get(name) for name in parameters),
+            *(trial.measurement.get(name) for name in measured),
+        ]
+        for trial in tuning.trials
+    ]
+    return Table(["number", "state", "loss", *parameters, *measured], rows)
 
 
 def _summary(tuning: Tuning) -> dict[str, Any]:
-    commit, has_local_changes = checkout_state()
     return {
-        "version": version("foreglow"),
-        "commit": commit,
-        "has_local_changes": has_local_changes,
         "data": str(tuning.data),
         "study": tuning.study_name,
         "settings": {**dataclasses.asdict(tuning.settings), "storage": _without_password(tuning.settings.storage)},
         "num_finished": len(tuning.trials),
-        "num_pruned": sum(one.state == "PRUNED" for one in tuning.trials),
+        "num_pruned": _num_pruned(tuning),
         "seconds": tuning.seconds,
         "importances": tuning.importances,
-        "chosen": _as_json(tuning.chosen, tuning),
-        "paper": _as_json(tuning.paper, tuning),
-        "finalists": [_as_json(one, tuning) for one in tuning.finalists],
+        "chosen": _summary_of(tuning.chosen, tuning),
+        "paper": _summary_of(tuning.paper, tuning),
+        "finalists": [_summary_of(finalist, tuning) for finalist in tuning.finalists],
     }
+
+
+def _num_pruned(tuning: Tuning) -> int:
+    return sum(trial.state == "PRUNED" for trial in tuning.trials)
 
 
 def _without_password(storage: str | None) -> str | None:
@@ -106,17 +105,14 @@ def _without_password(storage: str | None) -> str | None:
     return None if storage is None else re.sub(r"(://[^:/@]*):[^@/]*@", r"\1@", storage)
 
 
-def _as_json(one: Finalist, tuning: Tuning) -> dict[str, Any]:
+def _summary_of(finalist: Finalist, tuning: Tuning) -> dict[str, Any]:
     """A finalist with the parameters that were searched; infinity, which JSON lacks, as text."""
-    parameters = one.config.model_dump(include=_searched_fields(tuning))
+    parameters = finalist.config.model_dump(include=_searched_fields(tuning))
     return {
         "parameters": {name: "inf" if value == math.inf else value for name, value in parameters.items()},
-        "train_loss": one.train_loss,
-        "val_loss": one.val_loss,
-        **{
-            split: None if found is None else found.to_json()
-            for split, found in (("train", one.train), ("val", one.val), ("test", one.test))
-        },
+        "train_loss": finalist.train_loss,
+        "val_loss": finalist.val_loss,
+        **{split: getattr(finalist, split) for split in SPLITS},
     }
 
 
@@ -127,77 +123,78 @@ def _searched_fields(tuning: Tuning) -> set[str]:
     return set(searched.fields(searched.first)) | set(searched.fields({**searched.first, **flipped}))
 
 
-def _lines(tuning: Tuning) -> list[str]:
-    settings = tuning.settings
-    num_pruned = sum(one.state == "PRUNED" for one in tuning.trials)
-    lines = [
-        f"# Parameters of the proposal stage, tuned on {tuning.data.name}",
-        "",
-        f"Objective `{settings.objective}`, space `{settings.space_name}`, {len(tuning.trials)} trials on "
-        f"{tuning.paper.train.num_images} images of train, {num_pruned} of them ended early; seed {settings.seed}. "
-        f"The trials of the last call took {tuning.seconds['trials']:.0f} s, the comparison on other splits "
-        f"{tuning.seconds['comparison']:.0f} s.",
-        "",
-        "## Chosen",
-        "",
-        "The best of the finalists on " + ("val" if tuning.chosen.val is not None else "train (there is no val)") + ".",
-        "",
-        "| parameter | chosen | paper |",
-        "|---|---|---|",
-    ]
-    chosen, paper = tuning.chosen.config, tuning.paper.config
+def _page(tuning: Tuning) -> Page:
+    settings, chosen, paper = tuning.settings, tuning.chosen, tuning.paper
     searched = sorted(_searched_fields(tuning))
-    lines += [f"| {name} | {getattr(chosen, name):g} | {getattr(paper, name):g} |" for name in searched]
-    lines += ["", f"| | loss | {' | '.join(HEADINGS.values())} |", f"|{'---|' * (len(HEADINGS) + 2)}"]
-    for split in ("train", "val", "test"):
-        for name, one in (("chosen", tuning.chosen), ("paper", tuning.paper)):
-            found: Measurement | None = getattr(one, split)
-            if found is not None:
-                lines.append(_row(f"{split}, {name}", getattr(one, f"{split}_loss", None), found))
-    lines += ["", "## Finalists", "", "The best on train and the paper's, in the order of their loss on val.", ""]
-    lines += [f"| {' | '.join(searched)} | loss on train | loss on val |", "|" + "---|" * (len(searched) + 2)]
-    for one in tuning.finalists:
-        values = " | ".join(f"{getattr(one.config, name):g}" for name in searched)
-        lines.append(f"| {values} | {one.train_loss:.4f} | {number(one.val_loss, 4)} |")
-    lines += ["", "## Trials", "", "![trials](parallel.png)", ""]
+    page = Page(f"Parameters of the proposal stage, tuned on {tuning.data.name}")
+    page.text(
+        f"Objective `{settings.objective}`, space `{settings.space_name}`, {len(tuning.trials)} trials on "
+        f"{paper.train.num_images} images of train, {_num_pruned(tuning)} of them ended early; seed {settings.seed}. "
+        f"The trials of the last call took {tuning.seconds['trials']:.0f} s, the comparison on other splits "
+        f"{tuning.seconds['comparison']:.0f} s."
+    )
+    split = "val" if chosen.val is not None else "train (there is no val)"
+    page.section("Chosen", f"The best of the finalists on {split}.")
+    rows = [[name, f"{getattr(chosen.config, name):g}", f"{getattr(paper.config, name):g}"] for name in searched]
+    page.table(Table(["parameter", "chosen", "paper"], rows))
+    rows = [
+        [f"{split}, {name}", number(getattr(finalist, f"{split}_loss", None), 4), *_figures(getattr(finalist, split))]
+        for split in SPLITS
+        for name, finalist in (("chosen", chosen), ("paper", paper))
+        if getattr(finalist, split) is not None
+    ]
+    page.table(Table(["", "loss", *HEADINGS.values()], rows))
+    page.section("Finalists", "The best on train and the paper's, in the order of their loss on val.")
+    rows = [
+        [
+            *(f"{getattr(finalist.config, name):g}" for name in searched),
+            number(finalist.train_loss, 4),
+            number(finalist.val_loss, 4),
+        ]
+        for finalist in tuning.finalists
+    ]
+    page.table(Table([*searched, "loss on train", "loss on val"], rows))
+    page.section("Trials")
+    page.figure(Figure(png(_parallel_figure(tuning)), "The trials' parameters and losses", "parallel.png"))
     if tuning.importances:
-        lines += ["How much each parameter matters to being among the best (PED-ANOVA):", ""]
-        lines += ["![importance](importance.png)", ""]
+        page.text("How much each parameter matters to being among the best (PED-ANOVA):")
+        page.figure(Figure(png(_importance_figure(tuning.importances)), "Importance", "importance.png"))
     else:
-        lines += ["Too few finished trials to tell which parameter matters.", ""]
-    return lines
+        page.text("Too few finished trials to tell which parameter matters.")
+    return page
 
 
-def _row(name: str, loss: float | None, found: Measurement) -> str:
-    figures = " | ".join(number(found.figures[key], 2 if key == "boxes_per_image" else 3) for key in HEADINGS)
-    return f"| {name} | {number(loss, 4)} | {figures} |"
+def _figures(measured: Measurement) -> list[str]:
+    return [number(measured.figures[name], 2 if name == "boxes_per_image" else 3) for name in HEADINGS]
 
 
 def _parallel_figure(tuning: Tuning) -> Any:
     """A line a trial through its parameters to its loss; the darker the better, the best on train in colour."""
     from matplotlib import colormaps
 
-    complete = [one for one in tuning.trials if one.state == "COMPLETE"]
-    complete.sort(key=lambda one: -one.loss)
-    names = [*SPACES[tuning.settings.space_name].ranges, "loss"]
+    complete = [trial for trial in tuning.trials if trial.state == "COMPLETE"]
+    complete.sort(key=lambda trial: -trial.loss)
+    ranges = SPACES[tuning.settings.space_name].ranges
+    names = [*ranges, "loss"]
     figure, (axes,) = subplots(1, 1.5 * len(names) + 1.0, 3.8)
-    table = np.array([[_coordinate(one, name) for name in names] for one in complete], np.float64)
-    table = table.reshape(len(complete), len(names))
-    table[:, -1] = [_rank(one.loss, complete) for one in complete]
-    low, high = _limits(tuning, names)
+    # One column for each axis, from its lowest to its highest value; switches and the loss's rank go from 0 to 1.
+    table = np.array(
+        [[*(trial.parameters[name] for name in ranges), _rank(trial.loss, complete)] for trial in complete], np.float64
+    ).reshape(len(complete), len(names))
+    limits = [(getattr(ranges.get(name), "low", 0.0), getattr(ranges.get(name), "high", 1.0)) for name in names]
+    low, high = np.array(limits, np.float64).T
     heights = (table - low) / np.where(high > low, high - low, 1.0)
     greys = colormaps["Greys"]
-    for place, line in enumerate(heights):
-        is_best = place == len(heights) - 1
-        shade = 0.15 + 0.6 * place / max(len(heights) - 1, 1)
+    for order, line in enumerate(heights):
+        is_best = order == len(heights) - 1
+        shade = 0.15 + 0.6 * order / max(len(heights) - 1, 1)
         axes.plot(line, color=AMBER if is_best else greys(shade), linewidth=2.2 if is_best else 0.8)
-    for place in range(len(names) - 1):
-        for text, height in ((f"{low[place]:g}", -0.04), (f"{high[place]:g}", 1.04)):
-            axes.text(place, height, text, ha="center", va="top" if height < 0 else "bottom", color=INK, fontsize=8)
+    ends = [(f"{least:g}", f"{most:g}") for least, most in limits[:-1]]
     if complete:
-        for text, height in ((f"{complete[-1].loss:.3g}", -0.04), (f"{complete[0].loss:.3g}", 1.04)):
-            place = len(names) - 1
-            axes.text(place, height, text, ha="center", va="top" if height < 0 else "bottom", color=INK, fontsize=8)
+        ends.append((f"{complete[-1].loss:.3g}", f"{complete[0].loss:.3g}"))
+    for x, (below, above) in enumerate(ends):
+        axes.text(x, -0.04, below, ha="center", va="top", color=INK, fontsize=8)
+        axes.text(x, 1.04, above, ha="center", va="bottom", color=INK, fontsize=8)
     axes.set_xticks(range(len(names)), [*names[:-1], "loss, by rank"], fontsize=8)
     axes.tick_params(length=0, pad=12)
     axes.set(yticks=[], ylim=(-0.03, 1.03))
@@ -206,21 +203,9 @@ def _parallel_figure(tuning: Tuning) -> Any:
     return figure
 
 
-def _limits(tuning: Tuning, names: list[str]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Lowest and highest value of each axis; 0 and 1 for switches and for the loss's rank."""
-    ranges = SPACES[tuning.settings.space_name].ranges
-    limits = [(getattr(ranges.get(name), "low", 0.0), getattr(ranges.get(name), "high", 1.0)) for name in names]
-    low, high = np.array(limits, np.float64).T
-    return low, high
-
-
-def _coordinate(one: TrialRecord, name: str) -> float:
-    return float(one.loss if name == "loss" else one.parameters[name])
-
-
-def _rank(loss: float, trials: list[TrialRecord]) -> float:
+def _rank(loss: float, trials: Sequence[TrialRecord]) -> float:
     """0 for the lowest loss of `trials`, 1 for the highest."""
-    return sum(one.loss < loss for one in trials) / max(len(trials) - 1, 1)
+    return sum(trial.loss < loss for trial in trials) / max(len(trials) - 1, 1)
 
 
 def _importance_figure(importances: dict[str, float]) -> Any:

@@ -28,7 +28,7 @@ from foreglow.lab.simulation.world.mesh import Mesh
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.world.world import build_world
 from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetDataError, StreetMap
-from foreglow.photometry import NUM_LEDS
+from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
 
@@ -55,12 +55,13 @@ class Drive:
         latest: The frame that was yielded last, with all that is known about it; None before the first.
     """
 
-    def __init__(self, scene: Scene, quality: str = "training") -> None:
+    def __init__(self, scene: Scene, quality: str = "training", headlamps: Headlamps | None = None) -> None:
         """A drive through `scene`; the world is built when the first frame is asked for.
 
         Args:
             scene: The drive's specification.
             quality: Quality of the rendering: `fast`, `training` or `fine`.
+            headlamps: Our matrix headlamps; None for the built-in ones.
 
         Raises:
             ValueError: If the quality is unknown.
@@ -75,13 +76,14 @@ class Drive:
         if quality not in QUALITIES:
             raise ValueError(f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}")
         self._settings = QUALITIES[quality]
-        self._led_levels: Floats = np.ones((2, NUM_LEDS))
+        self._headlamps = headlamps or read_headlamps()
+        self._led_levels: Floats = np.ones((2, self._headlamps.num_leds))
 
     def set_led_levels(self, levels: ArrayLike) -> None:
         """Sets our matrix headlamps for the frames to come.
 
         Args:
-            levels: Shape (2, 84), left and right lamp, each 0 (off) to 1.
+            levels: Shape (2, L), left and right lamp, each 0 (off) to 1.
 
         Raises:
             ValueError: If the shape or a value is wrong, or the scene's ego beam is not `matrix`.
@@ -89,8 +91,9 @@ class Drive:
         if self.scene.ego.beam != "matrix":
             raise ValueError(f"set_led_levels: expected a scene with ego.beam = 'matrix', got {self.scene.ego.beam!r}")
         given = np.array(levels, np.float64)
-        if given.shape != (2, NUM_LEDS) or not ((given >= 0) & (given <= 1)).all():
-            raise ValueError(f"set_led_levels: expected (2, {NUM_LEDS}) numbers from 0 to 1, got shape {given.shape}")
+        shape = (2, self._headlamps.num_leds)
+        if given.shape != shape or not ((given >= 0) & (given <= 1)).all():
+            raise ValueError(f"set_led_levels: expected {shape} numbers from 0 to 1, got shape {given.shape}")
         self._led_levels = given
 
     def __iter__(self) -> Iterator[Frame]:
@@ -99,7 +102,7 @@ class Drive:
 
     def frames(self) -> Iterator[DriveFrame]:
         """The frames with all that is known about them; each call begins the drive anew."""
-        run = _Run(self.scene, self.camera, self._settings)
+        run = _Run(self.scene, self.camera, self._settings, self._headlamps)
         for number in range(self.scene.num_frames):
             self.latest = run.frame(number, self._led_levels)
             yield self.latest
@@ -126,7 +129,8 @@ def drive_frames(scene: Scene, quality: str = "training") -> Iterator[DriveFrame
 class _Run:
     """A drive in progress: the world, the renderer, and the state that passes from frame to frame."""
 
-    def __init__(self, scene: Scene, camera: Camera, settings: RenderSettings) -> None:
+    def __init__(self, scene: Scene, camera: Camera, settings: RenderSettings, headlamps: Headlamps) -> None:
+        self._headlamps = headlamps
         self._scene = scene
         self._camera = camera
         self._world = build_world(scene)
@@ -149,7 +153,9 @@ class _Run:
         roads = (self._world.road, self._world.branches)
         actors = actors_at(scene.vehicles, roads, ego.pose, time_s, FIRST_VEHICLE_LAYER)
         bodies = [actor.placed_body for actor in actors]
-        own = ego_lamps(scene.ego, ego.pose, ego_tables(scene.ego, led_levels), EGO_LAYER)
+        own = ego_lamps(
+            scene.ego, ego.pose, ego_tables(scene.ego, led_levels, self._headlamps), EGO_LAYER, self._headlamps
+        )
         fixed = self._lights.lamps_near(view.position_m)
         theirs = [lamp.placed for actor in actors for lamp in actor.lamps]
         num_layers = FIRST_VEHICLE_LAYER + len(actors)

@@ -27,7 +27,7 @@ KIND_BGR: dict[str, Colour] = {
     "vehicle": (200, 200, 120),
     "haze": (210, 210, 210),
 }
-"""Colour of an artifact's mark, by what the light is seen on."""
+"""Colour of an artifact's mark, by the kind of light; other kinds have that of the text."""
 
 BOX_BGR = (150, 140, 130)
 TEXT_BGR = (225, 225, 225)
@@ -44,27 +44,27 @@ def preview(
 
     Args:
         frames: The drive.
-        num_frames: How many there are; the sheet shows some, evenly spread.
+        num_frames: Their number; the sheet shows some, evenly spread.
         rate_hz: Frames a second.
-        folder: Where the files go.
-        progress: Told of every frame, as for data sets.
+        folder: Folder of the files.
+        progress: Called after every frame, as for data sets.
 
     Raises:
         OSError: If a file cannot be written.
     """
-    shown = {round(place) for place in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
+    shown = {round(number) for number in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
     movie = Movie(film, rate_hz)
     tone: Tone | None = None
     tiles: list[Picture] = []
     try:
-        for place, one in enumerate(frames):
-            tone = tone or Tone.of(one.frame.image)
-            picture = labelled(one, tone)
+        for number, known in enumerate(frames):
+            tone = tone or Tone.of(known.frame.image)
+            picture = labelled(known, tone)
             movie.add(picture)
             if progress is not None:
-                progress(1, place + 1, num_frames)
-            if place in shown:
+                progress(1, number + 1, num_frames)
+            if number in shown:
                 tiles.append(picture)
         movie.close()
     finally:
@@ -73,14 +73,14 @@ def preview(
     return sheet, film
 
 
-def labelled(one: DriveFrame, tone: Tone) -> Picture:
-    """The picture of a frame with its vehicles and artifacts; doubtful ones are mere dots."""
-    grey = tone.apply(one.frame.image)
+def labelled(known: DriveFrame, tone: Tone) -> Picture:
+    """The picture of a frame with its vehicles and artifacts; doubtful artifacts are mere dots."""
+    grey = tone.apply(known.frame.image)
     picture = np.repeat(grey[:, :, None], 3, axis=2)
-    unit = max(1, round(one.frame.width_px / 1280))
-    for vehicle in one.vehicles:
+    unit = max(1, round(known.frame.width_px / 1280))
+    for vehicle in known.vehicles:
         _draw_vehicle(picture, vehicle, unit)
-    _write(picture, _caption(one), (8 * unit, 22 * unit), unit)
+    _write(picture, _caption(known), (8 * unit, 22 * unit), unit)
     return picture
 
 
@@ -88,8 +88,8 @@ def contact_sheet(tiles: Sequence[Picture]) -> Picture:
     """The pictures side by side, row by row."""
     width, height = TILE_PX
     sheet = np.zeros((NUM_ROWS * height, NUM_COLUMNS * width, 3), np.uint8)
-    for place, tile in enumerate(tiles[: NUM_COLUMNS * NUM_ROWS]):
-        row, column = divmod(place, NUM_COLUMNS)
+    for number, tile in enumerate(tiles[: NUM_COLUMNS * NUM_ROWS]):
+        row, column = divmod(number, NUM_COLUMNS)
         small = cv2.resize(tile, TILE_PX, interpolation=cv2.INTER_AREA)
         sheet[row * height : (row + 1) * height, column * width : (column + 1) * width] = small
     return sheet
@@ -104,8 +104,8 @@ def _draw_vehicle(picture: Picture, vehicle: VehicleTruth, unit: int) -> None:
 
 
 def _draw_artifact(picture: Picture, artifact: Artifact, unit: int) -> None:
-    x, y = (round(place) for place in artifact.position_px)
-    colour = KIND_BGR[artifact.kind]
+    x, y = map(round, artifact.position_px)
+    colour = KIND_BGR.get(artifact.kind, TEXT_BGR)
     radius = (6 if artifact.is_direct else 11) * unit
     if artifact.is_doubtful:
         cv2.circle(picture, (x, y), 2 * unit, colour, -1, cv2.LINE_AA)
@@ -115,11 +115,11 @@ def _draw_artifact(picture: Picture, artifact: Artifact, unit: int) -> None:
         _write(picture, f"{artifact.kind} {artifact.instance_id}", (x + radius, y - radius), unit, colour)
 
 
-def _caption(one: DriveFrame) -> str:
-    words = [f"{one.frame.timestamp_ns / 1e9:.2f} s", f"{3.6 * one.ego_speed_mps:.0f} km/h"]
-    words.append(one.category.name.lower().replace("_", " "))
-    words += [f"{vehicle.kind} {vehicle.range_m:.0f} m" for vehicle in one.vehicles[:3]]
-    if one.is_production_detected:
+def _caption(known: DriveFrame) -> str:
+    words = [f"{known.timestamp_ns / 1e9:.2f} s", f"{3.6 * known.ego_speed_mps:.0f} km/h"]
+    words.append(known.category.name.lower().replace("_", " "))
+    words += [f"{vehicle.kind} {vehicle.range_m:.0f} m" for vehicle in known.vehicles[:3]]
+    if known.is_production_detected:
         words.append("production system")
     return "  ".join(words)
 

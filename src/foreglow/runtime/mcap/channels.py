@@ -56,7 +56,7 @@ FRAME_SCHEMA = {
         ),
     ),
 }
-"""A frame without its image: `datasets.bags.FrameRecord`."""
+"""A frame without its image: `datasets.bags.FrameMessage`."""
 
 RESULT_SCHEMA = {
     "title": "foreglow.Result",

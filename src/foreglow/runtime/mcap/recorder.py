@@ -16,7 +16,7 @@ from foxglove.mcap import MCAPWriteOptions
 from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.datasets.bags import FRAME_TOPIC, FrameRecord
+from foreglow.datasets.bags import FRAME_TOPIC, FrameMessage
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.times_file import frame_to_times
 from foreglow.runtime.health import Health
@@ -121,7 +121,7 @@ class McapRecorder:
         """
         time_ns = self._axis.time_ns(frame)
         stamp = self._stamp(time_ns)
-        self._frame.log(FrameRecord.of(frame).model_dump_json(by_alias=True).encode(), log_time=time_ns)
+        self._frame.log(FrameMessage.of(frame).to_json(), log_time=time_ns)
         self._image.log(_image_message(frame.image, stamp), log_time=time_ns)
         if frame.camera is not None:
             self._calibration.log(calibration_message(frame.camera, stamp), log_time=time_ns)

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from foreglow.files import to_json
 from foreglow.lab.evaluation import (
     BoxQuality,
     Predictions,
@@ -38,7 +39,7 @@ def _predictions(**images: list[tuple[float, float, float, float, float]]) -> Pr
 
 
 def _same(left: BoxQuality, right: BoxQuality) -> bool:
-    return left.to_json() == right.to_json()
+    return bool(to_json(left) == to_json(right))
 
 
 def test_a_case_worked_by_hand() -> None:
@@ -74,8 +75,8 @@ def test_empty_sets_are_nan_and_null() -> None:
     nothing = evaluate_boxes({1: _points()}, _predictions())
     rates = ("precision", "recall", "f1", "q", "q_k", "q_k_std", "q_b", "q_b_std")
     assert all(math.isnan(getattr(nothing, name)) for name in rates)
-    assert all(nothing.to_json()[name] is None for name in rates)
-    assert json.loads(json.dumps(nothing.to_json(), allow_nan=False))["tp"] == 0
+    assert all(to_json(nothing)[name] is None for name in rates)
+    assert json.loads(json.dumps(to_json(nothing), allow_nan=False))["tp"] == 0
     missed = evaluate_boxes({1: _points((1, 1))}, _predictions())
     assert (missed.recall, missed.f1) == (0.0, 0.0)
     assert math.isnan(missed.precision)
@@ -163,8 +164,8 @@ def test_the_order_of_images_does_not_matter(case: tuple[Keypoints, Predictions]
     backwards = Predictions(_backwards(predictions.boxes_xyxy_px), _backwards(predictions.scores))
     turned = evaluate_boxes(_backwards(keypoints), backwards)
     quality = evaluate_boxes(keypoints, predictions)
-    for name, value in quality.to_json().items():
-        assert turned.to_json()[name] == (pytest.approx(value) if isinstance(value, float) else value)
+    for name, value in to_json(quality).items():
+        assert to_json(turned)[name] == (pytest.approx(value) if isinstance(value, float) else value)
 
 
 @_quick
@@ -228,7 +229,7 @@ def test_the_published_code_gives_the_same(tmp_path: Path) -> None:
         assert [quality.tp, quality.fp, quality.fn] == list(case["totals"].values()), name
         for theirs, ours in _PUBLISHED.items():
             expected = case["result"][theirs]
-            assert quality.to_json()[ours] == (None if expected == -1 else expected), (name, ours)
+            assert to_json(quality)[ours] == (None if expected == -1 else expected), (name, ours)
 
 
 def test_a_split_and_a_file(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.directness import Directness, directness, directness_of_boxes
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks, TrackState
@@ -80,4 +81,4 @@ def test_no_figures_of_vehicles_without_a_calibration() -> None:
     found = directness(LABELS, predictions(0.9, 0.9, 0.1, 0.1), 0.5, followed([0.8, 0.7, 0.2, 0.1]))
     assert found.vehicles is None
     assert found.tracks is not None
-    assert found.to_json()["vehicles"] is None
+    assert to_json(found)["vehicles"] is None

@@ -61,7 +61,6 @@ def test_all_images_in_order_with_a_reset_at_each_sequence(dataset: PVDN) -> Non
     assert pipeline.notes == ["reset", *first, "reset", *second]
     assert run.image_ids == dataset.frame_ids == (*first, *second)
     assert seen == [2 * one for one in run.image_ids]
-    assert run.sequence_of == {**dict.fromkeys(first, 1), **dict.fromkeys(second, 3)}
 
 
 def test_the_same_as_frame_by_frame(dataset: PVDN) -> None:
@@ -71,7 +70,6 @@ def test_the_same_as_frame_by_frame(dataset: PVDN) -> None:
     for frame in dataset:
         result = pipeline.step(frame)
         assert np.array_equal(run.predictions.boxes_xyxy_px[frame.frame], result.proposals.boxes_xyxy_px)
-        assert run.timestamp_ns[frame.frame] == frame.timestamp_ns
     assert set(run.stage_ms) == {"proposals"}
     assert run.total_ms.shape == (len(dataset),)
     assert (run.total_ms > 0).all()

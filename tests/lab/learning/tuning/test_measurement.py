@@ -121,16 +121,16 @@ def test_stack_of_two_sizes_and_depths(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_stack_is_decoded_once_and_again_when_a_file_changes(val: PVDN, tmp_path: Path) -> None:
-    told: list[int] = []
+    counts: list[int] = []
 
     def stack() -> None:
-        stack_frames(val, (100, 101), tmp_path, progress=lambda _, done, __: told.append(done))
+        stack_frames(val, (100, 101), tmp_path, progress=lambda _, done, __: counts.append(done))
 
     stack()
     stack()
-    assert told == [1, 2]
+    assert counts == [1, 2]
     path = val.image_path(100)
     os.utime(path, ns=(1, path.stat().st_mtime_ns + 1))
     stack()
-    assert told == [1, 2, 1, 2]
+    assert counts == [1, 2, 1, 2]
     assert len(list(tmp_path.glob("*.bin"))) == 2

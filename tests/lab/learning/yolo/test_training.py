@@ -56,12 +56,12 @@ def test_train_and_predict(calls: Calls, data: Path, tmp_path: Path) -> None:
     assert run.weights.name == "best.pt"
     assert run.num_parameters == 8
     assert run.num_multiply_adds == 64 * 64 * 6
-    (told,) = calls.trained
-    assert Path(told["data"]) == (tmp_path / "run/dataset/data.yaml").resolve()
-    assert told["epochs"] == 3
-    assert told["imgsz"] == 64
-    assert told["seed"] == 0
-    assert told["pretrained"] is False
+    (settings,) = calls.trained
+    assert Path(settings["data"]) == (tmp_path / "run/dataset/data.yaml").resolve()
+    assert settings["epochs"] == 3
+    assert settings["imgsz"] == 64
+    assert settings["seed"] == 0
+    assert settings["pretrained"] is False
     record = json.loads((tmp_path / "run/config.json").read_text())
     assert record["data"] == str(data)
     assert f"{name}_version" in record

@@ -22,8 +22,8 @@ def reports(pattern: str, config: ProductionConfig = CONFIG) -> str:
     """Whether a vehicle that is bright (B) or not (.) is reported (R), at 20 images a second."""
     system = ProductionSystem(config)
     reported = (
-        system.update(place * FRAME_NS, [bright()] if sign == "B" else [vehicle()])
-        for place, sign in enumerate(pattern)
+        system.update(number * FRAME_NS, [bright()] if sign == "B" else [vehicle()])
+        for number, sign in enumerate(pattern)
     )
     return "".join("R" if ids == {0} else "." for ids in reported)
 
@@ -77,10 +77,10 @@ def test_what_is_bright_enough(fields: dict[str, Any], is_seen: bool) -> None:
 
 def test_vehicles_are_told_apart() -> None:
     system = ProductionSystem(CONFIG)
-    for place in range(2):
-        assert not system.update(place * FRAME_NS, [bright(3)])
-    for place in range(2, 6):
-        both = system.update(place * FRAME_NS, [bright(3), bright(5)])
+    for number in range(2):
+        assert not system.update(number * FRAME_NS, [bright(3)])
+    for number in range(2, 6):
+        both = system.update(number * FRAME_NS, [bright(3), bright(5)])
     assert both == {3}
     assert system.update(6 * FRAME_NS, [bright(3), bright(5)]) == {3, 5}
 
@@ -93,6 +93,6 @@ def test_a_wrong_config_is_refused() -> None:
 def test_five_frames_of_its_own_camera_whatever_the_drives_rate() -> None:
     for drive_hz, expected_ns in ((36.0, 222_222_222), (18.0, 222_222_222), (9.0, 222_222_222), (4.0, 250_000_000)):
         system = ProductionSystem(ProductionConfig(latency_s=0.0))
-        times = [round(place * 1e9 / drive_hz) for place in range(40)]
+        times = [round(number * 1e9 / drive_hz) for number in range(40)]
         first = next(time for time in times if system.update(time, [bright()]))
         assert first == pytest.approx(expected_ns, abs=1_000)

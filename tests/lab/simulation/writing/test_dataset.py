@@ -155,7 +155,7 @@ def test_a_run_that_is_interrupted_anywhere_goes_on(tmp_path: Path, monkeypatch:
 def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole, tmp_path / "DATA")
     root = tmp_path / "DATA" / "night" / "train"
-    shutil.rmtree(root / "simulation" / "S00002")  # killed after the images got their place
+    shutil.rmtree(root / "simulation" / "S00002")  # killed after the images were in place
     (root / "images" / "S00002" / "099999.png").write_bytes(b"stale")
     (root / "simulation" / ".S00002.partial").mkdir()
     (root / "simulation" / ".S00002.partial" / "frames.jsonl").write_text("{")
@@ -165,10 +165,10 @@ def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
 
 
 def test_processes_change_nothing(whole: Path, tmp_path: Path) -> None:
-    told: list[tuple[int, int, int]] = []
-    summary = simulate_dataset(tmp_path, SCENES, drive, workers=Local(2), progress=lambda *one: told.append(one))
+    reported: list[tuple[int, int, int]] = []
+    summary = simulate_dataset(tmp_path, SCENES, drive, workers=Local(2), progress=lambda *call: reported.append(call))
     assert digest(tmp_path) == digest(whole)
-    assert sorted(told) == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
+    assert sorted(reported) == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
     assert (summary.labels.num_sequences, summary.labels.num_images, summary.num_kept) == (2, 5, 0)
 
 
@@ -181,14 +181,14 @@ def test_an_error_in_a_process_keeps_the_other_scene(whole: Path, tmp_path: Path
 
 
 def test_summary_and_progress(tmp_path: Path) -> None:
-    told: list[tuple[int, int, int]] = []
-    summary = simulate_dataset(tmp_path, SCENES, drive, progress=lambda *one: told.append(one))
-    assert told == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
+    reported: list[tuple[int, int, int]] = []
+    summary = simulate_dataset(tmp_path, SCENES, drive, progress=lambda *call: reported.append(call))
+    assert reported == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (2, 1, 2), (2, 2, 2)]
     labels = summary.labels
     assert (labels.num_empty_images, labels.num_direct, labels.num_indirect, labels.num_doubtful) == (2, 3, 3, 4)
-    told.clear()
-    assert simulate_dataset(tmp_path, SCENES, drive, progress=lambda *one: told.append(one)).num_kept == 2
-    assert told == [(1, 3, 3), (2, 2, 2)]
+    reported.clear()
+    assert simulate_dataset(tmp_path, SCENES, drive, progress=lambda *call: reported.append(call)).num_kept == 2
+    assert reported == [(1, 3, 3), (2, 2, 2)]
 
 
 def test_more_scenes_join_and_fewer_do_not(whole: Path, tmp_path: Path) -> None:

@@ -42,9 +42,9 @@ def test_a_message_without_offset_tells_the_road(ego_s_m: float) -> None:
     streets = street_map(WINDING)
     # The message is asked for where the car believes to be, so that only the quantisation is left.
     believed_m = ego_s_m + float(streets.offset_m(ego_s_m))
-    told, true = points_from_message(streets.message(ego_s_m), 1.75), _ahead(WINDING, believed_m)
-    errors_m = np.linalg.norm(told[:401] - true[: len(told)], axis=1)
-    assert len(told) >= 400
+    sent, true = points_from_message(streets.message(ego_s_m), 1.75), _ahead(WINDING, believed_m)
+    errors_m = np.linalg.norm(sent[:401] - true[: len(sent)], axis=1)
+    assert len(sent) >= 400
     assert errors_m[:50].max() < 1.0
     assert errors_m[200] < 4.0
     assert errors_m[400 - 1] < 12.0
@@ -60,7 +60,7 @@ def test_segments_follow_each_other() -> None:
 
 
 def test_ids_come_round_again() -> None:
-    hills = tuple((25.0 * place, 1.5 * (place % 2)) for place in range(180))
+    hills = tuple((25.0 * index, 1.5 * (index % 2)) for index in range(180))
     road = RoadSpec(length_m=4500.0, elevation_m=hills)
     streets = street_map(road)
     ids = {one.segment_id for s_m in range(0, 4500, 100) for one in streets.message(s_m).segments}
@@ -84,10 +84,10 @@ def test_the_message_is_wrong_by_the_offset() -> None:
     offsets_m = streets.offset_m(places_m)
     assert np.abs(offsets_m).max() > 20
     for s_m, offset_m in zip(places_m.tolist(), offsets_m.tolist(), strict=True):
-        told = points_from_message(streets.message(s_m), 1.75)[150, :2]
-        assert np.linalg.norm(told - _ahead(WINDING, s_m + offset_m)[150, :2]) < 2.0
+        sent = points_from_message(streets.message(s_m), 1.75)[150, :2]
+        assert np.linalg.norm(sent - _ahead(WINDING, s_m + offset_m)[150, :2]) < 2.0
         if abs(offset_m) > 10:
-            assert np.linalg.norm(told - _ahead(WINDING, s_m)[150, :2]) > 4.0
+            assert np.linalg.norm(sent - _ahead(WINDING, s_m)[150, :2]) > 4.0
 
 
 def test_the_same_seed_gives_the_same_messages() -> None:
@@ -106,8 +106,8 @@ def test_a_class_is_drawn_by_its_share() -> None:
     assert drawn.count(1) > drawn.count(4)
 
 
-def test_a_place_off_the_map() -> None:
-    with pytest.raises(ValueError, match="ego_s_m: expected a place on the map, -1000 to 1600 m, got 2000"):
+def test_a_position_off_the_map() -> None:
+    with pytest.raises(ValueError, match="ego_s_m: expected an arc length on the map, -1000 to 1600 m, got 2000"):
         street_map(STRAIGHT).message(2000.0)
 
 

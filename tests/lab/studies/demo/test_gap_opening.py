@@ -10,8 +10,7 @@ import pytest
 
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.lab.evaluation import Predictions
-from foreglow.lab.studies.demo.gap_opening import gap_opened_s
-from foreglow.lab.studies.demo.story import Story, tell_stories
+from foreglow.lab.studies.demo.metrics import Story, gap_opened_s, tell_stories
 
 RIGHT, LEFT = np.radians([14.5, 16.5])
 """Around the lamp in image 10054, 3.00 s, which comes into sight at 15.3 degrees."""

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.lab.studies.detector.page import FOUND_BGR, MISSED_BGR, draw, write_report
-from foreglow.lab.studies.detector.pictures import Choice, Shown, pictures
+from foreglow.lab.studies.detector.figures import FOUND_BGR, MISSED_BGR, Choice, Shown, draw, pictures
+from foreglow.lab.studies.detector.page import hidden_table, kind_table, main_table, write_report
 from foreglow.lab.studies.detector.plan import DetectorPlan
 from foreglow.lab.studies.detector.run import RowResult, run_experiment
-from foreglow.lab.studies.detector.tables import hidden_table, kind_table, main_table, markdown
 from foreglow.types import Frame
 from tests.lab.studies.detector_data import make_data, make_model
 from tests.stand_ins import result_of
@@ -72,7 +71,7 @@ def test_a_whole_report(tmp_path: Path) -> None:
 
 def test_all_rows_missing() -> None:
     for table in (main_table([MISSING]), kind_table([MISSING]), hidden_table([MISSING])):
-        head, rule, row = markdown(table)
+        head, rule, row = table.markdown().splitlines()
         assert head.count("|") == rule.count("|") == row.count("|") - row.count("\\|")
         assert "*needs a GPU \\| a large one*" in row
 

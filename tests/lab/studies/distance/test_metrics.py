@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.lab.studies.distance.metrics import median_interval, range_bins, relative_errors, summarise
+from foreglow.files import to_json
+from foreglow.lab.evaluation.boxes.breakdown import range_bins
+from foreglow.lab.studies.distance.metrics import median_interval, relative_errors, summarise
 
 
 def test_by_hand() -> None:
@@ -27,10 +29,10 @@ def test_by_hand() -> None:
 def test_nothing_to_summarise() -> None:
     errors = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
     assert errors.num == 0
-    assert all(value is None for name, value in errors.to_json().items() if name != "num")
+    assert all(value is None for name, value in to_json(errors).items() if name != "num")
     unknown = summarise(np.ones(3), np.full(3, np.nan))
     assert (unknown.missing, math.isnan(unknown.median), math.isnan(unknown.within_one_sigma)) == (1.0, True, True)
-    json.dumps(unknown.to_json(), allow_nan=False)
+    json.dumps(to_json(unknown), allow_nan=False)
 
 
 @settings(derandomize=True, max_examples=100)

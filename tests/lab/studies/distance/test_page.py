@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.config import preset, read_config
-from foreglow.lab.studies.distance.findings import find
+from foreglow.lab.studies.distance.metrics import find
 from foreglow.lab.studies.distance.page import headline, write_report
 from foreglow.lab.studies.distance.run import DistancePlan, DistanceResults, run_experiment
 from tests.lab.studies.ranged_drives import make_split

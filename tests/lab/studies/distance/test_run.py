@@ -10,7 +10,8 @@ import pytest
 from foreglow.config import ClassifierConfig, DistanceConfig, preset
 from foreglow.distance import ESTIMATORS
 from foreglow.distance.pixelwise import PixelwiseEstimator
-from foreglow.lab.studies.distance.findings import Finding, find
+from foreglow.files import to_json
+from foreglow.lab.studies.distance.metrics import Finding, find
 from foreglow.lab.studies.distance.run import (
     BOX_ALONE,
     OWN_RULE,
@@ -110,7 +111,7 @@ def test_findings_are_those_of_their_lights(results: DistanceResults, findings: 
     level, up = (one(findings, "pitch", Method("gp", "centre", t), "all", f"{t:+.1f}°").errors for t in (0.0, 0.5))
     assert up.median > level.median
     assert sum(f.axis == "localisation" and f.light == "all" and f.method == CENTRE_GP for f in findings) in (1, 2)
-    json.dumps([finding.to_json() for finding in findings], allow_nan=False)
+    json.dumps(to_json(findings), allow_nan=False)
 
 
 def test_another_time_gives_the_same(data: Path, results: DistanceResults) -> None:

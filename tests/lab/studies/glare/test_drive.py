@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from tests.lab.evaluation.glare_drives import approach
+from tests.lab.studies.glare_drives import approach
 
 EYE: dict[str, Any] = {
     "vehicle_id": 1,

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.drive_file import read_glare_drive, write_glare_drive
-from tests.lab.evaluation.glare_drives import approach, empty_drive
+from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
+from tests.lab.studies.glare_drives import approach, empty_drive
 
 
 def assert_same(one: Any, other: Any) -> None:

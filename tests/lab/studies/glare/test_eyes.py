@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, RoadLight
-from foreglow.lab.studies.glare.eyes import Glare, first_glare_s, score_eye
-from foreglow.lab.studies.glare.limits import FMVSS_108, R123
-from tests.lab.evaluation.glare_drives import approach
+from foreglow.lab.studies.glare.metrics import FMVSS_108, R123, Glare, first_glare_s, score_eye
+from tests.lab.studies.glare_drives import approach
 
 ON, OFF = np.ones((2, 1, 1)), np.zeros((2, 1, 1))
 

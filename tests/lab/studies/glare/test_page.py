@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.lab.studies.glare.figures import README_WIDTH_PX
-from foreglow.lab.studies.glare.limits import R123
-from foreglow.lab.studies.glare.metrics import score_glare
-from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_report
-from foreglow.lab.studies.glare.results import GlareResults, SensitivityPoint
-from tests.lab.evaluation.glare_drives import approach, empty_drive
+from foreglow.files import to_json
+from foreglow.lab.reports.figures import DPI
+from foreglow.lab.studies.glare.drive import write_glare_drive
+from foreglow.lab.studies.glare.figures import README_WIDTH_IN
+from foreglow.lab.studies.glare.metrics import R123
+from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_experiment, write_report
+from foreglow.lab.studies.glare.run import GlareExperiment
+from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
+from tests.lab.studies.glare_drives import approach, empty_drive
 
 pytest.importorskip("matplotlib")
 
@@ -44,7 +47,7 @@ def test_the_folder(folder: Path, results: GlareResults) -> None:
     record = json.loads((folder / "results.json").read_text())
     assert record["made_with"]["version"]
     assert record["others"][0]["limits"] == "UN R123"
-    assert GlareResults.from_json(record).to_json() == results.to_json()
+    assert {name: record[name] for name in to_json(results)} == to_json(results)
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png") == len(figures)
     assert '<video controls style="max-width: 100%" src="b.mp4">' in page
@@ -56,7 +59,7 @@ def test_the_folder(folder: Path, results: GlareResults) -> None:
 
 def test_the_readme_figure_is_as_wide_as_its_column(folder: Path) -> None:
     width, _ = struct.unpack(">II", (folder / "readme.png").read_bytes()[16:24])
-    assert width == README_WIDTH_PX
+    assert width == round(README_WIDTH_IN * DPI) == 900
 
 
 def test_a_row_for_each_policy_and_drive(folder: Path, results: GlareResults) -> None:
@@ -81,6 +84,16 @@ def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> Non
     page = write_report(score_glare("empty", [drive]), [drive], tmp_path).read_text()
     assert "Preceding drivers" not in page
     assert page.count("data:image/png") == 2
+
+
+def test_a_film_is_in_the_page(tmp_path: Path) -> None:
+    (tmp_path / "drives").mkdir()
+    for drive in DRIVES[:2]:
+        write_glare_drive(tmp_path / "drives" / f"{drive.name}.npz", drive)
+    (tmp_path / "film_approach_01.mp4").write_bytes(b"")
+    page = write_experiment(GlareExperiment(score_glare("made up", DRIVES[:2]), (), (), tmp_path)).read_text()
+    assert page.count("<video ") == 1
+    assert 'src="film_approach_01.mp4"' in page
 
 
 def test_in_words(results: GlareResults) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.road import phase_light, phases, road_share, switching, wrong_dimming
+from foreglow.lab.studies.glare.metrics import phase_light, phases, road_share, switching, wrong_dimming
 
 NUM = 20
 SEEN = range(6, 10)

@@ -11,17 +11,21 @@ import pytest
 
 from foreglow.beam import Gap, GapWriter
 from foreglow.config import BeamConfig, PipelineConfig, preset
+from foreglow.files import to_json
 from foreglow.geometry import Floats
+from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without_traffic
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
-from foreglow.lab.studies.glare.drive_file import read_glare_drive
-from foreglow.lab.studies.glare.driving import RUN_IN_S, settings_of
+from foreglow.lab.studies.glare import run
+from foreglow.lab.studies.glare import simulate as driving
+from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.lab.studies.glare.light import OurLight, seen_lamps
 from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
+from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
-from foreglow.lab.studies.occurrence.metrics import Sighting, lead_scores
+from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 from tests.lab.simulation.light.rendering import need_renderer
@@ -165,8 +169,10 @@ def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
     return folder / "scenes.jsonl"
 
 
-def test_a_small_experiment_and_its_resumption(tmp_path: Path) -> None:
-    scenes = write_scenes_of(tmp_path, scene(RUN_IN_S + 4 / 18))
+def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_in_s = 0.5
+    monkeypatch.setattr(driving, "RUN_IN_S", run_in_s)
+    scenes = write_scenes_of(tmp_path, scene(run_in_s + 4 / 18))
     plan, out = GlarePlan(num_empty=1, quality="fast"), tmp_path / "out"
     told: list[tuple[int, int, int]] = []
     experiment = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
@@ -175,17 +181,39 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert len(experiment.results.sensitivity) == len(settings_of(plan.delays))
     drive = read_glare_drive(out / "drives" / "S00001.npz")
-    assert drive.times_s[0] >= RUN_IN_S
+    assert drive.times_s[0] >= run_in_s
     assert {one.is_oncoming for one in drive.eyes} == {True, False}
     assert not read_glare_drive(out / "drives" / "S00001-empty.npz").eyes
     assert (drive.eyes[0].illuminance_lx(1.0) > drive.eyes[0].illuminance_lx(0.0)).all()
     told.clear()
     again = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
     assert len(told) == 2  # both are there
-    assert again.results.to_json() == experiment.results.to_json()
+    assert to_json(again.results) == to_json(experiment.results)
     other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
     with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
         run_experiment(scenes, other, plan, out, progress=lambda *_: None)
+
+
+def test_every_policy_has_a_row_of_its_own() -> None:
+    names = [driving.own_name(config().commanding(policy=name)) for name in ("foreglow", "paper", "low", "mine:Mine")]
+    assert names == ["foreglow", "our pipeline, paper", "our pipeline, low", "mine:Mine"]
+
+
+def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.1)
+    setting = Setting("margin", "deg", 2.0, 0.0, {"margin_deg": 2.0})
+    monkeypatch.setattr(driving, "settings_of", lambda _: (setting,))
+    monkeypatch.setattr(run, "settings_of", lambda _: (setting,))
+    scenes = write_scenes_of(tmp_path, scene(0.1 + 3 / 18))
+    plugged = config().commanding(policy="tests.test_plugins:AllLight")
+    plan = GlarePlan(quality="fast")
+    experiment = run_experiment(scenes, plugged, plan, tmp_path / "out", progress=lambda *_: None)
+    names = [policy.name for policy in experiment.results.policies]
+    assert names == ["low", "high", "production", "paper", "oracle", "tests.test_plugins:AllLight"]
+    assert [point.policy for point in experiment.results.sensitivity] == ["tests.test_plugins:AllLight"]
+    assert summary_lines(experiment.results)[0].startswith("tests.test_plugins:AllLight: glare dose of ")
+    setting_run = read_glare_drive(tmp_path / "out" / "drives" / "S00001.npz").runs[setting.name]
+    assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
 
 
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
@@ -207,7 +235,7 @@ def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
 
 def test_lead_scores_leave_out_what_was_not_told() -> None:
     told = Sighting(0, 1.0, 1.0, 0.2, 3.0, is_covered=True)
-    untold = Sighting.from_json(Sighting(1, 1.0, math.nan, math.nan, math.nan, is_covered=False).to_json())
+    untold = Sighting.from_json(to_json(Sighting(1, 1.0, math.nan, math.nan, math.nan, is_covered=False)))
     (score,) = lead_scores([told, untold])
     assert (score.num, score.num_told, score.median_deg, score.covered_share) == (2, 1, 1.0, 1.0)
     (nothing,) = lead_scores([untold])

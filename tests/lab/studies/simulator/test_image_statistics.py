@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.lab.studies.simulator.image_statistics import compare, image_statistics
+from foreglow.files import to_json
+from foreglow.lab.studies.simulator.metrics import compare_images, image_statistics
 from tests.shared_data import shared_file
 
 
@@ -77,13 +78,13 @@ def test_the_real_frame() -> None:
 
 def test_compare_and_json() -> None:
     real, simulated = image_statistics(noisy(2.0)), image_statistics(noisy(3.0))
-    rows = {row.name: row for row in compare(real, simulated)}
+    rows = {row.name: row for row in compare_images(real, simulated)}
     assert rows["noise grey"].ratio == pytest.approx(simulated.noise_grey / real.noise_grey)
     assert rows["grey level, percentile 50"].real == 30
     assert "lamp, 4 to 6 px" in rows
     assert math.isnan(rows["num saturated"].ratio)
-    assert real.to_json()["noise_grey"] == real.noise_grey
-    flat = image_statistics(np.full((64, 64), 7, np.uint8)).to_json()
+    assert to_json(real)["noise_grey"] == real.noise_grey
+    flat = to_json(image_statistics(np.full((64, 64), 7, np.uint8)))
     assert flat["correlation_x"] is None
     assert flat["percentiles_grey"] == [7.0] * 8
 

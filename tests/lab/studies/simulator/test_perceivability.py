@@ -5,9 +5,10 @@ import math
 
 import pytest
 
+from foreglow.files import to_json
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.simulation.scenes.scene import LabelRule
-from foreglow.lab.studies.simulator.perceivability import FirstTimes, PeaksOfFrame, first_times, rule_effects
+from foreglow.lab.studies.simulator.metrics import FirstTimes, PeaksOfFrame, first_times, rule_effects
 from tests.lab.simulation.truths import artifact
 
 RULE = LabelRule(min_grey=2.0, min_contrast=5.0)
@@ -60,7 +61,7 @@ def test_instances_of_hidden_images_only() -> None:
 
 def test_no_drives() -> None:
     (effect,) = rule_effects([], RULE, (1.0,))
-    fields = json.loads(json.dumps(effect.to_json(), allow_nan=False))
+    fields = json.loads(json.dumps(to_json(effect), allow_nan=False))
     assert fields["share_indirect_first"] is None
     assert fields["lead_s"]["median"] is None
     assert fields["num_drives"] == 0

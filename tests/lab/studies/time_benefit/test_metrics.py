@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, shipped_drive
+from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.first_found import first_found
 from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
@@ -79,7 +80,7 @@ def test_the_benefit_worked_by_hand() -> None:
     # Of three occluded ones the first and the last, which never comes into sight.
     assert result.provident_share == pytest.approx(2 / 3)
     assert result.num_missed == 1
-    assert result.to_json()["detected_s"] == [1.5, 3.5, None, 3.0]
+    assert to_json(result)["detected_s"] == [1.5, 3.5, None, 3.0]
 
 
 def test_no_encounter() -> None:

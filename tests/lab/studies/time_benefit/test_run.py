@@ -11,16 +11,14 @@ import pytest
 
 from foreglow.config import TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
-from foreglow.lab.studies.time_benefit.metrics import time_benefit
+from foreglow.files import to_json
+from foreglow.lab.studies.time_benefit.metrics import FalseTracks, Method, least_delay_s, time_benefit
 from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
 from foreglow.lab.studies.time_benefit.run import (
     FIVE_FRAMES,
     RULES,
     TRACKERS,
-    FalseTracks,
-    Method,
     TimeBenefitResults,
-    least_delay_s,
     run_experiment,
 )
 from foreglow.pipeline import Pipeline
@@ -129,7 +127,7 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     false = results.method("tracker, ours").false
     assert false is not None
     assert math.isnan(false.per_km)
-    record = results.to_json()
+    record = to_json(results)
     assert record["methods"][3]["false"]["per_km"] is None
     write_report(results, tmp_path / "report")
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions
 
 
@@ -64,17 +65,10 @@ class BoxQuality:
     threshold: float
 
     def rounded_as_published(self) -> BoxQuality:
-        """The same with the published rounding: every rate to 4 decimals, and q as the product of the rounded ones."""
+        """With the published rounding: every rate to 4 decimals, and q as the product of the rounded rates."""
         names = ("precision", "recall", "f1", "q_k", "q_k_std", "q_b", "q_b_std")
         rounded: dict[str, Any] = {name: round(getattr(self, name), 4) for name in names}
         return dataclasses.replace(self, **rounded, q=round(rounded["q_k"] * rounded["q_b"], 4))
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self)
-        return {
-            name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()
-        }
 
 
 def evaluate_boxes(
@@ -84,7 +78,7 @@ def evaluate_boxes(
 
     A keypoint lies in a box if x1 <= x <= x2 and y1 <= y <= y2: all four edges belong to the box, although boxes are
     half-open elsewhere. True positives and false negatives are keypoints, false positives are boxes. There is no
-    matching: a box may explain several keypoints, and a keypoint several boxes, which q_k and q_b tell.
+    matching: a box may explain several keypoints, and a keypoint several boxes, which q_k and q_b measure.
 
     Args:
         keypoints_px: By image id, shape (K, 2), columns x and y, full-frame pixels; an image without vehicles has
@@ -113,9 +107,9 @@ def evaluate_boxes(
     q_k, q_k_std = _mean_and_std(1.0 / keypoints_in_box[keypoints_in_box > 0])
     q_b, q_b_std = _mean_and_std(1.0 / boxes_around_keypoint[boxes_around_keypoint > 0])
     return BoxQuality(
-        precision=_ratio(tp, tp + fp),
-        recall=_ratio(tp, tp + fn),
-        f1=_ratio(tp, tp + 0.5 * (fp + fn)),
+        precision=ratio(tp, tp + fp),
+        recall=ratio(tp, tp + fn),
+        f1=ratio(tp, tp + 0.5 * (fp + fn)),
         q=q_k * q_b,
         q_k=q_k,
         q_k_std=q_k_std,
@@ -148,7 +142,7 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
         ValueError: If one of them is broken.
     """
     found = read_predictions(predictions)
-    return evaluate_boxes(split_keypoints_px(PVDN(split)), found, threshold)
+    return evaluate_boxes(split_keypoints_px(open_labelled(split)), found, threshold)
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:
@@ -160,7 +154,7 @@ def annotation_quality(split: Path | str) -> BoxQuality:
         FileNotFoundError: If the split or one of its label files is missing.
         ValueError: If one of them is broken.
     """
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     boxes: dict[int, NDArray[np.float64]] = {}
     labels: dict[int, NDArray[np.float64]] = {}
     for image_id in dataset.frame_ids:
@@ -171,7 +165,7 @@ def annotation_quality(split: Path | str) -> BoxQuality:
     return evaluate_boxes(split_keypoints_px(dataset), Predictions(boxes, labels))
 
 
-def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
+def split_keypoints_px(dataset: LabelledSource) -> dict[int, NDArray[np.int32]]:
     """The keypoints of all selected images by id, each of shape (K, 2), int32.
 
     Raises:
@@ -184,7 +178,3 @@ def split_keypoints_px(dataset: PVDN) -> dict[int, NDArray[np.int32]]:
 def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
     """Mean and population standard deviation; NaN of nothing."""
     return (float(values.mean()), float(values.std())) if len(values) else (math.nan, math.nan)
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, Instance
+from foreglow.datasets import Instance, LabelledSource
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
+from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, NUM_STRONGEST, Light, empty_images, read_lights
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
+from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
 
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
@@ -30,7 +30,7 @@ class LightGroup:
     Attributes:
         name: Of the group, such as `rail` or `30-60 m`.
         num: Lights in it.
-        recall: Share of them in an accepted box; NaN of none.
+        recall: Share of them in an accepted box; NaN without lights.
         ceiling: Share of them in any box, whatever its score: what the proposals leave to the classifier.
         f1: 2 P R / (P + R) of this recall and the precision of all boxes.
     """
@@ -41,10 +41,6 @@ class LightGroup:
     ceiling: float
     f1: float
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
-
 
 @dataclass(frozen=True, slots=True)
 class FalseBoxes:
@@ -53,7 +49,7 @@ class FalseBoxes:
     Attributes:
         num_images: The images.
         num: Such boxes, as the metrics of the paper count them.
-        num_doubtful: Those of them that hold doubtful light, for which nobody is to be blamed.
+        num_doubtful: Those of them that hold doubtful light, which is neither right nor wrong to accept.
     """
 
     num_images: int
@@ -62,13 +58,13 @@ class FalseBoxes:
 
     @property
     def per_frame(self) -> float:
-        """Mean of an image; NaN without images."""
-        return self.num / self.num_images if self.num_images else math.nan
+        """Mean number per image; NaN without images."""
+        return ratio(self.num, self.num_images)
 
     @property
     def per_frame_without_doubtful(self) -> float:
-        """The same without those that hold doubtful light."""
-        return (self.num - self.num_doubtful) / self.num_images if self.num_images else math.nan
+        """Mean number per image of those that hold no doubtful light either; NaN without images."""
+        return ratio(self.num - self.num_doubtful, self.num_images)
 
     @property
     def per_minute(self) -> float:
@@ -76,9 +72,8 @@ class FalseBoxes:
         return self.per_frame * PVDN_RATE_HZ * 60.0
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and rates by name, for JSON: null instead of NaN."""
-        rates = ("per_frame", "per_frame_without_doubtful", "per_minute")
-        return dataclasses.asdict(self) | {name: plain(getattr(self, name)) for name in rates}
+        """All fields and rates by name."""
+        return fields_to_json(self, "per_frame", "per_frame_without_doubtful", "per_minute")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,15 +91,6 @@ class ImageGroup:
     precision: float
     lights: LightGroup
     false_boxes: FalseBoxes
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {
-            "name": self.name,
-            "precision": plain(self.precision),
-            "lights": self.lights.to_json(),
-            "false_boxes": self.false_boxes.to_json(),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,19 +121,7 @@ class Breakdown:
 
     def group(self, aspect: str, name: str) -> LightGroup | None:
         """The group `name` of an aspect; None where it has no lights."""
-        return next((one for one in self.groups[aspect] if one.name == name), None)
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything by name, for JSON: null instead of NaN."""
-        return {
-            "threshold": self.threshold,
-            "precision": plain(self.precision),
-            "whole": self.whole.to_json(),
-            "groups": {aspect: [one.to_json() for one in groups] for aspect, groups in self.groups.items()},
-            "weathers": [one.to_json() for one in self.weathers],
-            "false_boxes": self.false_boxes.to_json(),
-            "false_boxes_empty": self.false_boxes_empty.to_json(),
-        }
+        return next((group for group in self.groups[aspect] if group.name == name), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +151,7 @@ class SplitLabels:
     @property
     def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
         """By image id, shape (K, 2): the positions of its lights, in their order."""
-        return {image_id: _positions(its) for image_id, its in self.lights.items()}
+        return {image_id: _positions(lights) for image_id, lights in self.lights.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +180,7 @@ class LightMatches:
         return np.array([light.is_hidden for light in self.lights], np.bool_)
 
 
-def read_split_labels(dataset: PVDN) -> SplitLabels:
+def read_split_labels(dataset: LabelledSource) -> SplitLabels:
     """The labels of the selected images of `dataset`.
 
     Raises:
@@ -218,23 +192,24 @@ def read_split_labels(dataset: PVDN) -> SplitLabels:
         name=dataset.name,
         rate_hz=dataset.rate_hz,
         lights=read_lights(dataset),
-        doubtful_px={one: _positions(dataset.doubtful(one)) for one in ids},
+        doubtful_px={image_id: _positions(dataset.doubtful(image_id)) for image_id in ids},
         empty_images=frozenset(empty_images(dataset)),
-        weather_of={one: dataset.sequence(one).weather.name.lower() for one in ids},
-        sequence_of={one: dataset.sequence(one).id for one in ids},
-        time_s={one: dataset.time_s(one) for one in ids},
+        weather_of={image_id: dataset.sequence(image_id).weather.name.lower() for image_id in ids},
+        sequence_of={image_id: dataset.sequence(image_id).id for image_id in ids},
+        time_s={image_id: dataset.time_s(image_id) for image_id in ids},
     )
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
     """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box."""
     matches = match_boxes(labels.keypoints_px, predictions)
+    doubtful_px = {image_id: labels.doubtful_px[image_id] for image_id in matches.image_ids}
     is_empty = np.array([image_id in labels.empty_images for image_id in matches.image_ids], np.bool_)
     return LightMatches(
-        lights=tuple(light for its in labels.lights.values() for light in its),
+        lights=tuple(light for lights in labels.lights.values() for light in lights),
         matches=matches,
         best_scores=matches.best_scores(),
-        has_doubtful=match_boxes({one: labels.doubtful_px[one] for one in matches.image_ids}, predictions).has_point,
+        has_doubtful=match_boxes(doubtful_px, predictions).has_point,
         is_in_empty=is_empty[matches.image_of_box],
         num_empty_images=int(is_empty.sum()),
     )
@@ -251,25 +226,25 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & ~matches.has_point
-    precision = _precision(is_found, is_false)
+    precision = ratio(is_found.sum(), is_found.sum() + is_false.sum())
 
-    def group(name: str, members: NDArray[np.bool_], its_precision: float = precision) -> LightGroup:
-        recall, ceiling = _share(is_found[members]), _share(matched.best_scores[members] > NEVER)
-        return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(its_precision, recall))
+    def group(name: str, members: NDArray[np.bool_], precision: float = precision) -> LightGroup:
+        recall, ceiling = share(is_found[members]), share(matched.best_scores[members] > NEVER)
+        return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(precision, recall))
 
     weather = np.array([(weather_of or {}).get(image_id, "") for image_id in matches.image_ids], object)
     weathers = []
     for name in sorted(set((weather_of or {}).values())):
         has_point, has_box = (weather == name)[matches.image_of_point], (weather == name)[matches.image_of_box]
-        its = _precision(is_found[has_point], is_false[has_box])
+        tp, fp = is_found[has_point].sum(), is_false[has_box].sum()
         false = _false_boxes(is_false & has_box, matched.has_doubtful, int((weather == name).sum()))
-        weathers.append(ImageGroup(name, its, group(name, has_point, its), false))
+        weathers.append(ImageGroup(name, ratio(tp, tp + fp), group(name, has_point, ratio(tp, tp + fp)), false))
     return Breakdown(
         threshold=threshold,
         precision=precision,
         whole=group("all", np.ones(len(matched.lights), np.bool_)),
         groups={
-            aspect: tuple(group(name, its) for name, its in members.items() if its.any())
+            aspect: tuple(group(name, is_member) for name, is_member in members.items() if is_member.any())
             for aspect, members in _members(matched.lights).items()
         },
         weathers=tuple(weathers),
@@ -296,6 +271,11 @@ def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
     return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
 
 
+def range_bins(ranges_m: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+    """For each bin of `RANGE_EDGES_M`, by its name such as `30-60 m`, which ranges are in it; shape (N,) each."""
+    return {f"{low:g}-{high:g} m": (low <= ranges_m) & (ranges_m < high) for low, high in pairwise(RANGE_EDGES_M)}
+
+
 def f1_of(precision: float, recall: float) -> float:
     """2 P R / (P + R); 0 where nothing is found, whatever the precision, NaN where nothing was to be found.
 
@@ -303,11 +283,6 @@ def f1_of(precision: float, recall: float) -> float:
     True
     """
     return 0.0 if recall == 0.0 else 2.0 * precision * recall / (precision + recall)
-
-
-def plain(value: Any) -> Any:
-    """`value`, for JSON: None instead of NaN."""
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]:
@@ -323,9 +298,7 @@ def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]
         "sight": {"hidden": is_hidden, "in sight": ~is_hidden},
         "strength": {"strongest three reflections": (rank >= 0) & (rank < NUM_STRONGEST)},
         "hidden kind": {name: is_hidden & (kind == name) for name in LIGHT_KINDS},
-        "distance": {
-            f"{low:g}-{high:g} m": (low <= range_m) & (range_m < high) for low, high in pairwise(RANGE_EDGES_M)
-        },
+        "distance": range_bins(range_m),
     }
 
 
@@ -333,15 +306,6 @@ def _false_boxes(is_false: NDArray[np.bool_], has_doubtful: NDArray[np.bool_], n
     return FalseBoxes(num_images, int(is_false.sum()), int((is_false & has_doubtful).sum()))
 
 
-def _precision(is_found: NDArray[np.bool_], is_false: NDArray[np.bool_]) -> float:
-    tp, fp = int(is_found.sum()), int(is_false.sum())
-    return tp / (tp + fp) if tp + fp else math.nan
-
-
-def _share(values: NDArray[np.bool_]) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
 def _positions(lights: Iterable[Light | Instance]) -> NDArray[np.float64]:
     """Their positions, shape (K, 2)."""
-    return np.array([one.position_px for one in lights], np.float64).reshape(-1, 2)
+    return np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)

@@ -1,17 +1,16 @@
-"""The metrics over all score thresholds at once, and the threshold that allows so many false boxes."""
+"""The metrics over all score thresholds at once, and the threshold for a given rate of false boxes."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import Matches
-
-Floats = NDArray[np.float64]
+from foreglow.lab.evaluation.ratios import ratios
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,17 +37,13 @@ class QualityCurve:
     q_b: Floats
     false_boxes_per_frame: Floats
 
-    def to_json(self) -> dict[str, list[float | None]]:
-        """All arrays by name, for JSON: null instead of NaN."""
-        return {name: _plain(getattr(self, name)) for name in self.__slots__}
-
     @property
     def best(self) -> tuple[float, float]:
         """The lowest threshold with the highest F, and that F; both NaN where there is neither keypoint nor box."""
         if np.isnan(self.f1).all():
             return math.nan, math.nan
-        place = int(np.nanargmax(self.f1))
-        return float(self.thresholds[place]), float(self.f1[place])
+        index = int(np.nanargmax(self.f1))
+        return float(self.thresholds[index]), float(self.f1[index])
 
     @property
     def average_precision(self) -> float:
@@ -78,27 +73,15 @@ class RecallCurve:
     recall: Floats
     false_boxes_per_frame: Floats
 
-    def recall_at(self, limit: float) -> float:
-        """The recall at the lowest threshold with at most `limit` false boxes a frame.
-
-        NaN where no such threshold is among those of the curve, or nothing was to be found.
-        """
-        is_within = self.false_boxes_per_frame <= limit
-        return float(self.recall[is_within][0]) if is_within.any() else math.nan
-
     def corners(self, num: int = 400) -> RecallCurve:
         """Of each recall the highest threshold, which has the fewest false boxes; if need be, `num` of them by rank.
 
         Nothing is lost by leaving out the others; by leaving out corners, some recall between those that are kept is.
         """
-        places = np.flatnonzero(np.append(self.recall[1:] != self.recall[:-1], True))
-        if len(places) > num:
-            places = places[np.linspace(0, len(places) - 1, num).astype(int)]
-        return RecallCurve(self.thresholds[places], self.recall[places], self.false_boxes_per_frame[places])
-
-    def to_json(self) -> dict[str, list[float | None]]:
-        """All arrays by name, for JSON: null instead of NaN."""
-        return {name: _plain(getattr(self, name)) for name in self.__slots__}
+        corners = np.flatnonzero(np.append(self.recall[1:] != self.recall[:-1], True))
+        if len(corners) > num:
+            corners = corners[np.linspace(0, len(corners) - 1, num).astype(int)]
+        return RecallCurve(self.thresholds[corners], self.recall[corners], self.false_boxes_per_frame[corners])
 
 
 def quality_curve(matches: Matches, thresholds: Floats | None = None) -> QualityCurve:
@@ -126,17 +109,17 @@ def quality_curve(matches: Matches, thresholds: Floats | None = None) -> Quality
     fp = num_above(matches.scores[~is_true], thresholds).astype(np.float64)
     fn = matches.num_points - tp
     true_boxes = num_above(matches.scores[is_true], thresholds).astype(np.float64)
-    q_k = _ratio(_sum_above(matches.scores[is_true], 1.0 / points_in_box[is_true], thresholds), true_boxes)
-    q_b = _ratio(_sum_above(*_share_changes(matches), thresholds), tp)
+    q_k = ratios(_sum_above(matches.scores[is_true], 1.0 / points_in_box[is_true], thresholds), true_boxes)
+    q_b = ratios(_sum_above(*_share_changes(matches), thresholds), tp)
     return QualityCurve(
         thresholds=thresholds,
-        precision=_ratio(tp, tp + fp),
-        recall=_ratio(tp, tp + fn),
-        f1=_ratio(tp, tp + 0.5 * (fp + fn)),
+        precision=ratios(tp, tp + fp),
+        recall=ratios(tp, tp + fn),
+        f1=ratios(tp, tp + 0.5 * (fp + fn)),
         q=q_k * q_b,
         q_k=q_k,
         q_b=q_b,
-        false_boxes_per_frame=_ratio(fp, np.full(len(fp), float(matches.num_images))),
+        false_boxes_per_frame=ratios(fp, matches.num_images),
     )
 
 
@@ -151,8 +134,7 @@ def recall_curve(best_scores: Floats, false_scores: Floats, num_images: int) -> 
     thresholds = distinct_thresholds(np.concatenate([best_scores[np.isfinite(best_scores)], false_scores]))
     found = num_above(best_scores, thresholds).astype(np.float64)
     false = num_above(false_scores, thresholds).astype(np.float64)
-    whole = np.ones(len(thresholds))
-    return RecallCurve(thresholds, _ratio(found, len(best_scores) * whole), _ratio(false, num_images * whole))
+    return RecallCurve(thresholds, ratios(found, len(best_scores)), ratios(false, num_images))
 
 
 def threshold_at_false_boxes(false_scores: Floats, num_images: int, limit: float) -> float:
@@ -211,12 +193,3 @@ def _share_changes(matches: Matches) -> tuple[Floats, Floats]:
     change: Floats = np.asarray(1.0 / rank, np.float64)
     change[rank > 1] -= 1.0 / (rank[rank > 1] - 1.0)
     return scores[order], change
-
-
-def _ratio(part: Floats, whole: Floats) -> Floats:
-    """Shape (T,): part / whole, NaN where the whole is 0."""
-    return np.asarray(np.divide(part, whole, out=np.full(len(part), np.nan), where=whole > 0))
-
-
-def _plain(values: Floats) -> list[Any]:
-    return [None if math.isnan(value) else value for value in values.tolist()]

@@ -1,8 +1,7 @@
-"""Direct or indirect: how well lamps are told from their light on something, and which two lamps are one vehicle's."""
+"""How well direct and indirect light are distinguished, and how well two lamps are recognised as one vehicle's."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,11 +12,13 @@ from numpy.typing import NDArray
 
 from foreglow.beam.vehicles import group_vehicles
 from foreglow.calibration import read_calibration
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
+from foreglow.files import fields_to_json
 from foreglow.geometry import Camera
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 from foreglow.lab.evaluation.boxes.lights import Light
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 
@@ -42,8 +43,8 @@ class DirectQuality:
     Attributes:
         num_direct: Boxes with a lamp.
         num_indirect: Boxes with other light alone.
-        recall_direct: Share of the former that are called direct; NaN of none.
-        recall_indirect: Share of the latter that are called indirect; NaN of none.
+        recall_direct: Share of the boxes with a lamp that are called direct; NaN without such boxes.
+        recall_indirect: Share of the others that are called indirect; NaN without such boxes.
     """
 
     num_direct: int
@@ -57,9 +58,8 @@ class DirectQuality:
         return (self.recall_direct + self.recall_indirect) / 2
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and the mean by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self) | {"balanced_accuracy": self.balanced_accuracy}
-        return {name: plain(value) for name, value in values.items()}
+        """All fields and their mean by name."""
+        return fields_to_json(self, "balanced_accuracy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +68,9 @@ class VehicleQuality:
 
     Attributes:
         num_pairs: Pairs that were made.
-        precision: Share of them in which both tracks hold a lamp of the same vehicle; NaN of none.
+        precision: Share of the pairs in which both tracks hold a lamp of the same vehicle; NaN without pairs.
         num_vehicles: Vehicles with two lamps in tracks of their own.
-        recall: Share of them of which such a pair was made; NaN of none.
+        recall: Share of these vehicles for which such a pair was made; NaN without vehicles.
     """
 
     num_pairs: int
@@ -78,29 +78,20 @@ class VehicleQuality:
     num_vehicles: int
     recall: float
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
-
 
 @dataclass(frozen=True, slots=True)
 class Directness:
-    """How well direct and indirect light are told apart in a run.
+    """How well direct and indirect light are distinguished in a run.
 
     Attributes:
-        boxes: Of the accepted boxes; None where they do not say.
-        tracks: Of the plausible tracks of every image; None without tracks, or where they do not say.
-        vehicles: Of the same tracks; None without tracks or without calibrations.
+        boxes: Of the accepted boxes; None where the predictions do not say direct or indirect.
+        tracks: Of the plausible tracks of every image; None without tracks, or where they do not say it.
+        vehicles: Of the plausible tracks; None without tracks or without calibrations.
     """
 
     boxes: DirectQuality | None = None
     tracks: DirectQuality | None = None
     vehicles: VehicleQuality | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything by name, for JSON."""
-        parts = {"boxes": self.boxes, "tracks": self.tracks, "vehicles": self.vehicles}
-        return {name: None if one is None else one.to_json() for name, one in parts.items()}
 
 
 def directness(
@@ -127,7 +118,7 @@ def directness(
 
 
 def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold: float) -> DirectQuality | None:
-    """How well the accepted boxes are told apart; None where the predictions do not say."""
+    """How well the accepted boxes are classified; None where the predictions do not say direct or indirect."""
     truth, calls = [], []
     for image_id, probabilities in predictions.direct_probabilities.items():
         if image_id not in labels.lights:
@@ -139,14 +130,14 @@ def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold
 
 
 def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> DirectQuality | None:
-    """How well plausible tracks are told apart, each once an image, by what lies in their boxes; None: do not say."""
+    """How well plausible tracks are classified, by what lies in their boxes, once in each image; None as for boxes."""
     truth, calls = [], []
-    for image_id, its in tracks.items():
+    for image_id, in_image in tracks.items():
         if image_id not in labels.lights:
             continue
-        is_rated = its.is_plausible & ~np.isnan(its.direct_probabilities)
-        truth.append(_sources(labels.lights[image_id], its.boxes_xyxy_px[is_rated]))
-        calls.append(its.direct_probabilities[is_rated])
+        is_rated = in_image.is_plausible & ~np.isnan(in_image.direct_probabilities)
+        truth.append(_sources(labels.lights[image_id], in_image.boxes_xyxy_px[is_rated]))
+        calls.append(in_image.direct_probabilities[is_rated])
     return _quality(truth, calls)
 
 
@@ -161,59 +152,56 @@ def vehicles_of_tracks(
         cameras: By sequence id; images of other sequences are left out.
     """
     num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
-    for image_id, its in tracks.items():
+    for image_id, in_image in tracks.items():
         camera = cameras.get(labels.sequence_of.get(image_id, -1))
         if camera is None:
             continue
-        held = _lamps_held(labels.lights[image_id], its)
-        vehicles = {one for one in set().union(*(lamps.keys() for lamps in held)) if _is_apart(held, one)}
-        pairs = [group for group in group_vehicles(its, camera) if len(group) == 2]
-        right = [held[one].keys() & held[other].keys() for one, other in pairs]
+        held = _lamps_held(labels.lights[image_id], in_image)
+        vehicle_ids = set().union(*(lamps.keys() for lamps in held))
+        vehicles = {vehicle_id for vehicle_id in vehicle_ids if _is_apart(held, vehicle_id)}
+        pairs = [group for group in group_vehicles(in_image, camera) if len(group) == 2]
+        right = [held[left].keys() & held[right].keys() for left, right in pairs]
         num_pairs += len(pairs)
-        num_right += sum(bool(one) for one in right)
+        num_right += sum(map(bool, right))
         num_vehicles += len(vehicles)
         num_found += len(vehicles & set().union(*right))
     if not cameras:
         return None
-    return VehicleQuality(
-        num_pairs,
-        num_right / num_pairs if num_pairs else math.nan,
-        num_vehicles,
-        num_found / num_vehicles if num_vehicles else math.nan,
-    )
+    return VehicleQuality(num_pairs, ratio(num_right, num_pairs), num_vehicles, ratio(num_found, num_vehicles))
 
 
-def read_cameras(dataset: PVDN) -> dict[int, Camera]:
+def read_cameras(dataset: LabelledSource) -> dict[int, Camera]:
     """The calibrations of a simulated split, by sequence id; none where it has none.
 
     Raises:
         ValueError: If one is broken.
     """
-    paths = {one.id: dataset.root / "simulation" / one.directory / "camera.toml" for one in dataset.sequences}
+    paths = {
+        sequence.id: dataset.root / "simulation" / sequence.directory / "camera.toml" for sequence in dataset.sequences
+    }
     return {sequence_id: read_calibration(path) for sequence_id, path in paths.items() if path.is_file()}
 
 
 def _lamps_held(lights: tuple[Light, ...], tracks: Tracks) -> list[dict[int, set[int]]]:
-    """For each track the lamps in its box, by vehicle, as places in `lights`; nothing for tracks not plausible."""
+    """For each track the lamps in its box, by vehicle, as indices of `lights`; nothing for tracks not plausible."""
     held: list[dict[int, set[int]]] = [{} for _ in range(len(tracks))]
-    for place, light in enumerate(lights):
+    for index, light in enumerate(lights):
         if light.is_direct:
             is_in = lies_in(np.array(light.position_px), tracks.boxes_xyxy_px) & tracks.is_plausible
             for track in np.flatnonzero(is_in):
-                held[track].setdefault(light.vehicle_id, set()).add(place)
+                held[track].setdefault(light.vehicle_id, set()).add(index)
     return held
 
 
 def _is_apart(held: list[dict[int, set[int]]], vehicle_id: int) -> bool:
     """Whether two tracks hold different lamps of the vehicle."""
-    sets = {frozenset(its[vehicle_id]) for its in held if vehicle_id in its}
-    return len(sets) > 1
+    return len({frozenset(lamps[vehicle_id]) for lamps in held if vehicle_id in lamps}) > 1
 
 
 def _sources(lights: tuple[Light, ...], boxes_xyxy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shape (N,): 1 for a box with a lamp, 0 for one with other light alone, NaN without a light."""
     sources = np.full(len(boxes_xyxy_px), np.nan)
-    for light in sorted(lights, key=lambda one: one.is_direct):
+    for light in sorted(lights, key=lambda light: light.is_direct):
         sources[lies_in(np.array(light.position_px), boxes_xyxy_px)] = light.is_direct
     return sources
 
@@ -224,9 +212,4 @@ def _quality(truth: list[NDArray[np.float64]], calls: list[NDArray[np.float64]])
     if not len(called):
         return None
     direct, indirect = called[is_direct == 1], called[is_direct == 0]
-    return DirectQuality(
-        len(direct),
-        len(indirect),
-        float(direct.mean()) if len(direct) else math.nan,
-        float((~indirect).mean()) if len(indirect) else math.nan,
-    )
+    return DirectQuality(len(direct), len(indirect), share(direct), share(~indirect))

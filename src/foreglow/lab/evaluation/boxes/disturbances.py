@@ -161,7 +161,7 @@ def noise_level(pixels: NDArray[np.float32]) -> float:
     a little too high.
     """
     width = pixels.shape[1] // 4 * 4
-    first, second, third = (pixels[::4, place:width:4] for place in range(3))
+    first, second, third = (pixels[::4, column:width:4] for column in range(3))
     if not first.size:
         return 0.0
     is_dark = third <= np.median(third)

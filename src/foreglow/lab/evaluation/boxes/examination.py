@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.box_quality import BoxQuality, evaluate_boxes
 from foreglow.lab.evaluation.boxes.breakdown import (
     Breakdown,
@@ -16,7 +17,6 @@ from foreglow.lab.evaluation.boxes.breakdown import (
     break_down,
     hidden_curve,
     match_lights,
-    plain,
     threshold_for_empty_images,
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
@@ -31,7 +31,7 @@ RunTime: TypeAlias = Mapping[str, float | None]
 
 CURVE_THRESHOLDS = np.round(np.arange(0.0, 1.0, 0.01), 2)
 FALSE_BOX_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
-"""False boxes a frame in images without any vehicle's light, at which hidden vehicles' recall is told."""
+"""False boxes a frame in images without any vehicle's light, at which hidden vehicles' recall is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +53,6 @@ class OperatingPoint:
     recall: float
     precision: float
     f1: float
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(getattr(self, name)) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,18 +77,6 @@ class Ranking:
     operating_points: tuple[OperatingPoint, ...]
     calibration: Calibration | None
 
-    def to_json(self) -> dict[str, Any]:
-        """Everything by name, for JSON: null instead of NaN."""
-        return {
-            "average_precision": plain(self.average_precision),
-            "best_threshold": plain(self.best_threshold),
-            "best_f1": plain(self.best_f1),
-            "curve": self.curve.to_json(),
-            "hidden": self.hidden.to_json(),
-            "operating_points": [one.to_json() for one in self.operating_points],
-            "calibration": None if self.calibration is None else self.calibration.to_json(),
-        }
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination:
@@ -108,7 +92,7 @@ class Examination:
         ranking: Figures over all thresholds; None for boxes without scores.
         run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
         robustness: Figures under disturbances; empty where not asked for.
-        directness: How well lamps are told from their light on something, and grouped into vehicles.
+        directness: How well direct and indirect light are distinguished, and lamps grouped into vehicles.
     """
 
     name: str
@@ -122,21 +106,14 @@ class Examination:
     robustness: tuple[RobustnessRow, ...] = ()
     directness: Directness = field(default_factory=Directness)
 
+    @property
+    def share_found_ahead(self) -> float:
+        """See `share_found_ahead`."""
+        return share_found_ahead(self.vehicles)
+
     def to_json(self) -> dict[str, Any]:
-        """Everything by name, for JSON: null instead of NaN."""
-        return {
-            "name": self.name,
-            "detector": self.detector,
-            "rate_hz": self.rate_hz,
-            "quality": self.quality.to_json(),
-            "breakdown": self.breakdown.to_json(),
-            "share_found_ahead": plain(share_found_ahead(self.vehicles)),
-            "vehicles": [one.to_json() for one in self.vehicles],
-            "ranking": None if self.ranking is None else self.ranking.to_json(),
-            "run_time_ms": {stage: dict(times) for stage, times in self.run_time_ms.items()},
-            "robustness": [row.to_json() for row in self.robustness],
-            "directness": self.directness.to_json(),
-        }
+        """Everything by name."""
+        return fields_to_json(self, "share_found_ahead")
 
 
 def rank(labels: SplitLabels, predictions: Predictions) -> Ranking:

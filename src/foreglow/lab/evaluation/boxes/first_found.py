@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels, plain
+from foreglow.files import fields_to_json
+from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels
+from foreglow.lab.evaluation.ratios import share
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +46,8 @@ class FirstFound:
         return self.lamp_s - self.found_s
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and both times by name, for JSON: null instead of NaN."""
-        values = dataclasses.asdict(self) | {"delay_s": self.delay_s, "lead_s": self.lead_s}
-        return {name: plain(value) for name, value in values.items()}
+        """All fields and both times by name."""
+        return fields_to_json(self, "delay_s", "lead_s")
 
 
 def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) -> tuple[FirstFound, ...]:
@@ -57,8 +57,8 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
     finer than the frames.
     """
     rows = [
-        (light.sequence_id, light.vehicle_id, labels.time_s[light.image_id], light.is_direct, best > threshold, place)
-        for light, best, place in zip(
+        (light.sequence_id, light.vehicle_id, labels.time_s[light.image_id], light.is_direct, best > threshold, index)
+        for light, best, index in zip(
             matched.lights, matched.best_scores.tolist(), matched.matches.image_of_point.tolist(), strict=True
         )
         if not light.is_rear
@@ -66,15 +66,14 @@ def first_found(labels: SplitLabels, matched: LightMatches, threshold: float) ->
     rows.sort(key=lambda row: row[:3])
     found = []
     for (sequence_id, vehicle_id), group in itertools.groupby(rows, key=lambda row: row[:2]):
-        its = list(group)
-        light_s, light_place = its[0][2], its[0][5]
-        found_s, found_place = next(((row[2], float(row[5])) for row in its if row[4]), (math.nan, math.nan))
-        lamp_s = next((row[2] for row in its if row[3]), math.nan)
-        found.append(FirstFound(sequence_id, vehicle_id, light_s, found_s, lamp_s, found_place - light_place))
+        lights = list(group)
+        light_s, light_index = lights[0][2], lights[0][5]
+        found_s, found_index = next(((row[2], float(row[5])) for row in lights if row[4]), (math.nan, math.nan))
+        lamp_s = next((row[2] for row in lights if row[3]), math.nan)
+        found.append(FirstFound(sequence_id, vehicle_id, light_s, found_s, lamp_s, found_index - light_index))
     return tuple(found)
 
 
 def share_found_ahead(vehicles: Sequence[FirstFound]) -> float:
-    """Share of the vehicles whose light comes before their first lamp that are also found before it; NaN of none."""
-    early = [one for one in vehicles if one.light_s < one.lamp_s]
-    return sum(one.lead_s > 0 for one in early) / len(early) if early else math.nan
+    """Of the vehicles whose light comes before their first lamp, the share found before it; NaN without any."""
+    return share([vehicle.lead_s > 0 for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s])

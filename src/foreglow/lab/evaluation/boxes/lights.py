@@ -1,4 +1,4 @@
-"""The labelled lights of a data set, one record each, in groups that a detector's recall is told apart by."""
+"""The labelled lights of a data set, with the properties by which a detector's recall is broken down."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from foreglow.datasets import PVDN, Instance, Vehicle
+from foreglow.datasets import Instance, LabelledSource, Vehicle
 from foreglow.datasets.simulated import KINDS, Artifact, has_truth, read_truth
 
 LAMP, INDIRECT = "lamp", "indirect"
-"""Kinds that the labels alone can tell; simulated sets say what indirect light is seen on."""
+"""The kinds in the labels themselves; the truth of simulated sets says what indirect light is seen on."""
 
 LIGHT_KINDS: tuple[str, ...] = (*KINDS, INDIRECT)
 """All kinds, in the order of tables."""
@@ -24,21 +24,21 @@ DIRECT_RANK = -1
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """One light artifact in one image: a keypoint of the labels, with what else is known of it.
+    """A light artifact in an image: a keypoint of the labels, with what else is known about it.
 
     Attributes:
         image_id: The image.
         sequence_id: Its sequence.
         vehicle_id: The vehicle whose light it is (PVDN: oid).
         position_px: Full-frame pixels x, y.
-        kind: `lamp` for the lamp itself; else what the light is seen on: rail, road, verge, foliage, wall, sign,
-            vehicle or haze where the set is simulated, `indirect` where it is not.
+        kind: A name in `LIGHT_KINDS`: `lamp` for the lamp itself; of other light what it is seen on, or `indirect` if
+            the set is not simulated.
         is_direct: Whether it is the lamp itself.
         is_rear: Whether it comes from rear lamps.
-        is_hidden: Whether none of its vehicle's lamps has been labelled in this or an earlier image of the sequence.
+        is_hidden: Whether no lamp of its vehicle is labelled in this or an earlier image of the sequence.
         range_m: From the camera to the vehicle; NaN where unknown.
         grey: Grey levels that the light adds at its peak; NaN where unknown.
-        rank: Place among the indirect lights of its image, 0 for the strongest; in the file's order where strengths
+        rank: Rank among the indirect lights of its image, 0 for the strongest; in the file's order where strengths
             are unknown; -1 for direct light.
     """
 
@@ -57,20 +57,20 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What the simulator adds to a vehicle's labels in one image."""
+    """What the simulator knows about a vehicle in an image, beside its labels."""
 
     range_m: float
     artifacts: dict[int, Artifact]
 
 
-def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
-    """The lights of every selected image of `dataset`, by image id; doubtful ones are left out.
+def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
+    """The lights of every selected image of `dataset`, by image id, without doubtful lights.
 
-    Where the split has the simulator's truth beside its labels, kinds, ranges and strengths are filled in.
+    Kinds, ranges and strengths come from the simulator's truth if the split has it.
 
     Raises:
-        FileNotFoundError: If a label file, or one of the truth, is missing.
-        ValueError: If one is broken, or the truth does not know an instance of the labels.
+        FileNotFoundError: If a file of the labels or of the truth is missing.
+        ValueError: If such a file is broken, or the truth does not have an instance of the labels.
     """
     selected = set(dataset.frame_ids)
     lights: dict[int, tuple[Light, ...]] = {}
@@ -79,7 +79,7 @@ def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
         seen: set[int] = set()  # vehicles with a direct instance so far
         for image_id in sorted(sequence.image_ids):
             vehicles = dataset.annotations(image_id)
-            seen |= {one.oid for one in vehicles if any(instance.is_direct for instance in one.instances)}
+            seen |= {vehicle.oid for vehicle in vehicles if any(light.is_direct for light in vehicle.instances)}
             if image_id in selected:
                 found = [
                     _light(image_id, sequence.id, vehicle, instance, vehicle.oid not in seen, known)
@@ -90,8 +90,8 @@ def read_lights(dataset: PVDN) -> dict[int, tuple[Light, ...]]:
     return {image_id: lights[image_id] for image_id in dataset.frame_ids}
 
 
-def empty_images(dataset: PVDN) -> tuple[int, ...]:
-    """Ids of the selected images in which no vehicle's light is to be seen, not even doubtful light."""
+def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
+    """Ids of the selected images without any light of vehicles, not even doubtful light."""
     return tuple(
         image_id
         for image_id in dataset.frame_ids
@@ -99,8 +99,8 @@ def empty_images(dataset: PVDN) -> tuple[int, ...]:
     )
 
 
-def _known(dataset: PVDN, sequence_id: int) -> dict[tuple[int, int], _Known]:
-    """What the simulator knows, by image and vehicle; nothing of a set that is not simulated."""
+def _known(dataset: LabelledSource, sequence_id: int) -> dict[tuple[int, int], _Known]:
+    """The simulator's truth by image and vehicle; empty if the set is not simulated."""
     if not has_truth(dataset.root):
         return {}
     return {
@@ -133,21 +133,21 @@ def _light(
     )
     if not known:
         return light
-    its = known.get((image_id, vehicle.oid))
-    artifact = None if its is None else its.artifacts.get(instance.iid)
-    if its is None or artifact is None:
+    vehicle_known = known.get((image_id, vehicle.oid))
+    artifact = None if vehicle_known is None else vehicle_known.artifacts.get(instance.iid)
+    if vehicle_known is None or artifact is None:
         raise ValueError(
             f"image {image_id}: expected instance {instance.iid} of vehicle {vehicle.oid} in the simulator's truth"
         )
-    return dataclasses.replace(light, kind=artifact.kind, range_m=its.range_m, grey=artifact.grey)
+    return dataclasses.replace(light, kind=artifact.kind, range_m=vehicle_known.range_m, grey=artifact.grey)
 
 
 def _ranked(lights: Sequence[Light]) -> Iterator[Light]:
     """`lights` with their ranks, in their order."""
-    indirect = sorted((one for one in lights if not one.is_direct), key=lambda one: -_strength(one))
-    rank_of = {id(one): rank for rank, one in enumerate(indirect)}
-    for one in lights:
-        yield dataclasses.replace(one, rank=rank_of.get(id(one), DIRECT_RANK))
+    indirect = sorted((light for light in lights if not light.is_direct), key=lambda light: -_strength(light))
+    rank_of = {id(light): rank for rank, light in enumerate(indirect)}
+    for light in lights:
+        yield dataclasses.replace(light, rank=rank_of.get(id(light), DIRECT_RANK))
 
 
 def _strength(light: Light) -> float:

@@ -19,8 +19,9 @@ NEVER = -np.inf
 class Matches:
     """All points and all boxes of a set of images, one after another, and which point lies in which box.
 
-    Point p is in image `image_ids[image_of_point[p]]`, box b likewise; pair m says that point `pair_point[m]` lies in
-    box `pair_box[m]`. There is no assignment: a box may hold several points, and a point may lie in several boxes.
+    Point p is in image `image_ids[image_of_point[p]]`, box b in `image_ids[image_of_box[b]]`; pair m says that point
+    `pair_point[m]` lies in box `pair_box[m]`. There is no assignment: a box may hold several points, and a point may
+    lie in several boxes.
 
     Attributes:
         image_ids: The images with ground truth, in the given order.
@@ -100,7 +101,7 @@ def lies_in(points_px: NDArray[Any], boxes_xyxy_px: NDArray[Any]) -> NDArray[np.
 
 
 def smallest_box(position_px: Sequence[float] | NDArray[Any], boxes_xyxy_px: NDArray[Any]) -> int | None:
-    """Place of the smallest of the boxes that hold the point, the first one of equals; None if none does.
+    """Index of the smallest of the boxes that hold the point, the first of equals; None if none does.
 
     >>> smallest_box((5.0, 5.0), np.array([[0, 0, 9, 9], [4, 4, 6, 6]], np.int32))
     1
@@ -138,8 +139,8 @@ def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions)
         points.append(np.asarray(its_points, np.float64))
         boxes.append(its_boxes)
         scores.append(predictions.scores.get(image_id, scores[0]))
-    num_points = np.array([len(one) for one in points[1:]], np.intp)
-    num_boxes = np.array([len(one) for one in boxes[1:]], np.intp)
+    num_points = np.array([*map(len, points[1:])], np.intp)
+    num_boxes = np.array([*map(len, boxes[1:])], np.intp)
     image_of_point = np.repeat(np.arange(len(num_points)), num_points)
     image_of_box = np.repeat(np.arange(len(num_boxes)), num_boxes)
     all_scores = np.concatenate(scores)

@@ -6,13 +6,13 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, break_down, match_lights, plain
+from foreglow.datasets import LabelledSource
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, break_down, match_lights
 from foreglow.lab.evaluation.boxes.disturbances import DISTURBANCES, Disturbance
 from foreglow.lab.evaluation.boxes.split_run import Progress, SplitRun, run_variants
+from foreglow.lab.evaluation.ratios import ratio
 from foreglow.pipeline import Pipeline
 
 
@@ -42,13 +42,9 @@ class RobustnessRow:
     false_boxes_per_empty_frame: float
     proposals_per_frame: float
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(getattr(self, name)) for name in self.__slots__}
-
 
 def robustness(
-    dataset: PVDN,
+    dataset: LabelledSource,
     labels: SplitLabels,
     config: PipelineConfig,
     *,
@@ -70,10 +66,12 @@ def robustness(
         FileNotFoundError: If an image or the model is missing.
         ValueError: If an image is broken, the model does not fit, or two disturbances have the same name.
     """
-    names = [one.name for one in disturbances]
+    names = [disturbance.name for disturbance in disturbances]
     if len(set(names)) < len(names):
         raise ValueError(f"disturbances: expected each name once, got {', '.join(names)}")
-    variants = {one.name: (Pipeline(config), functools.partial(one, seed=seed)) for one in disturbances}
+    variants = {
+        disturbance.name: (Pipeline(config), functools.partial(disturbance, seed=seed)) for disturbance in disturbances
+    }
     runs = run_variants(dataset, variants, progress)
     return tuple(_row(name, run, labels, config.classifier.score_threshold) for name, run in runs.items())
 
@@ -92,5 +90,5 @@ def _row(name: str, run: SplitRun, labels: SplitLabels, threshold: float) -> Rob
         recall_hidden=math.nan if hidden is None else hidden.recall,
         false_boxes_per_frame=broken_down.false_boxes.per_frame,
         false_boxes_per_empty_frame=broken_down.false_boxes_empty.per_frame,
-        proposals_per_frame=matches.num_boxes / matches.num_images if matches.num_images else math.nan,
+        proposals_per_frame=ratio(matches.num_boxes, matches.num_images),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
@@ -13,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import expit, logit
 
-Floats = NDArray[np.float64]
+from foreglow.geometry import Floats
+from foreglow.lab.evaluation.ratios import ratio
 
 SMALLEST_SCORE = 1e-7
 """Scores are kept this far from 0 and 1 before their logit is taken: single precision knows nothing beyond."""
@@ -39,7 +39,7 @@ class Bin:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How well scores tell the probability of a light artifact in the box.
+    """How close scores are to the probability of a light artifact in the box.
 
     Attributes:
         num: Boxes with a score; those with only doubtful light are left out.
@@ -51,7 +51,7 @@ class Calibration:
         nll_at_temperature: The nll with it.
         ece_at_temperature: The calibration error with it.
         bins: The reliability diagram, by score, in bins of equal counts: the figures are theirs.
-        tenths: The same in bins of a tenth of the score, empty ones left out: most boxes have low scores, so bins of
+        tenths: The diagram in bins of a tenth of the score, without empty bins: most boxes have low scores, so bins of
             equal counts say little of the high ones.
     """
 
@@ -66,13 +66,9 @@ class Calibration:
     bins: tuple[Bin, ...]
     tenths: tuple[Bin, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON."""
-        return dataclasses.asdict(self)
-
 
 def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Calibration:
-    """How well `scores` tell the probability of `labels`.
+    """How close `scores` are to the probability of `labels`.
 
     Args:
         scores: Shape (N,), from 0 to 1.
@@ -153,10 +149,10 @@ def logits_of(scores: ArrayLike) -> Floats:
 
 def _tenths(scores: Floats, labels: Floats) -> tuple[Bin, ...]:
     """Boxes by the first decimal of their score; that of 1 is in the last bin."""
-    place = np.minimum((scores * 10.0).astype(int), 9)
-    members = [place == one for one in range(10)]
+    tenths = np.minimum((scores * 10.0).astype(int), 9)
     return tuple(
-        Bin(int(its.sum()), float(scores[its].mean()), float(labels[its].mean())) for its in members if its.any()
+        Bin(int(is_in.sum()), float(scores[is_in].mean()), float(labels[is_in].mean()))
+        for is_in in (tenths == tenth for tenth in np.unique(tenths))
     )
 
 
@@ -186,5 +182,4 @@ def log_loss(logits: NDArray[Any], labels: NDArray[Any], positive_weight: float 
 
 
 def _ece(bins: tuple[Bin, ...]) -> float:
-    num = sum(one.num for one in bins)
-    return sum(one.num * abs(one.share - one.mean_score) for one in bins) / num if num else math.nan
+    return ratio(sum(part.num * abs(part.share - part.mean_score) for part in bins), sum(part.num for part in bins))

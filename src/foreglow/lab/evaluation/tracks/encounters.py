@@ -1,18 +1,16 @@
 """The first vehicle of each sequence: when its light is annotated, when it is in sight, and when it is reported.
 
-All times of a sequence count from its first image. Its first vehicle is the one whose light is annotated first.
+All times of a sequence count from its first image. Its first vehicle is the vehicle whose light is annotated first.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
-from foreglow.datasets import PVDN, CategoryConfig
+from foreglow.datasets import CategoryConfig, LabelledSource
 from foreglow.datasets.simulated import has_truth, read_truth
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, plain
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 
 HUMAN_DELAY_S = 0.8
 """From the first annotated artifact to a human's report of the vehicle, on average (paper)."""
@@ -23,12 +21,12 @@ UNKNOWN_VEHICLE = "vehicle"
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """The first vehicle of one sequence. Times are seconds from the sequence's first image; NaN for never.
+    """The first vehicle of a sequence. Times are seconds from the sequence's first image; NaN for never.
 
     Attributes:
         sequence_id: The sequence.
         sequence: Its folder.
-        scenario: What the simulator drew, such as `crest`; empty where unknown.
+        scenario: Name of the simulator's scenario, such as `crest`; empty where unknown.
         vehicle_id: The vehicle (PVDN: oid).
         vehicle: Its kind: car, van, lorry, motorcycle; `vehicle` where unknown.
         light_s: Its first annotated artifact.
@@ -49,7 +47,7 @@ class Encounter:
 
     @property
     def is_occluded(self) -> bool:
-        """Whether its light is annotated before its lamps are, or these never are."""
+        """Whether its light is annotated before its lamps, or its lamps are never annotated."""
         return not self.light_s >= self.sight_s
 
     @property
@@ -57,13 +55,9 @@ class Encounter:
         """When a human would report it, on average."""
         return self.light_s + HUMAN_DELAY_S
 
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
-
 
 def read_encounters(
-    dataset: PVDN, labels: SplitLabels, categories: CategoryConfig | None = None
+    dataset: LabelledSource, labels: SplitLabels, categories: CategoryConfig | None = None
 ) -> tuple[Encounter, ...]:
     """The first vehicle of every sequence of `dataset` with annotated light, in the order of sequences.
 
@@ -105,7 +99,7 @@ def read_encounters(
 
 
 def vehicle_facts(
-    dataset: PVDN, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
+    dataset: LabelledSource, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
 ) -> tuple[str, str, float]:
     """Scenario, kind of the vehicle, and when the production system first reports a vehicle; see `Encounter`."""
     scenario, kind = "", UNKNOWN_VEHICLE

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, Sequence
+from foreglow.datasets import LabelledSource, Sequence
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
 from foreglow.runs.predictions import Predictions
@@ -58,7 +58,7 @@ class MotScores:
 
 
 def export_mot(
-    dataset: PVDN, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
+    dataset: LabelledSource, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
 ) -> None:
     """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
 
@@ -83,14 +83,13 @@ def export_mot(
         lights = list(_light_rows(dataset, image_ids, proposals))
         if not lights:
             continue
-        its = folder / "gt" / sequence.directory
-        (its / "gt").mkdir(parents=True, exist_ok=True)
-        write_atomic(its / "gt" / "gt.txt", "".join(lights).encode())
-        write_atomic(its / "seqinfo.ini", _sequence_info(dataset, sequence).encode())
-        followed = folder / "trackers" / name / "data"
-        followed.mkdir(parents=True, exist_ok=True)
+        truth, tracked = folder / "gt" / sequence.directory, folder / "trackers" / name / "data"
+        for path in (truth / "gt", tracked):
+            path.mkdir(parents=True, exist_ok=True)
+        write_atomic(truth / "gt" / "gt.txt", "".join(lights).encode())
+        write_atomic(truth / "seqinfo.ini", _sequence_info(dataset, sequence).encode())
         rows = "".join(_track_rows(dataset, image_ids, tracks))
-        write_atomic(followed / f"{sequence.directory}.txt", rows.encode())
+        write_atomic(tracked / f"{sequence.directory}.txt", rows.encode())
         written += 1
     if not written:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
@@ -107,7 +106,7 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
     """
     import trackeval
 
-    lengths = {one.parent.name: _length(one) for one in sorted((folder / "gt").glob("*/seqinfo.ini"))}
+    lengths = {path.parent.name: _length(path) for path in sorted((folder / "gt").glob("*/seqinfo.ini"))}
     if not lengths or not (folder / "trackers" / name / "data").is_dir():
         raise ValueError(f"{folder}: expected the files of export-mot with a tracker {name}, found none")
     settings = {
@@ -127,21 +126,21 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
     metrics.append(trackeval.metrics.Identity({"PRINT_CONFIG": False}))
     with contextlib.redirect_stdout(io.StringIO()):
         results, _ = evaluator.evaluate([trackeval.datasets.MotChallenge2DBox(settings)], metrics)
-    its = results["MotChallenge2DBox"][name]["COMBINED_SEQ"]["pedestrian"]  # the name that the format has for class 1
+    found = results["MotChallenge2DBox"][name]["COMBINED_SEQ"]["pedestrian"]  # the name that the format has for class 1
     return MotScores(
-        hota=float(np.mean(its["HOTA"]["HOTA"])),
-        det_a=float(np.mean(its["HOTA"]["DetA"])),
-        ass_a=float(np.mean(its["HOTA"]["AssA"])),
-        idf1=float(its["Identity"]["IDF1"]),
-        mota=float(its["CLEAR"]["MOTA"]),
-        num_switches=int(its["CLEAR"]["IDSW"]),
-        num_fragments=int(its["CLEAR"]["Frag"]),
+        hota=float(np.mean(found["HOTA"]["HOTA"])),
+        det_a=float(np.mean(found["HOTA"]["DetA"])),
+        ass_a=float(np.mean(found["HOTA"]["AssA"])),
+        idf1=float(found["Identity"]["IDF1"]),
+        mota=float(found["CLEAR"]["MOTA"]),
+        num_switches=int(found["CLEAR"]["IDSW"]),
+        num_fragments=int(found["CLEAR"]["Frag"]),
     )
 
 
-def _light_rows(dataset: PVDN, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
+def _light_rows(dataset: LabelledSource, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
     numbers: dict[tuple[int, int], int] = {}
-    for place, image_id in enumerate(image_ids, start=1):
+    for frame, image_id in enumerate(image_ids, start=1):
         objects: dict[tuple[float, ...], int] = {}
         for vehicle in dataset.annotations(image_id):
             for light in vehicle.instances:
@@ -149,24 +148,24 @@ def _light_rows(dataset: PVDN, image_ids: Iterable[int], proposals: Predictions)
                 box = _box_around(np.array(light.position_px, np.float64), proposals.boxes_xyxy_px[image_id])
                 objects[box] = min(number, objects.get(box, number))
         for box, number in objects.items():
-            yield f"{place},{number},{_extent(box)},1,1,1\n"
+            yield f"{frame},{number},{_extent(box)},1,1,1\n"
 
 
-def _track_rows(dataset: PVDN, image_ids: Iterable[int], tracks: Mapping[int, Tracks]) -> Iterable[str]:
-    for place, image_id in enumerate(image_ids, start=1):
-        its = tracks[image_id]
-        boxes = its.boxes_xyxy_px
-        is_doubtful = _holds(boxes, [one.position_px for one in dataset.doubtful(image_id)])
+def _track_rows(dataset: LabelledSource, image_ids: Iterable[int], tracks: Mapping[int, Tracks]) -> Iterable[str]:
+    for frame, image_id in enumerate(image_ids, start=1):
+        found = tracks[image_id]
+        boxes = found.boxes_xyxy_px
+        is_doubtful = _holds(boxes, [light.position_px for light in dataset.doubtful(image_id)])
         is_doubtful &= ~_holds(boxes, dataset.keypoints_px(image_id))
-        for index in np.flatnonzero(its.is_plausible & ~is_doubtful):
-            yield f"{place},{its.ids[index] + 1},{_extent(boxes[index])},{its.confidences[index]:.4f},-1,-1,-1\n"
+        for row in np.flatnonzero(found.is_plausible & ~is_doubtful):
+            yield f"{frame},{found.ids[row] + 1},{_extent(boxes[row])},{found.confidences[row]:.4f},-1,-1,-1\n"
 
 
 def _box_around(point_px: _Boxes, boxes: _Boxes) -> tuple[float, ...]:
     """The smallest box that contains the point; a square around it where there is none."""
-    place = smallest_box(point_px, boxes)
-    if place is not None:
-        return tuple(boxes[place].tolist())
+    index = smallest_box(point_px, boxes)
+    if index is not None:
+        return tuple(boxes[index].tolist())
     half = FALLBACK_SIDE_PX / 2
     return tuple(np.concatenate([point_px - half, point_px + half]).tolist())
 
@@ -182,7 +181,7 @@ def _extent(box: Iterable[float]) -> str:
     return f"{x1:.3f},{y1:.3f},{x2 - x1:.3f},{y2 - y1:.3f}"
 
 
-def _sequence_info(dataset: PVDN, sequence: Sequence) -> str:
+def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
     image = dataset.image(min(sequence.image_ids))
     return (
         f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"

@@ -52,8 +52,8 @@ def match_tracks(
         tracks: By image id, for every image of the labels; ids are unique within a sequence.
         boxes_xyxy_px: By image id, shape (N, 4), the boxes that `Tracks.detections` counts.
     """
-    image_ids = sorted(labels.sequence_of, key=lambda one: (labels.sequence_of[one], labels.time_s[one]))
-    groups = itertools.groupby(image_ids, key=lambda one: labels.sequence_of[one])
+    image_ids = sorted(labels.sequence_of, key=lambda image_id: (labels.sequence_of[image_id], labels.time_s[image_id]))
+    groups = itertools.groupby(image_ids, key=labels.sequence_of.__getitem__)
     return tuple(_match_sequence(labels, list(group), tracks, boxes_xyxy_px) for _, group in groups)
 
 
@@ -64,41 +64,42 @@ def _match_sequence(
     boxes_xyxy_px: Mapping[int, NDArray[np.floating]],
 ) -> SequenceTracks:
     """What the tracks of one sequence, with its images in the order of time, are worth."""
-    plausible: dict[int, int] = {}  # and the image in which it first was
-    lit: set[int] = set()  # have held any light
-    vehicles_of: dict[int, set[int]] = {}
-    firsts: dict[int, dict[str, float]] = {}
-    for place, image_id in enumerate(image_ids):
-        its, now_s = tracks[image_id], labels.time_s[image_id]
-        plausible_now = set(its.ids[its.is_plausible].tolist())
+    plausible: dict[int, int] = {}  # by track, the image in which it first was
+    lit: set[int] = set()  # tracks that have held any light
+    vehicles_of: dict[int, set[int]] = {}  # by track
+    firsts: dict[int, dict[str, float]] = {}  # by vehicle, times and indices of images
+    for index, image_id in enumerate(image_ids):
+        in_image, now_s = tracks[image_id], labels.time_s[image_id]
+        plausible_now = set(in_image.ids[in_image.is_plausible].tolist())
         plausible = dict.fromkeys(plausible_now, image_id) | plausible
-        detected = its.detections >= 0
-        ids = its.ids[detected].tolist()
-        boxes = boxes_xyxy_px[image_id][its.detections[detected]]
-        lit |= {ids[index] for _, index in _held(labels.doubtful_px[image_id], boxes)}
+        is_detected = in_image.detections >= 0
+        ids = in_image.ids[is_detected].tolist()
+        boxes = boxes_xyxy_px[image_id][in_image.detections[is_detected]]
+        lit |= {ids[box] for _, box in _held(labels.doubtful_px[image_id], boxes)}
         lights = labels.lights[image_id]
         points_px = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
         for light in lights:
             if not light.is_rear:
-                first = firsts.setdefault(light.vehicle_id, {"light": now_s, "place": place})
+                first = firsts.setdefault(light.vehicle_id, {"light": now_s, "light_index": index})
                 if light.is_direct:
                     first.setdefault("lamp", now_s)
-        for which, index in _held(points_px, boxes):
-            light, track_id = lights[which], ids[index]
+        for point, box in _held(points_px, boxes):
+            light, track_id = lights[point], ids[box]
             lit.add(track_id)
             if not light.is_rear:
                 vehicles_of.setdefault(track_id, set()).add(light.vehicle_id)
-        for vehicle_id in {vehicle for one in plausible_now for vehicle in vehicles_of.get(one, ())}:
+        for vehicle_id in set().union(*(vehicles_of.get(track_id, ()) for track_id in plausible_now)):
             firsts[vehicle_id].setdefault("found", now_s)
-            firsts[vehicle_id].setdefault("found_place", place)
+            firsts[vehicle_id].setdefault("found_index", index)
     sequence_id = labels.sequence_of[image_ids[0]]
+    false = plausible.keys() - lit
     return SequenceTracks(
         sequence_id=sequence_id,
         duration_s=len(image_ids) / labels.rate_hz,
         num_plausible=len(plausible),
-        num_false=len(plausible.keys() - lit),
-        empty_s=sum(one in labels.empty_images for one in image_ids) / labels.rate_hz,
-        num_false_empty=sum(plausible[one] in labels.empty_images for one in plausible.keys() - lit),
+        num_false=len(false),
+        empty_s=len(labels.empty_images.intersection(image_ids)) / labels.rate_hz,
+        num_false_empty=sum(plausible[track_id] in labels.empty_images for track_id in false),
         vehicles=tuple(
             FirstFound(
                 sequence_id,
@@ -106,7 +107,7 @@ def _match_sequence(
                 first["light"],
                 first.get("found", math.nan),
                 first.get("lamp", math.nan),
-                first.get("found_place", math.nan) - first["place"],
+                first.get("found_index", math.nan) - first["light_index"],
             )
             for vehicle_id, first in sorted(firsts.items())
         ),

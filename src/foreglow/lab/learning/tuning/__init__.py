@@ -1,4 +1,4 @@
-"""Search for parameters of the proposal stage with Optuna; needs the `train` extra, imported only when it is used."""
+"""Search for parameters of the proposal stage with Optuna, from the `train` extra, imported only when it is used."""
 
 from foreglow.lab.learning.tuning.measurement import Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES

@@ -1,7 +1,7 @@
-"""Decoded frames in one file, memory-mapped: a trial reads them as fast as memory, and processes share them.
+"""Decoded frames in one memory-mapped file: trials read them as fast as memory, and processes share them.
 
-`FrameCache` keeps a file an image, each of which costs an open file while it is mapped and 0.3 ms to find: here
-hundreds of frames are held for the whole search, at 0.2 ms a frame for the proposals.
+`FrameCache` has one file for each image, which costs an open file while it is mapped and 0.3 ms to find. Here hundreds
+of frames stay open during the whole search, and the proposals take only 0.2 ms per frame.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.files import open_atomic, write_atomic
 from foreglow.lab.learning.annotate import Progress
 from foreglow.types import Image
@@ -23,12 +23,12 @@ from foreglow.types import Image
 
 @dataclass(frozen=True, slots=True)
 class FrameStack:
-    """Where decoded frames lie, one after another; small enough to be sent to another process.
+    """A file of decoded frames, one after another; small enough to be sent to another process.
 
     Attributes:
         path: The file of pixels.
         shapes: Rows and columns of each frame.
-        dtypes: uint8 or uint16, of each frame.
+        dtypes: Data type of each frame, uint8 or uint16.
     """
 
     path: Path
@@ -48,21 +48,21 @@ class FrameStack:
 
 
 def stack_frames(
-    dataset: PVDN,
+    dataset: LabelledSource,
     image_ids: Sequence[int],
     folder: Path,
     *,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> FrameStack:
-    """The images `image_ids` of `dataset`, decoded into `folder`; what is there from an earlier call is used.
+    """The images `image_ids` of `dataset`, decoded into `folder`; the file of an earlier call is used again.
 
     Args:
-        dataset: Where the images come from.
-        image_ids: Which ones, in the wanted order.
-        folder: Where the pixels lie, 1.2 MB an image of 1280x960; made if absent.
-        jobs: Threads that decode.
-        progress: Told of every image.
+        dataset: The data set of the images.
+        image_ids: The images, in the wanted order.
+        folder: Folder for the pixels, 1.2 MB for an image of 1280x960; made if it does not exist.
+        jobs: Number of threads that decode.
+        progress: Called after every image.
 
     Raises:
         FileNotFoundError: If an image is missing.

@@ -1,4 +1,4 @@
-"""What a proposer's boxes are worth on labelled frames: box quality, recall by kind of light, boxes an image."""
+"""Rating of a proposer's boxes on labelled frames: box quality, recall by kind of light, boxes per image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -24,7 +24,7 @@ from foreglow.proposals import make_proposer
 from foreglow.types import Image
 
 NUM_CHUNKS = 8
-"""A trial's frames come in this many parts, each from all over the data set, and may end after any."""
+"""A trial's frames come in this many parts, each spread over the data set; a trial may be stopped after any part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class LabelledLights:
 
     Attributes:
         points_px: Shape (K, 2), columns x and y, full-frame pixels.
-        is_of_kind: By name of the kind, shape (K,): a light may be of several.
+        is_of_kind: Shape (K,) by name of the kind; a light may be of several kinds.
     """
 
     points_px: NDArray[np.float64]
@@ -41,7 +41,7 @@ class LabelledLights:
 
     @classmethod
     def of(cls, lights: Sequence[Light]) -> LabelledLights:
-        """The same lights, by the kinds that `Measurement` tells apart."""
+        """The lights, sorted into the kinds that `Measurement` distinguishes."""
         points = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
         kinds = {
             "lamps": [light.is_direct for light in lights],
@@ -53,15 +53,15 @@ class LabelledLights:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What the boxes of one proposer are worth. NaN where there is nothing to be rated.
+    """The rating of one proposer's boxes. NaN where undefined.
 
     Attributes:
-        num_images: Images that were looked at.
-        num_boxes: Boxes in them.
-        quality: Of all boxes as they are; its recall, q, q_K and q_B are those of the boxes with a key point, too.
-        recall_lamps: Share of the lamps in a box.
-        recall_strongest: Share of the `NUM_STRONGEST` strongest reflections of each image in a box.
-        recall_hidden: Share of the light of vehicles without a lamp in sight so far in a box.
+        num_images: Number of images.
+        num_boxes: Number of boxes in them.
+        quality: Quality of all boxes; boxes without a key point do not change its recall, q, q_K and q_B.
+        recall_lamps: Share of the lamps that are in a box.
+        recall_strongest: Share of the `NUM_STRONGEST` strongest reflections of each image that are in a box.
+        recall_hidden: Share of the lights of vehicles without a lamp in sight so far that are in a box.
     """
 
     num_images: int
@@ -73,12 +73,12 @@ class Measurement:
 
     @property
     def boxes_per_image(self) -> float:
-        """Mean number of boxes in an image."""
+        """Mean number of boxes per image."""
         return self.num_boxes / self.num_images if self.num_images else math.nan
 
     @property
     def figures(self) -> dict[str, float]:
-        """What tables show, by name."""
+        """The figures for tables, by name."""
         return {
             "q": self.quality.q,
             "q_k": self.quality.q_k,
@@ -98,7 +98,7 @@ class Measurement:
 
 @dataclass(slots=True)
 class Tally:
-    """Boxes and what they cover, image by image."""
+    """Counts of boxes and the lights in them, image by image."""
 
     boxes: dict[int, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
     keypoints_px: dict[int, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
@@ -111,12 +111,12 @@ class Tally:
         self.boxes[image_id] = boxes
         self.keypoints_px[image_id] = lights.points_px
         is_found = lies_in(lights.points_px[:, None], boxes).any(axis=1)
-        for name, is_one in lights.is_of_kind.items():
-            self.num_lights[name] = self.num_lights.get(name, 0) + int(np.count_nonzero(is_one))
-            self.num_found[name] = self.num_found.get(name, 0) + int(np.count_nonzero(is_one & is_found))
+        for name, is_kind in lights.is_of_kind.items():
+            self.num_lights[name] = self.num_lights.get(name, 0) + int(np.count_nonzero(is_kind))
+            self.num_found[name] = self.num_found.get(name, 0) + int(np.count_nonzero(is_kind & is_found))
 
     def measurement(self) -> Measurement:
-        """What all images so far are worth together."""
+        """The rating over all images so far."""
         scores = {image_id: np.ones(len(boxes)) for image_id, boxes in self.boxes.items()}
         recall = {name: self.num_found[name] / num if num else math.nan for name, num in self.num_lights.items()}
         return Measurement(
@@ -131,12 +131,12 @@ class Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """The frames that trials are measured on, with their labels; small, since pixels stay in a file.
+    """The frames that trials are measured on, with their labels; small, since the pixels stay in a file.
 
     Attributes:
-        image_ids: In the order in which trials take them: every part of `NUM_CHUNKS` is spread over all sequences.
-        lights: Of each image.
-        frames: Their pixels.
+        image_ids: The images in the order of the trials: each of the `NUM_CHUNKS` parts is spread over all sequences.
+        lights: The lights of each image.
+        frames: The pixels.
     """
 
     image_ids: tuple[int, ...]
@@ -145,7 +145,7 @@ class Material:
 
     @property
     def digest(self) -> str:
-        """Tells data apart, wherever they lie: by image ids and labels."""
+        """A digest of the image ids and labels; the folder of the data does not matter."""
         state = hashlib.sha256(repr(self.image_ids).encode())
         for labelled in self.lights:
             state.update(labelled.points_px.tobytes())
@@ -155,7 +155,7 @@ class Material:
 
 
 class Bench:
-    """Measures proposers on the same frames, again and again."""
+    """Measures one proposer after another on the same frames."""
 
     def __init__(self, material: Material) -> None:
         self.material = material
@@ -165,11 +165,11 @@ class Bench:
 
     @property
     def num_chunks(self) -> int:
-        """How many measurements `measure` yields."""
+        """Number of measurements that `measure` yields."""
         return len(self._edges) - 1
 
     def measure(self, config: ProposalConfig) -> Iterator[Measurement]:
-        """What `config` is worth on the first part of the frames, on the first two, ..., and at last on all."""
+        """The ratings of `config` on the first part of the frames, on the first two parts, ..., and on all."""
         proposer = make_proposer(config)
         tally = Tally()
         for start, end in zip(self._edges, self._edges[1:], strict=False):
@@ -180,14 +180,14 @@ class Bench:
 
 
 def read_material(
-    dataset: PVDN,
+    dataset: LabelledSource,
     num_images: int,
     folder: Path,
     *,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Material:
-    """`num_images` of `dataset`, or all if it has fewer, evenly spread over its sequences, decoded into `folder`.
+    """`num_images` of `dataset`, or all if there are fewer, evenly spread over its sequences, decoded into `folder`.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -204,9 +204,9 @@ def read_material(
 
 
 def measure_split(
-    dataset: PVDN, configs: Sequence[ProposalConfig], progress: Progress | None = None
+    dataset: LabelledSource, configs: Sequence[ProposalConfig], progress: Progress | None = None
 ) -> tuple[Measurement, ...]:
-    """What each of `configs` is worth on all images of `dataset`, each of which is decoded once.
+    """The rating of each of `configs` on all images of `dataset`; each image is decoded once.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -216,9 +216,9 @@ def measure_split(
     proposers = [make_proposer(config) for config in configs]
     tallies = [Tally() for _ in configs]
     for done, frame in enumerate(dataset, start=1):
-        its_lights = LabelledLights.of(lights[frame.frame])
+        labelled = LabelledLights.of(lights[frame.frame])
         for proposer, tally in zip(proposers, tallies, strict=True):
-            tally.add(frame.frame, proposer.propose(frame.image).boxes_xyxy_px, its_lights)
+            tally.add(frame.frame, proposer.propose(frame.image).boxes_xyxy_px, labelled)
         if progress is not None:
             progress(dataset.name, done, len(dataset))
     return tuple(tally.measurement() for tally in tallies)

@@ -1,7 +1,6 @@
-"""What a search minimises: a table name -> loss of a measurement beside that of the paper's parameters.
+"""What a search minimises: losses by name, each a function of a measurement and that of the paper's parameters.
 
-Both measurements are of the same frames, also while a trial has seen only some of them. To add an objective, write
-its function and put it into `OBJECTIVES`.
+Both measurements are always of the same frames. To add an objective, write its function and add it to `OBJECTIVES`.
 """
 
 from __future__ import annotations
@@ -17,21 +16,21 @@ Loss: TypeAlias = Callable[[Measurement, Measurement], float]
 """The loss of the first measurement; the second is that of the paper's parameters on the same frames."""
 
 TARGETS = {"recall_lamps": 0.97, "recall_strongest": 0.70, "recall_hidden": 0.85}
-"""What `light_loss` wants of each recall. Own requirements: what a rough trial reached with a large window."""
+"""Recalls that `light_loss` requires. Our own requirements: what a first trial reached with a large window."""
 
 MARGIN = 0.01
 MARGINS = {"recall_lamps": 0.01, "recall_strongest": 0.03, "recall_hidden": 0.05}
-"""Parameters must hold on frames that they were not searched on: `light_loss` asks for this much more. Hidden light is
-rare: on a hundred lights a recall of 0.85 is known to 0.04 (one standard deviation), the strongest on 400 to 0.02."""
+"""`light_loss` requires this much more, since parameters must also hold on other frames. Hidden light is rare: over a
+hundred lights a recall of 0.85 has a standard deviation of 0.04, over 400 of the strongest of 0.02."""
 
 SHORTFALL_WEIGHT = 10.0
-"""So that no gain beyond the targets outweighs a miss of 0.1 of one."""
+"""Large enough that no gain beyond the targets outweighs a shortfall of 0.1."""
 
 
 def q_only_loss(found: Measurement, paper: Measurement) -> float:  # noqa: ARG001
-    """1 - q, the paper's; 1 where no box holds a key point.
+    """1 - q, the paper's loss; 1 if no box contains a key point.
 
-    It does not count what is missed: a box that is hardly ever there, but then round a single lamp, has a q of 1.
+    Missed lights do not count: a proposer that finds only a few single lamps, in tight boxes, has a q of 1.
     """
     return 1.0 if math.isnan(found.quality.q) else 1.0 - found.quality.q
 
@@ -39,8 +38,8 @@ def q_only_loss(found: Measurement, paper: Measurement) -> float:  # noqa: ARG00
 def q_loss(found: Measurement, paper: Measurement) -> float:
     """1 - q + max(0, R_paper - R) + max(0, f / f_paper - 1): the paper's, without losing recall or adding false boxes.
 
-    R is the recall, f the number of boxes without a key point; boxes that come of parting two lights cost nothing.
-    Without the two charges the search ends at parameters that find nothing.
+    R is the recall, f the number of boxes without a key point; splitting the box of two lights costs nothing. Without
+    the two penalties, the search ends at parameters that find nothing.
     """
     missed = paper.quality.recall - found.quality.recall
     excess = found.quality.fp / max(paper.quality.fp, 1) - 1.0
@@ -50,9 +49,9 @@ def q_loss(found: Measurement, paper: Measurement) -> float:
 def light_loss(found: Measurement, paper: Measurement) -> float:
     """Recall by kind of light, no more boxes than the paper's parameters make, and no lower q; see `shortfalls`.
 
-    10 * (sum of the shortfalls) + (1 - mean(R_lamps, R_strongest, R_hidden, q)): zero shortfall comes first, and among
-    parameters without any, the best mean. A figure that is not defined on the frames counts as met and is left out
-    of the mean; without any box the loss is that of figures of 0.
+    10 * (sum of the shortfalls) + (1 - mean(R_lamps, R_strongest, R_hidden, q)): the requirements come first, and among
+    parameters that meet them all, the best mean. A figure that is undefined on the frames counts as met and is left out
+    of the mean; without any box, all figures count as 0.
     """
     gained = [getattr(found, name) for name in TARGETS] + [0.0 if found.num_boxes == 0 else found.quality.q]
     defined = [value for value in gained if not math.isnan(value)]
@@ -61,7 +60,7 @@ def light_loss(found: Measurement, paper: Measurement) -> float:
 
 
 def shortfalls(found: Measurement, paper: Measurement) -> dict[str, float]:
-    """By how much each requirement of `light_loss` is missed, 0 where it is met.
+    """How far each requirement of `light_loss` is missed; 0 if it is met.
 
     max(0, T + m_R - R) for each recall R with its target T and margin m_R; with m = 0.01, max(0, q_paper + m - q) and,
     for the mean number of boxes an image, max(0, n / n_paper - (1 - m)).
@@ -77,8 +76,8 @@ class Objective:
     """Something to search for.
 
     Attributes:
-        loss: What is minimised.
-        space: Name of the space that is searched unless another one is asked for.
+        loss: The loss to minimise.
+        space: Name of the space that is searched by default.
     """
 
     loss: Loss

@@ -1,4 +1,4 @@
-"""A whole search: trials on train, the best few compared on val, the chosen one rated on test."""
+"""A whole search: trials on train, a comparison of the best few on val, and a rating of the chosen one on test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.pvdn.splits import SplitName
 from foreglow.lab.learning.annotate import Progress
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
@@ -30,13 +30,13 @@ class TuningSettings:
     """What is searched, and how.
 
     Attributes:
-        num_trials: Trials in total, of all processes and earlier calls.
-        num_images: Images of train, evenly spread over its sequences.
-        objective: Name of what is minimised.
-        space: Name of the space; None for the objective's own.
-        seed: Of all draws.
-        num_finalists: How many of the best on train are compared on val.
-        storage: A database's URL, or a journal file, which several machines may share; None for a journal in the
+        num_trials: Total number of trials, of all processes and earlier calls.
+        num_images: Number of images of train, evenly spread over its sequences.
+        objective: Name of the objective.
+        space: Name of the space; None for the objective's default.
+        seed: Seed of all random numbers.
+        num_finalists: Number of the best on train that are compared on val.
+        storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
             output folder.
     """
 
@@ -65,11 +65,11 @@ class TrialRecord:
     """One trial.
 
     Attributes:
-        number: Its place in the study.
-        state: COMPLETE, or PRUNED where it ended early.
-        loss: Of the frames that it saw.
-        parameters: By name.
-        measurement: What was found, as `Measurement.to_json`.
+        number: Its number in the study.
+        state: COMPLETE, or PRUNED if it was stopped early.
+        loss: Loss over the frames that it was measured on.
+        parameters: Its parameters by name.
+        measurement: Its rating, as `Measurement.to_json`.
     """
 
     number: int
@@ -84,12 +84,12 @@ class Finalist:
     """Parameters that were compared on val.
 
     Attributes:
-        config: The proposal stage.
-        train: On the images of the search.
-        train_loss: Of it.
-        val: On all images of val; None without that split.
-        val_loss: Of it.
-        test: On all images of test: of the chosen parameters and the paper's only.
+        config: Configuration of the proposal stage.
+        train: Rating on the images of the search.
+        train_loss: Loss of that rating.
+        val: Rating on all images of val; None without that split.
+        val_loss: Loss of that rating.
+        test: Rating on all images of test, for the chosen parameters and the paper's only.
     """
 
     config: ProposalConfig
@@ -102,17 +102,17 @@ class Finalist:
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What came of a search.
+    """The result of a search.
 
     Attributes:
         settings: What was searched, and how.
         data: The data set.
-        study_name: The study's name in its storage; it tells the data and the objective.
+        study_name: Name of the study in its storage; it identifies the data and the objective.
         paper: The paper's parameters, rated like the finalists.
-        finalists: The best on train and the paper's, the best on val first: that one is chosen.
-        trials: All that are finished, in order.
-        importances: By parameter, shares that add up to 1; empty with few trials.
-        seconds: How long the trials of this call took, and the comparison after them.
+        finalists: The best on train and the paper's parameters; the best on val is first, and chosen.
+        trials: All finished trials, in order.
+        importances: Importance of each parameter, adding up to 1; empty with few trials.
+        seconds: Duration of the trials of this call, and of the comparison after them.
     """
 
     settings: TuningSettings
@@ -126,7 +126,7 @@ class Tuning:
 
     @property
     def chosen(self) -> Finalist:
-        """The best parameters."""
+        """The chosen parameters."""
         return self.finalists[0]
 
 
@@ -138,18 +138,18 @@ def tune(
     *,
     workers: Workers | None = None,
 ) -> Tuning:
-    """Searches parameters of the proposal stage; a call with the same data and storage goes on with its study.
+    """Searches parameters of the proposal stage; a call with the same data and storage continues its study.
 
-    Trials are measured on a subset of train. The best few and the paper's parameters are then compared on all of
-    val, and the best there is chosen; without a val split, the best on train. It and the paper's parameters are
-    rated on all of test, where there is one.
+    Trials are measured on a subset of train. The best few and the paper's parameters are then compared on all of val,
+    and the best there is chosen; without a val split, the best on train. If there is a test split, the chosen and the
+    paper's parameters are rated on all of it.
 
     Args:
         data: A data set with a train split.
         out: Folder for the decoded frames and, unless `settings` say otherwise, the study.
         settings: What to search.
-        progress: Told of every frame decoded and every trial.
-        workers: Who runs the trials, all on one study; None runs them in this process.
+        progress: Called after every decoded frame and every trial.
+        workers: Workers that run the trials of one study; None runs them in this process.
 
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
@@ -185,19 +185,19 @@ def tune(
     return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
 
 
-def _splits(data: Path) -> Iterator[tuple[SplitName, PVDN]]:
-    """Train, which must be there, and the others that are."""
-    yield "train", PVDN(split_folder(data, "train"))
+def _splits(data: Path) -> Iterator[tuple[SplitName, LabelledSource]]:
+    """Train, which must exist, and the other splits that exist."""
+    yield "train", open_labelled(split_folder(data, "train"))
     names: tuple[SplitName, ...] = ("val", "test")
     for name in names:
         with contextlib.suppress(FileNotFoundError):
-            yield name, PVDN(split_folder(data, name))
+            yield name, open_labelled(split_folder(data, name))
 
 
 def _run_trials(
     study: optuna.Study, plan: StudyPlan, material: Material, workers: Workers, progress: Progress | None
 ) -> None:
-    """Runs the trials that are missing; every worker goes on with the study until it is finished."""
+    """Runs the missing trials; every worker works on the study until it is finished."""
 
     def tell() -> None:
         if progress is not None:
@@ -212,8 +212,8 @@ def _run_trials(
 
 
 def _work(plan: StudyPlan, material: Material, number: int, parent: Parent) -> None:  # noqa: ARG001
-    prepare(open_study(plan), plan)  # a process that was lost left a trial behind
-    work(plan, material, lambda: parent.is_stopped, parent.tell)
+    prepare(open_study(plan), plan)  # a process that died may have left a trial behind
+    work(plan, material, lambda: parent.is_stopped, parent.report_progress)
 
 
 def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:
@@ -240,7 +240,7 @@ def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[Pro
 
 
 def _clean(parameters: Parameters) -> dict[str, bool | int | float]:
-    """As `Real.suggest` gave them to the trial."""
+    """The parameters rounded as in `Real.suggest`."""
     return {name: round(value, 9) if isinstance(value, float) else value for name, value in parameters.items()}
 
 
@@ -251,9 +251,9 @@ def _on_train(configs: list[ProposalConfig], bench: Bench, settings: TuningSetti
 
 
 def _on_val(
-    finalists: list[Finalist], val: PVDN | None, settings: TuningSettings, progress: Progress | None
+    finalists: list[Finalist], val: LabelledSource | None, settings: TuningSettings, progress: Progress | None
 ) -> list[Finalist]:
-    """With their losses on val, the best first; of equals the better one on train."""
+    """The finalists with their losses on val, the best first; of equals the better one on train."""
     if val is None:
         return sorted(finalists, key=lambda finalist: finalist.train_loss)
     measured = measure_split(val, [finalist.config for finalist in finalists], progress)
@@ -266,8 +266,8 @@ def _on_val(
     return sorted(rated, key=lambda finalist: (finalist.val_loss, finalist.train_loss))
 
 
-def _on_test(finalists: list[Finalist], test: PVDN | None, progress: Progress | None) -> list[Finalist]:
-    """With the measurements of the first one, which is chosen, and the paper's on test; nothing is chosen by them."""
+def _on_test(finalists: list[Finalist], test: LabelledSource | None, progress: Progress | None) -> list[Finalist]:
+    """The finalists with ratings on test of the chosen one and the paper's; these do not influence the choice."""
     if test is None:
         return finalists
     rated = list(dict.fromkeys([finalists[0].config, PAPER]))

@@ -1,4 +1,4 @@
-"""Where a search looks: parameters with their ranges, and how they become a configuration."""
+"""Search spaces: parameters with their ranges, and how they become a configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Parameters: TypeAlias = Mapping[str, bool | int | float]
 """Values by the names of a space's ranges."""
 
 PAPER = PRESETS["paper"].proposals
-"""What every search is compared with, and begins with."""
+"""The parameters that every search begins with and is compared with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Whole:
     step: int = 1
 
     def suggest(self, trial: Trial, name: str) -> int:
-        """One of them."""
+        """One of these numbers."""
         return trial.suggest_int(name, self.low, self.high, step=self.step)
 
 
@@ -41,7 +41,7 @@ class Real:
     step: float
 
     def suggest(self, trial: Trial, name: str) -> float:
-        """One of them, without the dust of adding steps."""
+        """One of these numbers, without the rounding errors of adding steps."""
         return round(trial.suggest_float(name, self.low, self.high, step=self.step), 9)
 
 
@@ -60,12 +60,12 @@ def _same(parameters: Parameters) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """What may be varied.
+    """A search space.
 
     Attributes:
-        ranges: By parameter.
+        ranges: The range of each parameter.
         first: The paper's parameters in this space: the first trial.
-        fields: Turns parameters into fields of `ProposalConfig`; the others are the paper's.
+        fields: Turns parameters into fields of `ProposalConfig`; all other fields are the paper's.
     """
 
     ranges: Mapping[str, Whole | Real | Switch]
@@ -94,7 +94,7 @@ def _wide_fields(parameters: Parameters) -> dict[str, Any]:
 _PAPER_FIRST = {name: getattr(PAPER, name) for name in ("kappa", "window_px", "min_deviation", "gap_px")}
 
 SPACES: dict[str, Space] = {
-    # Paper: what its parameter search ranged over.
+    # The ranges of the paper's parameter search.
     "paper": Space(
         {
             "kappa": Real(0.25, 0.75, 0.05),
@@ -104,8 +104,8 @@ SPACES: dict[str, Space] = {
         },
         _PAPER_FIRST,
     ),
-    # Own: windows up to the size of a near lamp with its glare (only window // 2 counts), finer steps, smaller boxes,
-    # splitting, and the two switches that the paper does not mention.
+    # Our own: windows up to the size of a near lamp with its glare (only window // 2 counts), finer steps, smaller
+    # boxes, splitting, and the two switches that the paper does not mention.
     "wide": Space(
         {
             "kappa": Real(0.25, 0.75, 0.025),

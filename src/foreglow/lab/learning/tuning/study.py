@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
 NUM_STARTUP_TRIALS = 10
-"""Trials drawn at random before the sampler and the pruner begin to learn from them; Optuna's default."""
+"""Number of random trials before the sampler and the pruner start to use them; Optuna's default."""
 
 STALE_S = 600.0
-"""A trial of another machine that began this long ago is taken for dead; a trial takes seconds."""
+"""A running trial of another machine that began this long ago counts as dead; a trial takes seconds."""
 
 IMPORTANCE_TRIALS = 20
-"""Importances are not worth telling from fewer finished trials."""
+"""Smallest number of finished trials for which importances are meaningful."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +36,12 @@ class StudyPlan:
     """What a process needs to know to work on a study.
 
     Attributes:
-        storage: A database's URL, or the path of a journal file.
-        name: The study's name in there.
-        num_trials: The study is finished when it has this many, of all processes together.
+        storage: URL of a database, or path of a journal file.
+        name: Name of the study in the storage.
+        num_trials: Number of trials, of all processes together, after which the study is finished.
         objective: Name of the objective.
         space: Name of the space.
-        seed: Of all draws; with one process the same seed gives the same trials.
+        seed: Seed of all random numbers; with one process, the same seed gives the same trials.
     """
 
     storage: str
@@ -53,10 +53,10 @@ class StudyPlan:
 
 
 def open_study(plan: StudyPlan) -> optuna.Study:
-    """The study of `plan`, made if need be.
+    """The study of `plan`, created if it does not exist.
 
     Raises:
-        ModuleNotFoundError: If Optuna, or what the database needs, is not installed.
+        ModuleNotFoundError: If Optuna, or a package for the database, is not installed.
         ValueError: If the storage cannot be used.
     """
     import optuna
@@ -74,7 +74,7 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         )
     except (ModuleNotFoundError, OSError):
         raise
-    except Exception as error:  # SQLAlchemy's own, which need not be installed
+    except Exception as error:  # errors of SQLAlchemy, which need not be installed
         raise ValueError(f"storage: {plan.storage}: {error}") from error
 
 
@@ -89,48 +89,27 @@ def _storage(storage: str) -> BaseStorage | str:
 
 
 def _sampler(seed: int) -> Any:
-    """TPE whose draws depend on the seed, on the trials so far and on how many those are: not on earlier draws.
+    """A TPE sampler whose draws depend on the seed and the trials so far, but not on earlier draws of the same object.
 
-    So a search that was interrupted goes on as if it had not been, and processes with one seed draw different trials.
+    So an interrupted search continues as if it had not been, and processes with the same seed draw different trials.
     """
-    from optuna.samplers import BaseSampler, TPESampler
+    from optuna.samplers import TPESampler
     from optuna.trial import TrialState
 
-    class Resumable(BaseSampler):
-        def __init__(self) -> None:
-            self._tpe = TPESampler(seed=seed)
-
+    class Resumable(TPESampler):
         def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
             earlier = [other for other in study.get_trials(deepcopy=False) if other.number < trial.number]
             num_earlier = sum(other.state not in (TrialState.FAIL, TrialState.WAITING) for other in earlier)
             own_seed = int(np.random.SeedSequence((seed, num_earlier)).generate_state(1)[0])
-            # A running trial of another process counts as a bad one, so that not all look in the same place.
-            self._tpe = TPESampler(seed=own_seed, n_startup_trials=NUM_STARTUP_TRIALS, constant_liar=True)
-            self._tpe.before_trial(study, trial)
+            # A running trial of another process counts as a bad one, so that not all search in the same region.
+            TPESampler.__init__(self, seed=own_seed, n_startup_trials=NUM_STARTUP_TRIALS, constant_liar=True)
+            super().before_trial(study, trial)
 
-        def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, Any]:
-            return self._tpe.infer_relative_search_space(study, trial)
-
-        def sample_relative(
-            self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, Any]
-        ) -> dict[str, Any]:
-            return self._tpe.sample_relative(study, trial, search_space)
-
-        def sample_independent(
-            self, study: optuna.Study, trial: FrozenTrial, param_name: str, param_distribution: Any
-        ) -> Any:
-            return self._tpe.sample_independent(study, trial, param_name, param_distribution)
-
-        def after_trial(
-            self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
-        ) -> None:
-            self._tpe.after_trial(study, trial, state, values)
-
-    return Resumable()
+    return Resumable(seed=seed)
 
 
 def prepare(study: optuna.Study, plan: StudyPlan) -> None:
-    """Gives up trials whose process is gone, and lets a new study begin with the paper's parameters."""
+    """Marks trials whose process is gone as failed, and lets a new study begin with the paper's parameters."""
     from optuna.trial import TrialState
 
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
@@ -141,13 +120,13 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
 
 
 def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], report: Callable[[], None]) -> None:
-    """Runs trials until the study has `plan.num_trials`, of this process and others, or `is_stopped`.
+    """Runs trials until the study has `plan.num_trials`, of this process and others, or until `is_stopped`.
 
     Args:
         plan: The study.
         material: The frames.
-        is_stopped: Asked before each trial.
-        told: Called after each trial.
+        is_stopped: Called before each trial.
+        report: Called after each trial.
     """
     study = open_study(plan)
     bench = Bench(material)
@@ -159,7 +138,7 @@ def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], re
 
 
 def num_taken(study: optuna.Study, before: int | None = None) -> int:
-    """How many trials are finished or under way, of those with a number below `before`."""
+    """Number of trials that are finished or running, counting only numbers below `before`."""
     from optuna.trial import TrialState
 
     states = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING)
@@ -168,19 +147,19 @@ def num_taken(study: optuna.Study, before: int | None = None) -> int:
 
 
 def num_finished(study: optuna.Study) -> int:
-    """How many trials are complete or pruned."""
+    """Number of trials that are complete or pruned."""
     from optuna.trial import TrialState
 
     return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)))
 
 
 def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper: tuple[Measurement, ...]) -> None:
-    """Measures one trial, part by part, and stops early where the parts so far are worse than others' were."""
+    """Measures one trial part by part; stops early if the parts so far are worse than those of other trials."""
     from optuna.trial import TrialState
 
     try:
         trial.set_user_attr("process", [socket.gethostname(), os.getpid()])
-        if num_taken(study, before=trial.number) >= plan.num_trials:  # another process took the last one meanwhile
+        if num_taken(study, before=trial.number) >= plan.num_trials:  # another process has taken the last one
             study.tell(trial, state=TrialState.FAIL)
             return
         loss_of = objective(plan.objective).loss
@@ -202,7 +181,7 @@ def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper
 
 
 def _is_alive(trial: FrozenTrial) -> bool:
-    """Whether the process of a running trial may still be there."""
+    """Whether the process of a running trial may still exist."""
     host, pid = trial.user_attrs.get("process", (None, 0))
     if host == socket.gethostname():
         try:
@@ -217,7 +196,7 @@ def _is_alive(trial: FrozenTrial) -> bool:
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
-    """How much each parameter matters to being among the best, shares that add up to 1; empty with few trials.
+    """Importance of each parameter for being among the best trials, adding up to 1; empty with few trials.
 
     Source: Watanabe, Bansal and Hutter, PED-ANOVA, IJCAI 2023, as implemented in Optuna.
     """

@@ -1,6 +1,6 @@
-"""YOLO detectors on the same boxes as ours: export of the data, training and prediction through other libraries.
+"""YOLO detectors for the same boxes as ours: export of the data, training and prediction with other libraries.
 
-Two back ends, each an extra of its own: `libreyolo` (MIT) and `ultralytics` (AGPL-3.0).
+There are two back ends: `libreyolo` (MIT) and `ultralytics` (AGPL-3.0).
 """
 
 from foreglow.lab.learning.yolo.backends import BACKENDS

@@ -1,4 +1,4 @@
-"""The libraries that train and run YOLOs for us, by name."""
+"""The libraries that train and run YOLOs, by name."""
 
 from __future__ import annotations
 

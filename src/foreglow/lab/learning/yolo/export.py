@@ -1,4 +1,4 @@
-"""A data set in PVDN's layout as a YOLO data set: square images, and the boxes that hold a light artifact."""
+"""Export of a data set in PVDN's layout as a YOLO data set: square images, and the boxes with a light artifact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foreglow.config import FrozenModel, preset
-from foreglow.datasets import PVDN, SPLIT_NAMES, SplitName, split_folder
+from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
@@ -24,18 +24,18 @@ CLASS_NAME = "light_artifact"
 SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"
 
 PAPER_SIZE_PX = 960
-"""Side of the images that YOLO reads in the paper. Source: published conversion script."""
+"""Side of YOLO's images in the paper. Source: published conversion script."""
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with how many images are done, and of how many."""
+"""Called with the number of images done, and of all images."""
 
 
 class ExportSettings(FrozenModel):
-    """What an exported data set is made of: a folder takes one of these only.
+    """The settings of an export; a folder holds exports of one setting only.
 
     Attributes:
         data: The data set's folder.
-        boxes: `preset NAME`, or `as annotated` for those in the data set's `labels/bounding_boxes`.
+        boxes: `preset NAME`, or `as annotated` for the boxes in the data set's `labels/bounding_boxes`.
         size_px: Side of the images.
         splits: The splits that are exported.
     """
@@ -51,10 +51,10 @@ class YoloExport:
     """An exported data set.
 
     Attributes:
-        data_file: Its `data.yaml`, which every YOLO takes.
-        settings: What it is made of.
-        num_images: Images by split.
-        num_boxes: Labelled boxes by split.
+        data_file: Its `data.yaml`, the input of every YOLO.
+        settings: Its settings.
+        num_images: Number of images by split.
+        num_boxes: Number of labelled boxes by split.
     """
 
     data_file: Path
@@ -72,20 +72,20 @@ def export_yolo(
     splits: Sequence[SplitName] = SPLIT_NAMES,
     progress: Progress | None = None,
 ) -> YoloExport:
-    """Writes `folder/images/SPLIT/ID.png`, `folder/labels/SPLIT/ID.txt` and, when all are there, `folder/data.yaml`.
+    """Writes `folder/images/SPLIT/ID.png`, `folder/labels/SPLIT/ID.txt` and, at the end, `folder/data.yaml`.
 
-    The images are grey and squashed to a square, as in the published conversion. A line of a label file is
-    `0 cx cy w h`, the centre and size of a box with a keypoint in it, relative to the image. Images without any have an
-    empty file. An interrupted export goes on where it was.
+    The images are grey and scaled to a square, as in the published conversion. A line of a label file is
+    `0 cx cy w h`, the centre and size of a box with a key point in it, relative to the image. Images without boxes have
+    an empty file. An interrupted export continues where it stopped.
 
     Args:
         data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
-        folder: Where to write; made if absent.
-        preset_name: The boxes are this preset's proposals, labelled by the key points; None takes those that
-            `annotate` left in the data set, and where it left none the proposals of `paper`.
+        folder: Where to write; made if it does not exist.
+        preset_name: The boxes are this preset's proposals, labelled by the key points. None takes the boxes that
+            `annotate` has written into the data set, or else the proposals of `paper`.
         size_px: Side of the images.
-        splits: Which splits; those that the data set lacks are left out.
-        progress: Told after each image.
+        splits: The splits to export; splits that the data set lacks are left out.
+        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
@@ -103,7 +103,7 @@ def export_yolo(
     )
     proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
     _claim(folder, settings)
-    datasets = {name: PVDN(found) for name, found in wanted.items()}
+    datasets = {name: open_labelled(found) for name, found in wanted.items()}
     num_images = sum(len(dataset) for dataset in datasets.values())
     num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
     for name, dataset in datasets.items():
@@ -144,13 +144,13 @@ def is_export(folder: Path) -> bool:
     return (folder / SETTINGS_NAME).is_file()
 
 
-def positive_boxes(dataset: PVDN, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
+def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
     """The boxes of `frame` with a key point in them, shape (N, 4), xyxy, full-frame pixels.
 
     Args:
         dataset: The split.
         frame: One of its frames.
-        proposer: What proposes; None takes the boxes and labels that are in the split.
+        proposer: Makes the proposals; None takes the boxes and labels in the split.
 
     Raises:
         FileNotFoundError: If the split has boxes, but none for this image.
@@ -169,7 +169,7 @@ def positive_boxes(dataset: PVDN, frame: Frame, proposer: Proposer | None) -> ND
 
 
 def label_lines(boxes_xyxy_px: NDArray[Any], width_px: int, height_px: int) -> str:
-    r"""The lines of a label file: `0 cx cy w h` for each box, cut to the image and relative to it.
+    r"""The lines of a label file: `0 cx cy w h` for each box, clipped to the image and relative to it.
 
     Boxes outside the image are left out.
 
@@ -185,10 +185,10 @@ def label_lines(boxes_xyxy_px: NDArray[Any], width_px: int, height_px: int) -> s
 
 
 def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
-    """`image` as a square of `size_px`, averaged over areas; both axes have a scale of their own.
+    """`image` scaled to a square of `size_px` by averaging over areas; each axis has its own scale.
 
     Raises:
-        ValueError: If it has not 8 bits.
+        ValueError: If it does not have 8 bits.
 
     Source: published conversion script (960 x 960 of 1280 x 960, INTER_AREA).
     """
@@ -211,7 +211,7 @@ def _has_boxes(split: Path) -> bool:
 
 
 def _claim(folder: Path, settings: ExportSettings) -> None:
-    """Makes the folder and writes the settings to it, or checks that they are those of the export that is there."""
+    """Makes the folder and writes the settings to it, or checks them against those of an earlier export."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / SETTINGS_NAME
     if not path.exists():
@@ -232,6 +232,6 @@ def _png(image: NDArray[np.uint8]) -> bytes:
 
 
 def _data_text(splits: Sequence[SplitName]) -> str:
-    """`data.yaml`; without a `path`, folders are relative to the file, so that the whole can be moved."""
+    """`data.yaml`; without a `path`, folders are relative to the file, so that the export can be moved."""
     lines = [f"{name}: images/{name}" for name in splits]
     return "\n".join([*lines, "nc: 1", "names:", f"  0: {CLASS_NAME}", ""])

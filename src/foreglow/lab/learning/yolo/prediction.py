@@ -1,4 +1,4 @@
-"""What a trained YOLO finds in a split, as predictions in full-frame pixels."""
+"""Predictions of a trained YOLO for a split, in full-frame pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN
+from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.learning.yolo.backends import make_backend
 from foreglow.lab.learning.yolo.export import Progress, squashed
@@ -21,11 +21,11 @@ from foreglow.types import Frame
 
 @dataclass(frozen=True, slots=True, eq=False)
 class YoloPredictions:
-    """What a YOLO found in a split.
+    """The predictions of a YOLO for a split.
 
     Attributes:
         predictions: Boxes and scores by image id, full-frame pixels, best first; all with a score above 0.01.
-        frame_ms: Shape (F,): run-time of each frame in milliseconds, scaling included, reading and decoding not.
+        frame_ms: Shape (F,): run-time of each frame in milliseconds, with scaling but without reading and decoding.
     """
 
     predictions: Predictions
@@ -33,19 +33,19 @@ class YoloPredictions:
 
 
 def predict_yolo(
-    run: YoloRun, dataset: PVDN, *, num_threads: int | None = None, progress: Progress | None = None
+    run: YoloRun, dataset: LabelledSource, *, num_threads: int | None = None, progress: Progress | None = None
 ) -> YoloPredictions:
     """Runs the network of `run` over the selected images of `dataset`.
 
     Args:
         run: A finished training.
         dataset: The split.
-        num_threads: Threads of the processor, where the network runs there; None leaves them as they are.
-        progress: Told after each frame.
+        num_threads: Number of CPU threads; None does not change it.
+        progress: Called after each frame.
 
     Raises:
         FileNotFoundError: If the weights or an image are missing.
-        ValueError: If an image is broken, or has not 8 bits.
+        ValueError: If an image is broken, or does not have 8 bits.
         ModuleNotFoundError: If the library is not installed.
     """
     boxes: dict[int, NDArray[np.float64]] = {}
@@ -65,15 +65,15 @@ def predict_yolo(
 
 
 def detect_in_frame(detector: Detector, frame: Frame, size_px: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes (N, 4), xyxy, full-frame pixels, cut to the frame, and scores (N,), both sorted by falling score.
+    """Boxes (N, 4), xyxy, full-frame pixels, clipped to the frame, and scores (N,), both sorted by falling score.
 
     Args:
         detector: A trained network.
         frame: The frame, 8 bits.
-        size_px: Side of the square that the frame is squashed to.
+        size_px: Side of the square that the frame is scaled to.
 
     Raises:
-        ValueError: If the frame has not 8 bits.
+        ValueError: If the frame does not have 8 bits.
     """
     boxes, scores = detector.detect(squashed(frame.image, size_px, frame.path))
     size_xyxy_px = np.array([frame.width_px, frame.height_px] * 2, np.float64)

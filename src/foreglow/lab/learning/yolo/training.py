@@ -1,4 +1,4 @@
-"""A training run of a YOLO: one folder with its configuration, its data, its weights and its results."""
+"""A training run of a YOLO: one folder with configuration, data, weights and results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONFIG_NAME, RESULTS_NAME = "config.json", "results.json"
 
 
 class _Settings(Record):
-    """`config.json`, as far as it matters here: another configuration needs another folder."""
+    """The part of `config.json` that must not change: another configuration needs another folder."""
 
     training: YoloConfig
     boxes: str
@@ -28,7 +28,7 @@ class _Settings(Record):
 
 
 class _Results(Record):
-    """`results.json`: written when the training is done."""
+    """`results.json`, written when the training is done."""
 
     weights: str
     num_parameters: int
@@ -41,14 +41,14 @@ class YoloRun:
     """A finished training.
 
     Attributes:
-        folder: Where it lies.
+        folder: Its folder.
         config: How it was trained.
-        boxes: Which boxes it was trained on, as in `ExportSettings`.
-        export_size_px: Side of the squares that the frames were squashed to; the library scales them to its own.
+        boxes: The boxes that it was trained on, as in `ExportSettings`.
+        export_size_px: Side of the squares that the frames were scaled to; the library scales them to its own size.
         weights: The weights that did best on the validation split.
-        num_parameters: Weights and biases.
+        num_parameters: Number of weights and biases.
         num_multiply_adds: Multiply-adds for one image.
-        seconds: What the last call took; an interrupted training's earlier ones are not in it.
+        seconds: Duration of the last call, without earlier calls of an interrupted training.
     """
 
     folder: Path
@@ -64,14 +64,14 @@ class YoloRun:
 def train_yolo(
     data: Path, folder: Path, config: YoloConfig, *, preset_name: str | None = None, progress: Progress | None = None
 ) -> YoloRun:
-    """Trains a YOLO on the boxes of `data`, or goes on with what an interrupted call left in `folder`.
+    """Trains a YOLO on the boxes of `data`, or continues an interrupted training in `folder`.
 
     Args:
-        data: A data set in PVDN's layout, or what `export_yolo` made of one.
-        folder: For everything: `config.json`, `dataset` (unless exported before), `training`, `results.json`.
+        data: A data set in PVDN's layout, or an export of one by `export_yolo`.
+        folder: Folder for `config.json`, `dataset` (unless exported before), `training` and `results.json`.
         config: How to train.
-        preset_name: Whose boxes, as in `export_yolo`; None where `data` is exported already.
-        progress: Told after each image that is exported.
+        preset_name: Preset of the boxes, as in `export_yolo`; None if `data` is an export.
+        progress: Called after each image that is exported.
 
     Raises:
         FileNotFoundError: If the data or a part of them is missing.
@@ -123,7 +123,7 @@ def read_yolo_run(folder: Path) -> YoloRun:
 def _exported(
     data: Path, folder: Path, config: YoloConfig, preset_name: str | None, progress: Progress | None
 ) -> tuple[ExportSettings, Path]:
-    """The export to train on, and its `data.yaml`; made in the run's folder where `data` is none yet."""
+    """The settings and the `data.yaml` of the export to train on; made in the run's folder unless `data` is one."""
     if is_export(data):
         settings = read_export(data)
         for split in ("train", "val"):
@@ -144,7 +144,7 @@ def _exported(
 
 
 def _claim(folder: Path, settings: _Settings, origin: Mapping[str, Any]) -> None:
-    """Writes the run's configuration, or checks that it is that of the run that is there."""
+    """Writes the run's configuration, or checks it against that of an earlier call."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / CONFIG_NAME
     if not path.exists():
@@ -161,5 +161,5 @@ def _read_settings(path: Path) -> _Settings:
 
 
 def _fields(settings: _Settings) -> dict[str, Any]:
-    """All that must not change between two calls, by name."""
+    """Everything that must not change between two calls, by name."""
     return settings.training.model_dump() | {"boxes": settings.boxes, "export_size_px": settings.export_size_px}

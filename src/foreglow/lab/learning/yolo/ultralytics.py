@@ -1,7 +1,7 @@
 """YOLOv5u through ultralytics, for those who have installed it.
 
-Ultralytics is licensed under the AGPL-3.0, which asks much of whoever builds on it; Foreglow neither contains nor
-needs it. This file calls its public interface.
+Ultralytics is licensed under the AGPL-3.0, which has far-reaching conditions for everything built on it; Foreglow
+neither contains nor needs it. This file calls its public interface.
 """
 
 from __future__ import annotations
@@ -15,15 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.learning.yolo.interface import (
-    MAX_BOXES,
-    MAX_OVERLAP,
-    MIN_SCORE,
-    YoloConfig,
-    colour,
-    count_multiply_adds,
-    count_parameters,
-)
+from foreglow.lab.learning.yolo.interface import TorchDetector, YoloConfig, training_arguments
 
 SIZES = ("n", "s", "m", "l", "x")
 
@@ -49,19 +41,7 @@ class UltralyticsBackend:
             make_network(str(checkpoint)).train(resume=True)
         elif not checkpoint.exists():
             make_network(f"yolov5{config.size}.yaml").train(
-                data=str(data_file.resolve()),
-                epochs=config.epochs,
-                batch=config.batch,
-                imgsz=config.image_size_px,
-                device=_device(config),
-                seed=config.seed,
-                project=str(folder.resolve()),
-                name=run.name,
-                exist_ok=True,
-                pretrained=False,
-                plots=False,
-                patience=0,
-                workers=0 if config.device == "cpu" else 4,
+                **training_arguments(config, data_file, run), device=_device(config), plots=False
             )
         best = run / "weights" / "best.pt"
         return best if best.exists() else checkpoint
@@ -71,33 +51,20 @@ class UltralyticsBackend:
         return UltralyticsDetector(_library().YOLO(str(weights)), config)
 
 
-class UltralyticsDetector:
+class UltralyticsDetector(TorchDetector):
     """A trained YOLOv5u."""
 
     def __init__(self, network: Any, config: YoloConfig) -> None:
-        self._network = network
-        self._arguments = {
-            "imgsz": config.image_size_px,
-            "conf": MIN_SCORE,
-            "iou": MAX_OVERLAP,
-            "max_det": MAX_BOXES,
-            "device": _device(config),
-            "verbose": False,
-        }
-        self.num_parameters = count_parameters(network.model)
-        self.num_multiply_adds = count_multiply_adds(network.model, config.image_size_px)
+        super().__init__(network, config.image_size_px)
+        self._device = _device(config)
 
-    def detect(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """See `Detector.detect`."""
-        boxes = self._network.predict(colour(image), **self._arguments)[0].boxes
-        return (
-            np.asarray(boxes.xyxy.cpu(), np.float64).reshape(-1, 4),
-            np.asarray(boxes.conf.cpu(), np.float64).reshape(-1),
-        )
+    def _found(self, image: NDArray[np.uint8]) -> tuple[Any, Any]:
+        boxes = self._network.predict(image, device=self._device, verbose=False, **self._arguments)[0].boxes
+        return boxes.xyxy.cpu(), boxes.conf.cpu()
 
 
 def _library() -> ModuleType:
-    """The library, which is kept from using the network."""
+    """The library, prevented from using the network."""
     os.environ.setdefault("YOLO_OFFLINE", "true")
     return importlib.import_module("ultralytics")
 
@@ -107,5 +74,5 @@ def _device(config: YoloConfig) -> str | None:
 
 
 def _epochs_in(results: Path) -> int:
-    """Lines of the library's table of epochs, without its head; 0 where there is none."""
+    """Number of lines of the library's table of epochs, without its header; 0 without a table."""
     return max(0, len(results.read_text(encoding="utf-8").splitlines()) - 1) if results.exists() else 0

@@ -1,1 +1,1 @@
-"""From luminance to grey levels: lens, imager, rain and snow."""
+"""The camera: from luminance to grey levels through lens and imager, with rain and snow."""

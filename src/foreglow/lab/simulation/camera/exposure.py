@@ -1,4 +1,4 @@
-"""From rendered light to the camera's image, and what the image would be without one vehicle's light."""
+"""From rendered light to the camera's image, and to the image without one vehicle's light."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from foreglow.lab.simulation.light.render import Rendered
 from foreglow.lab.simulation.scenes.scene import Scene
 
 FAINTEST_CD_M2 = 1e-6
-"""A layer that nowhere exceeds this is left out: a ten-thousandth of a grey level in the short exposure."""
+"""A layer that exceeds this nowhere is left out: a ten-thousandth of a grey level in the short exposure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Lamps seen directly, by where their light belongs.
+    """Lamps seen directly, by source.
 
     Attributes:
         fixed: Street lamps and windows.
-        vehicles: Of each vehicle, in the order of their layers.
+        vehicles: Lamps of each vehicle, in the order of their layers.
     """
 
     fixed: LampPoints
@@ -35,22 +35,22 @@ class Points:
 
 
 class Exposure:
-    """One exposure: the image, and the light on the pixels by origin."""
+    """One exposure: the image, and the light on the pixels by source."""
 
     def __init__(
         self, sensor: Sensor, rendered: Rendered, points: Points, streaks: Image, flow_px: NDArray[np.float32] | None
     ) -> None:
-        """Sends all light through the lens.
+        """Passes all light through the lens.
 
-        What our own lamps and street lamps light is blurred by our motion; what other vehicles light is mostly far
-        away, where little moves, and is not.
+        The light of our own lamps and of street lamps is blurred by our motion; the light of other vehicles is not,
+        since it is mostly far away, where little moves.
 
         Args:
             sensor: The imager and its lens.
             rendered: Luminance by layer.
             points: Lamps seen directly.
             streaks: Shape (H, W), cd/m², of rain or snow.
-            flow_px: Shape (H, W, 2), how far things move through the image meanwhile; None for not at all.
+            flow_px: Shape (H, W, 2), motion in the image during the exposure; None without motion.
         """
         optics = sensor.optics
         self._sensor = sensor
@@ -82,7 +82,7 @@ class Exposure:
         return self._sensor.capture(self._total, frame)
 
     def light_of(self, vehicle: int, *, is_rear: bool) -> VehicleLight | None:
-        """The images with and without the light of the vehicle in `place`; None if it sends us no indirect light."""
+        """The images with and without the light of `vehicle`, an index; None if none of its indirect light is seen."""
         indirect = self._indirect[vehicle]
         if indirect is None:
             return None
@@ -95,14 +95,14 @@ class Exposure:
         return VehicleLight(self._grey, grey_without_indirect, grey_without, is_rear)
 
     def surroundings_of(self, vehicle: int) -> Surroundings:
-        """What the labels of the vehicle in `place` need besides."""
+        """Everything else that the labels of `vehicle`, an index, need."""
         layer = FIRST_VEHICLE_LAYER + vehicle
         haze = self._rendered.haze_cd_m2[layer]
         share = haze / np.maximum(haze + self._rendered.surface_cd_m2[layer], np.float32(1e-12))
         return Surroundings(self._noise, self._rendered.materials, self._rendered.depth_m, share)
 
     def lamp_peaks_grey(self, vehicle: int, positions_px: Sequence[tuple[float, float]]) -> list[float]:
-        """Grey levels that the lamps of the vehicle in `place` add at their positions; 0 outside the image."""
+        """Grey levels that the lamps of `vehicle`, an index, add at their positions; 0 outside the image."""
         direct = self._direct[vehicle]
         if direct is None:
             return [0.0] * len(positions_px)
@@ -125,7 +125,7 @@ class Exposer:
         self._motion_blur = MotionBlur(camera)
 
     def expose(self, rendered: Rendered, points: Points, streaks: Image, shutter: tuple[Pose, Pose]) -> Exposure:
-        """The exposure of what was rendered.
+        """The exposure of a rendered frame.
 
         Args:
             rendered: Luminance by layer.

@@ -1,4 +1,4 @@
-"""Motion blur: how far things move through the image while the shutter is open, and the blur that comes of it."""
+"""Motion blur: motion in the image while the shutter is open, and the resulting blur."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from foreglow.geometry import Camera, Pose
 from foreglow.lab.simulation.camera.optics import Image
 
 MIN_MOTION_PX = 0.7
-"""Shorter motion is left out: the point spread hides it."""
+"""Shorter motion is left out, since the point spread hides it."""
 
 NUM_TAPS = 4
-"""Taps of either of the two passes: together 16 evenly spaced ones along the motion."""
+"""Taps of each of the two passes; together they make 16 evenly spaced taps along the motion."""
 
 STEP = 8
 """The motion is computed for every eighth pixel."""
 
 
 class MotionBlur:
-    """Blur by the camera's own motion; what moves by itself is taken as standing still."""
+    """Blur by the camera's own motion; moving objects are treated as standing still."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
@@ -31,7 +31,7 @@ class MotionBlur:
         self._rays = camera.rays(self._pixels)
 
     def flow_px(self, depth_m: Image, before_from_after: Pose) -> Image | None:
-        """How far each pixel's surface moves through the image during the exposure.
+        """Motion of each pixel's surface through the image during the exposure.
 
         Args:
             depth_m: Shape (H, W), along each pixel's ray, metres; NaN is infinitely far.
@@ -44,7 +44,7 @@ class MotionBlur:
         depth = cv2.resize(np.nan_to_num(depth_m, nan=1e5, posinf=1e5), size, interpolation=cv2.INTER_NEAREST)
         moved = self._camera.project(before_from_after.to_body(self._rays * depth[..., np.newaxis]))
         flow = np.nan_to_num(moved - self._pixels).astype(np.float32)
-        # What leaves the image close by moves by far more than can be seen.
+        # Close objects that leave the image move by far more than can be seen.
         flow = np.clip(flow, -0.1 * self._camera.width_px, 0.1 * self._camera.width_px)
         if float(np.hypot(flow[..., 0], flow[..., 1]).max()) <= MIN_MOTION_PX:
             return None
@@ -55,8 +55,8 @@ class MotionBlur:
 def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
     """`luminance`, shape (H, W), averaged along `flow_px`, shape (H, W, 2), centred on each pixel.
 
-    Only the rectangle around what moves by more than `MIN_MOTION_PX` is touched. Without motion the image itself
-    comes back.
+    Only the rectangle around everything that moves by more than `MIN_MOTION_PX` is changed. Without motion, the image
+    itself is returned.
     """
     if flow_px is None:
         return luminance

@@ -1,9 +1,9 @@
-"""What the lens does to light: point spread, glare over the whole image, fall-off to the corners, motion blur.
+"""The lens: point spread, glare over the whole image, and fall-off towards the corners.
 
-The point spread of an image of 1280 columns is a Gaussian core, an exponential part, and a tail like 1/r² that is
-veiling glare; all as pixels see it, their own aperture included. An image of fewer columns averages such pixels. Lamps
-outshine their surroundings by seven decades, beyond the reach of an FFT in single precision: they are drawn as points,
-extended sources are spread as an image.
+The point spread of an image of 1280 columns is a Gaussian core, an exponential part, and a 1/r² tail, which is veiling
+glare; all of them include the aperture of a pixel. An image of fewer columns averages such pixels. Lamps are brighter
+than their surroundings by seven decades, too much for an FFT in single precision: they are drawn as points, while
+extended sources are convolved as an image.
 """
 
 from __future__ import annotations
@@ -24,26 +24,27 @@ from foreglow.lab.simulation.scenes.scene import SensorSpec
 Image = NDArray[np.float32]
 
 REFERENCE_WIDTH_PX = 1280
-"""Columns of the image that `SensorSpec` gives its pixels for."""
+"""Columns of the image whose pixels `SensorSpec` uses as a unit."""
 
 EXPONENTIAL_SHARES = (0.08967, 0.45045, 0.38970, 0.07018)
 EXPONENTIAL_SIGMAS = (0.4463, 1.1694, 2.0658, 3.1478)
-"""Gaussians whose sum is exp(-r) / 2 pi within 6 % from r = 0.3 to 11, by least squares of the logarithm: Gaussians are
-separable, and their integrals over pixels are known.
+"""Gaussians whose sum is exp(-r) / 2 pi within 6 % from r = 0.3 to 11, by a least-squares fit of the logarithm.
+Gaussians are separable, and their integrals over pixels are known.
 """
 
 TAIL_SOFTENING_PX = 2.0
-"""The tail is 1 / (r² + this²): the core hides what it does nearer."""
+"""The tail is 1 / (r² + this²); nearer to the centre, the core hides it."""
 
 TAIL_RADIUS_PX = 1000.0
-"""The tail's share is what falls within this radius; it goes on beyond, as it does in a real lens."""
+"""The tail's share is the light within this radius; the tail continues beyond it, as in a real lens."""
 
 FAR_SOFTENING_PX = 24.0
 FAR_STEP = 4
-"""Away from a lamp its tail is drawn with this softening, smooth enough for every fourth pixel."""
+"""Away from a lamp, its tail is drawn with this softening, smooth enough to be computed for every fourth pixel."""
 
 NEAR_ERROR_CD_M2 = 1e-4
-"""Near a lamp its tail is exact, out to where the soft one differs by less: 0.01 grey levels of the short exposure."""
+"""Near a lamp, the tail is exact, out to where the softened one differs by less: 0.01 grey levels of the short
+exposure."""
 
 MAX_DISC_POINTS = 192
 
@@ -53,9 +54,9 @@ class LampPoints:
     """Lamps as the camera sees them: points, or small discs.
 
     Attributes:
-        positions_px: Shape (N, 2), full-frame pixels x, y; also outside the image, from where glare still comes.
-        illuminances_lx: Shape (N,), at the camera, of the part that is seen.
-        radii_px: Shape (N,), of the discs.
+        positions_px: Shape (N, 2), full-frame pixels x, y; also outside the image, since glare reaches into it.
+        illuminances_lx: Shape (N,), at the camera, by the visible part of the lamp.
+        radii_px: Shape (N,), radii of the discs.
 
     Raises:
         ValueError: If the shapes differ, or a value is not finite or negative.
@@ -102,14 +103,14 @@ class Optics:
 
     @cached_property
     def fall_off(self) -> Image:
-        """Shape (H, W): what reaches the sensor from a surface there, relative to the axis: cos^4, weighted."""
+        """Shape (H, W): a surface's light on the sensor, relative to the axis: cos^4 to the power of the vignetting."""
         return np.asarray(self._cosines ** (4.0 * self._vignetting), np.float32)
 
     def spread(self, luminance: Image) -> Image:
-        """What falls on the pixels, cd/m², of `luminance`, shape (H, W), cd/m², of extended sources.
+        """Light on the pixels, cd/m², from extended sources with `luminance`, shape (H, W), cd/m².
 
-        Fine parts at full resolution; the tail at a quarter, where its own core is not resolved. What lies outside
-        the image counts as its edge for the fine parts, and as dark for the tail.
+        The core and the exponential part are computed at full resolution, the tail at a quarter of it. Beyond the
+        image, the edge is continued for the former, and it is dark for the tail.
         """
         image = np.asarray(luminance, np.float32)
         spread = self._glare(image)
@@ -120,8 +121,8 @@ class Optics:
     def draw_points(self, points: LampPoints) -> Image:
         """Luminance of lamps with their halo, shape (H, W), cd/m², to be added after `spread`.
 
-        Exact near each lamp, over all decades; away from it the tail is softened and drawn at a quarter of the
-        resolution. Nothing is cut off at any radius.
+        It is exact near each lamp, over all decades; away from it, the tail is softened and drawn at a quarter of the
+        resolution, without a limiting radius.
         """
         height, width = self.camera.height_px, self.camera.width_px
         rows = (np.arange(0, height + FAR_STEP, FAR_STEP, dtype=np.float32) + 0.5 * FAR_STEP)[:, np.newaxis]
@@ -139,13 +140,13 @@ class Optics:
         return image
 
     def _add_near(self, image: Image, position_px: tuple[float, float], flux: float, radius_px: float) -> None:
-        """Adds to `image` what the soft tail lacks around one lamp.
+        """Adds to `image` the difference between the exact and the softened spread around one lamp.
 
         Args:
-            image: Shape (H, W), changed.
-            position_px: Of the lamp.
+            image: Shape (H, W), changed in place.
+            position_px: Position of the lamp.
             flux: Sum over all pixels, cd/m².
-            radius_px: Of the lamp's disc.
+            radius_px: Radius of the lamp's disc.
         """
         softening2, far2 = self._softening_px**2 + 0.5 * radius_px**2, self._far_softening_px**2
         differs_to = (flux * self._tail * far2 / NEAR_ERROR_CD_M2) ** 0.25
@@ -157,7 +158,7 @@ class Optics:
             return
         squares = (np.arange(y0, y1)[:, np.newaxis] + 0.5 - y) ** 2 + (np.arange(x0, x1) + 0.5 - x) ** 2
         near = self._tail * (1.0 / (squares + softening2) - 1.0 / (squares + far2))
-        # Fades out before the border of the window, which else would be a faint square.
+        # Fades out towards the border of the window, which otherwise would show as a faint square.
         near *= np.clip(4.0 * (1.0 - np.sqrt(squares) / reach), 0.0, 1.0)
         offsets = _disc(radius_px, float(self._sigmas_px[0]))
         down = _over_pixels(np.arange(y0, y1 + 1), y + offsets[:, 1], self._sigmas_px)
@@ -167,7 +168,7 @@ class Optics:
         image[y0:y1, x0:x1] += (flux * near).astype(np.float32)
 
     def _glare(self, image: Image) -> Image:
-        """The tail of extended sources, at a quarter of the resolution, without wrapping around."""
+        """The tail of extended sources, at a quarter of the resolution, without wrap-around."""
         height, width = image.shape
         small = cv2.resize(image, (-(-width // FAR_STEP), -(-height // FAR_STEP)), interpolation=cv2.INTER_AREA)
         shape = (next_fast_len(2 * small.shape[0], True), next_fast_len(2 * small.shape[1], True))
@@ -176,7 +177,7 @@ class Optics:
         return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
     def _spectrum(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        """Of the tail's kernel, each element its mean over a cell of pixels times the cell's area."""
+        """Spectrum of the tail's kernel, whose elements are means over a cell of pixels times the cell's area."""
         if shape not in self._spectra:
             offsets = np.arange(FAR_STEP) - (FAR_STEP - 1) / 2
             down, across = (np.fft.fftfreq(num, 1 / num) * FAR_STEP for num in shape)
@@ -202,23 +203,23 @@ class Optics:
 
     @cached_property
     def _cosines(self) -> Floats:
-        """Shape (H, W), of the angle between each pixel's ray and the axis; rays for every fourth pixel."""
+        """Shape (H, W), cosine of the angle between each pixel's ray and the axis; computed for every fourth pixel."""
         height, width = self.camera.height_px, self.camera.width_px
         coarse = [np.linspace(0.5, num - 0.5, max(2, num // FAR_STEP)) for num in (width, height)]
         rays = self.camera.rays(np.stack(np.meshgrid(*coarse), -1))
         return np.asarray(zoom(rays[..., 0], (height / len(coarse[1]), width / len(coarse[0])), order=1))
 
     def _pixel_solid_angles_sr(self, positions_px: Floats) -> Floats:
-        """Of pixels there; smaller by cos³ away from the axis, the distortion left aside.
+        """Solid angles of pixels, smaller by cos³ away from the axis, without the distortion.
 
-        Together with `fall_off` a lamp then weakens towards the corners by cos, as its image does in a lens.
+        Together with `fall_off`, a lamp becomes weaker by cos towards the corners, like its image in a lens.
         """
         offsets = (positions_px - self.camera.centre_px) / self.camera.focal_px
         return np.asarray(self.camera.pixel_solid_angle_sr * (1.0 + (offsets**2).sum(-1)) ** -1.5)
 
 
 def _disc(radius_px: float, sigma_px: float) -> Floats:
-    """Points (x, y) that fill a disc evenly (a sunflower), so dense that the core hides their spacing."""
+    """Points (x, y) that fill a disc evenly (a sunflower), dense enough for the core to hide their spacing."""
     num = int(np.clip(np.ceil(4.0 * (radius_px / max(sigma_px, 0.2)) ** 2), 1, MAX_DISC_POINTS))
     if num == 1:
         return np.zeros((1, 2))

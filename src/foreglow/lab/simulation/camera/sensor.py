@@ -1,7 +1,7 @@
-"""The imager: luminance to grey levels of 8 bits, with the response, noise and fixed pattern of a real one.
+"""The imager: from luminance to grey levels of 8 bits, with the response, noise and fixed pattern of a real one.
 
-Figures are those of the one lossless real frame of PVDN; its even and odd rows have column patterns of their own, and
-its noise is correlated alike in both directions, as demosaicing leaves it.
+Figures are from the one lossless real frame of PVDN. Its even and odd rows have different column patterns, and its
+noise is equally correlated in both directions, as after demosaicing.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ PATTERN_STREAM, NOISE_STREAM = 41, 42
 """Numbers of the random streams."""
 
 COLUMN_KERNEL = (0.45, 1.0, 0.45)
-"""Gives neighbouring columns the real frame's correlation: 0.61 at distance 1, about 0 beyond."""
+"""Kernel that gives neighbouring columns the real frame's correlation: 0.61 at distance 1, about 0 beyond."""
 
 COLUMN_GREY = 1.36
 """Standard deviation of the column pattern that all rows share."""
 
 ROW_PARITY_GREY = 0.56
-"""Standard deviation of what even rows have more and odd rows less; neighbouring columns oppose each other (-0.46)."""
+"""Standard deviation of the pattern that is added to even rows and subtracted from odd ones; the correlation of
+neighbouring columns is -0.46."""
 
 SHADING_GREY = 0.9
 """Standard deviation of the slow change over the columns; the real frame falls from 9.7 at the left to 6.5."""
@@ -33,17 +34,17 @@ UNEVEN_GREY = 0.15
 """Standard deviation of the slow change over the area."""
 
 DARK_SIGNAL_GREY = 0.35
-"""Standard deviation of single pixels' offsets (a guess: one frame does not tell them from noise)."""
+"""Standard deviation of single pixels' offsets (a guess: they cannot be separated from noise in one frame)."""
 
 GAIN_SPREAD = 0.01
-"""Standard deviation of single pixels' sensitivity (a usual figure; not measured)."""
+"""Standard deviation of single pixels' sensitivity (a usual figure, not measured)."""
 
 ROW_GREY = 0.2
 """Standard deviation of a row's mean from frame to frame."""
 
 DEMOSAICING = np.array([[1, 2, 1], [2, 12, 2], [1, 2, 1]], np.float32) / np.float32(164.0**0.5)
-"""Gives white noise the correlation of the real frame's, 0.34 to a neighbour and 0.2 to a diagonal one, and leaves
-its variance.
+"""Kernel that gives white noise the correlation of the real frame's, 0.34 with a neighbour and 0.2 with a diagonal one,
+and keeps its variance.
 """
 
 QUANTISATION_GREY = 12.0**-0.5
@@ -52,7 +53,7 @@ QUANTISATION_GREY = 12.0**-0.5
 class Sensor:
     """The imager behind a lens; its fixed pattern is the same in every frame.
 
-    Images narrower than 1280 columns are binned from such pixels: noise and pattern are averaged accordingly.
+    Images of fewer than 1280 columns are binned from such pixels: noise and pattern are averaged accordingly.
     """
 
     def __init__(self, spec: SensorSpec, camera: Camera, seed: int) -> None:
@@ -63,7 +64,7 @@ class Sensor:
         gain, self._analogue_gain = 1.0, 1.0
         if spec.exposure == "night":
             gain = spec.night_gain
-            # What the longer exposure does not bring is amplified, with the noise.
+            # The part of the gain that the longer exposure does not provide is amplification, also of noise.
             self._analogue_gain = max(1.0, gain * spec.day_exposure_s / spec.night_exposure_s)
         self._binning = min(1.0, camera.width_px / REFERENCE_WIDTH_PX)
         self._grey_per_cd_m2 = self.optics.fall_off * np.float32(spec.grey_per_cd_m2 * gain)
@@ -74,11 +75,11 @@ class Sensor:
 
     @property
     def exposure_s(self) -> float:
-        """How long the shutter is open."""
+        """Time for which the shutter is open."""
         return self.spec.night_exposure_s if self.spec.exposure == "night" else self.spec.day_exposure_s
 
     def expected_grey(self, luminance: Image) -> Image:
-        """Grey levels, shape (H, W), float32, not rounded, without noise and pattern, for the light on the pixels.
+        """Grey levels for the light on the pixels, shape (H, W), float32, not rounded, without noise and pattern.
 
         Args:
             luminance: Shape (H, W), cd/m², spread by the optics.
@@ -93,7 +94,7 @@ class Sensor:
         return np.sqrt((slope * self._noise(signal)) ** 2 + (slope * row) ** 2 + QUANTISATION_GREY**2)
 
     def capture(self, luminance: Image, frame: int) -> NDArray[np.uint8]:
-        """The image, shape (H, W), uint8, of the light on the pixels; the same frame number, the same noise."""
+        """The image, shape (H, W), uint8, of the light on the pixels; the same frame number gives the same noise."""
         rng = np.random.default_rng([self._seed, NOISE_STREAM, frame])
         signal = luminance * self._uneven_grey_per_cd_m2
         noise = cv2.filter2D(
@@ -107,7 +108,7 @@ class Sensor:
         return np.asarray(np.clip(np.rint(grey, out=grey), 0.0, 255.0, out=grey), np.uint8)
 
     def _response(self, signal: Image) -> Image:
-        """Linear up to the knee, logarithmic above, the slope unbroken."""
+        """The response: linear up to the knee, logarithmic above, with a continuous slope."""
         knee, slope = self.spec.knee, self.spec.log_slope
         above = cv2.log(np.maximum(signal - knee, 0.0) * np.float32(1.0 / slope) + np.float32(1.0))
         above *= np.float32(slope)
@@ -116,7 +117,7 @@ class Sensor:
         return np.asarray(above)
 
     def _noise(self, signal: Image) -> Image:
-        """Standard deviation before the response: read noise and shot noise, the latter growing with the gain."""
+        """Standard deviation before the response: read noise and shot noise, both amplified by the analogue gain."""
         read = self.spec.read_noise * self._analogue_gain
         variance = np.maximum(signal, 0.0) * np.float32(self.spec.shot_noise * self._analogue_gain)
         variance += np.float32(read**2)
@@ -126,14 +127,14 @@ class Sensor:
         """The fixed pattern in grey levels before the response: columns, shading, single pixels."""
         height, width = self._shape
         num = max(width, REFERENCE_WIDTH_PX)
-        # Student's t gives the few columns that stand out (kurtosis 6 in the real frame).
+        # Student's t distribution makes a few columns stand out (kurtosis 6 in the real frame).
         columns = np.convolve(rng.standard_t(6.0, num), COLUMN_KERNEL, "same")
         columns *= COLUMN_GREY / columns.std()
         parity = np.diff(rng.standard_normal(num + 1)) * (ROW_PARITY_GREY / 2.0**0.5)
         shading = SHADING_GREY * (rng.standard_normal() * np.linspace(-1.7, 1.7, num) + 0.3 * _slow(rng, num))
         even, odd = (columns + shading + sign * parity for sign in (1.0, -1.0))
         pair = cv2.resize(np.stack([even, odd]).astype(np.float32), (width, 2), interpolation=cv2.INTER_AREA)
-        if self._binning < 1.0:  # both kinds of rows are in every binned one
+        if self._binning < 1.0:  # every binned row contains even and odd rows
             pair[:] = self._binning * pair + (1.0 - self._binning) * pair.mean(0)
         pattern = np.tile(pair, (-(-height // 2), 1))[:height] * np.float32(self.spec.column_noise)
         coarse = rng.standard_normal((max(2, height // 64), max(2, width // 64)), np.float32)
@@ -143,6 +144,6 @@ class Sensor:
 
 
 def _slow(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
-    """Random numbers that change over some 80 places."""
+    """Random numbers that change slowly, over some 80 elements."""
     coarse = rng.standard_normal(max(4, num // 80))
     return np.interp(np.linspace(0.0, len(coarse) - 1.0, num), np.arange(len(coarse)), coarse)

@@ -1,8 +1,8 @@
-"""Rain and snow in our own lamps' light, drawn as the streaks that the exposure makes of them.
+"""Rain and snow in our own lamps' light, drawn as the streaks that appear during the exposure.
 
-Every particle has its place in a world that repeats itself like tiles, falls at its own speed and is passed by us: it
-is the same one from frame to frame until it leaves the tile around the camera's view, some ten metres deep. What floats
-further away is too faint to be seen one by one; it belongs to the haze.
+Every particle has a position in a space that repeats like tiles, and falls at its own speed while we drive past: it is
+the same from frame to frame until it leaves the tile around the camera's view, which is some ten metres deep. Particles
+further away are too faint to be seen individually; they are part of the haze.
 """
 
 from __future__ import annotations
@@ -25,45 +25,45 @@ PARTICLES_STREAM = 43
 
 MAX_RANGE_M = 14.0
 MAX_IN_VIEW = 16_000
-"""The range is shortened until no more are in view: the thicker it falls, the less far one sees."""
+"""Largest number of particles in view; the range is shortened accordingly in heavy rain or snow."""
 
 MIN_RANGE_M = 0.6
-"""Nearer ones would be on the windscreen."""
+"""Nearer particles would be on the windscreen."""
 
 SNOW_MIN_MM, RAIN_MIN_MM = 1.3, 1.0
-"""Smallest diameters that are drawn, of the drop or the molten flake: smaller ones are not seen one by one."""
+"""Smallest diameters, of the drop or the molten flake, that are drawn: smaller ones are not seen individually."""
 
 FLAKE_SWELLING = 2.5
-"""Diameter of a flake over that of its drop: flakes have some 6 % of the density of water."""
+"""Ratio of the diameters of a flake and its drop: flakes have some 6 % of the density of water."""
 
 FLAKE_SCATTERING_PER_SR = 0.18
-"""Intensity back to the lamp per illuminance and cross-section: a white sphere after Lambert, 2/3 of 0.85 over pi."""
+"""Intensity towards the lamp per illuminance and cross-section: that of a white Lambertian sphere, 2/3 of 0.85 / pi."""
 
 DROP_SCATTERING_PER_SR = 0.02
-"""The same for a drop, which sends back little but its glints; of that order in Mie calculations."""
+"""The same for a drop, which reflects little but its glints; similar to Mie calculations."""
 
 APERTURE_M = 4e-3
-"""Of the lens, which is focused far away: near particles are out of focus by as much."""
+"""Aperture of the lens, which is focused far away: near particles are blurred by this size."""
 
 BLURS_PX = (0.0, 1.0, 2.2)
-"""Standard deviations, pixels of 1280 columns, that streaks are sorted to by size and focus."""
+"""Standard deviations, in pixels of 1280 columns, of three classes of streaks by size and focus."""
 
 SPACINGS_PX = (2.0, 2.5, 4.0)
-"""Between the points that streaks of each sort are made of, pixels of 1280 columns: blur and lens close the gaps."""
+"""Distances, in pixels of 1280 columns, of the points of a streak in each class: blur and lens close the gaps."""
 
 MAX_POINTS = 128
-"""That a streak is made of, at most; those that would need more are next to the camera and beyond the image."""
+"""Largest number of points in a streak; streaks that would need more are close to the camera and leave the image."""
 
 MIN_LUMINANCE_CD_M2 = 1e-4
 """Fainter streaks are left out: 0.1 grey levels of the long exposure."""
 
 FADING_SHARE = 0.3
-"""The last part of the range, over which particles fade in."""
+"""Last part of the range, over which particles fade in."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Particles:
-    """Shape (N, 3) or (N,) each: places in the tile at time 0, velocities in the world, and what they scatter."""
+    """Positions in the tile at time 0 and velocities in the world, shape (N, 3), and properties, shape (N,)."""
 
     positions_m: Floats
     velocities_mps: Floats
@@ -85,7 +85,7 @@ class FallingParticles:
         self._range_m = MAX_RANGE_M
         if density_per_m3 > 0:
             self._range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
-        # A tile holds the whole view, however the camera is turned about the vertical; some room for its pitch.
+        # A tile contains the whole view for any yaw of the camera, with some room for its pitch.
         across = 2.0 * float(np.hypot(0.5, half_width)) * self._range_m
         self._tile_m = np.array([across, across, 2.3 * half_height * self._range_m])
         rng = np.random.default_rng([seed, PARTICLES_STREAM])
@@ -98,7 +98,7 @@ class FallingParticles:
         )
         is_snow = np.arange(num_snow + num_rain) < num_snow
         diameters = 1e-3 * molten_mm * np.where(is_snow, FLAKE_SWELLING, 1.0)
-        # Atlas et al. 1973 for drops; flakes fall at about 1 m/s whatever their size, and waver.
+        # Atlas et al. 1973 for drops; flakes of all sizes fall at about 1 m/s, and drift.
         fall_mps = np.where(is_snow, rng.normal(1.0, 0.2, len(is_snow)), 9.65 - 10.3 * np.exp(-0.6 * molten_mm))
         drift_mps = rng.normal(0.0, 1.0, (len(is_snow), 2)) * np.where(is_snow, 0.35, 0.1)[:, np.newaxis]
         scattering = np.where(is_snow, FLAKE_SCATTERING_PER_SR, DROP_SCATTERING_PER_SR)
@@ -117,14 +117,14 @@ class FallingParticles:
         lamps: Sequence[PlacedLamp],
         depth_m: Image | None = None,
     ) -> Image:
-        """What the particles add to an image, shape (H, W), float32, cd/m², before the optics; 0 without any.
+        """Luminance of the particles, shape (H, W), float32, cd/m², before the optics; 0 without particles.
 
         Args:
-            time_s: When the shutter opens.
-            exposure_s: How long it stays open.
-            world_from_camera: The camera's poses when it opens and closes.
-            lamps: Our own; they light the particles, which cast no shadows.
-            depth_m: Shape (H, W), along each pixel's ray; what floats behind it is hidden. None hides nothing.
+            time_s: Time at which the shutter opens.
+            exposure_s: Duration of the exposure.
+            world_from_camera: The camera's poses at its begin and end.
+            lamps: Our own lamps, which light the particles; there are no shadows.
+            depth_m: Shape (H, W), along each pixel's ray; particles behind it are hidden. None hides nothing.
         """
         height, width = self._camera.height_px, self._camera.width_px
         image = np.zeros((height, width), np.float32)
@@ -159,7 +159,7 @@ class FallingParticles:
         return image
 
     def _in_view(self, points_camera: Floats) -> NDArray[np.bool_]:
-        """Whether the camera may see them while the shutter is open; wider than its view, for streaks that come in."""
+        """Whether the camera may see a point during the exposure; wider than its view, for streaks that enter it."""
         forward = points_camera[:, 0]
         margin = 1.15 * forward + 0.3
         half_width = 0.5 * self._camera.width_px / self._camera.focal_px[0]
@@ -179,7 +179,7 @@ class FallingParticles:
         return total
 
     def _depths_m(self, points_camera: Floats, depth_m: Image) -> Floats:
-        """Depth of the image where the points are; infinite outside it and where it is NaN."""
+        """Depth of the image at the points; infinite outside it and where it is NaN."""
         pixels = np.floor(np.nan_to_num(self._camera.project(points_camera), nan=-1.0)).astype(np.intp)
         height, width = depth_m.shape
         is_inside = (pixels >= 0).all(1) & (pixels < (width, height)).all(1)
@@ -188,7 +188,7 @@ class FallingParticles:
         return depths
 
     def _drawn(self, starts: Floats, ends: Floats, fluxes: Floats, spacing_px: float) -> Image:
-        """Streaks, shape (H, W): each one's flux spread evenly over the time it takes from start to end."""
+        """Streaks, shape (H, W): each particle's flux, spread evenly over the time from start to end."""
         height, width = self._camera.height_px, self._camera.width_px
         from_px, to_px = self._camera.project(starts), self._camera.project(ends)
         lengths = np.linalg.norm(to_px - from_px, axis=1)
@@ -197,8 +197,8 @@ class FallingParticles:
         streak = np.repeat(np.arange(len(seen)), nums)
         first = np.repeat(np.cumsum(nums) - nums, nums)
         shares = ((np.arange(len(streak)) - first + 0.5) / nums[streak]).astype(np.float32)
-        # Near things sweep through the image faster: time is even in space, not along the streak. The lens's
-        # distortion bends streaks by less than can be seen.
+        # Particles move faster through the image while they are near: points are evenly spaced in space, not along the
+        # streak. The curvature of streaks by the lens's distortion is invisible.
         approach = (starts[seen, 0] / ends[seen, 0]).astype(np.float32)[streak]
         shares /= shares + approach * (1.0 - shares)
         x, y = (

@@ -1,1 +1,1 @@
-"""What an annotator would mark, and when."""
+"""Labels of a simulated drive: what an annotator would mark, and when."""

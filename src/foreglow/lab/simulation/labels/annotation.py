@@ -1,4 +1,4 @@
-"""What an annotator would mark in a frame: artifacts with their numbers, for every vehicle."""
+"""The light artifacts of every vehicle in a frame, with their instance ids."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from foreglow.lab.simulation.traffic.actors import Actor
 
 @dataclass(frozen=True, slots=True)
 class Annotation:
-    """Of one vehicle: the artifacts with their numbers, and the peaks under much looser thresholds."""
+    """The labels of a vehicle: artifacts with their ids, and the peaks under much looser thresholds."""
 
     artifacts: tuple[Artifact, ...]
     candidates: tuple[Artifact, ...]
 
 
 class Annotator:
-    """Marks frame after frame of a drive, so that instances keep their numbers."""
+    """Labels a drive frame by frame, so that instances keep their ids."""
 
     def __init__(self, scene: Scene, camera: Camera) -> None:
         self._rule = scene.labels
@@ -31,13 +31,13 @@ class Annotator:
         self._tracker = InstanceTracker(scene.labels, self._scale)
 
     def annotate(
-        self, place: int, actor: Actor, lamps: tuple[LampTruth, ...], exposure: Exposure, camera_world_m: Floats
+        self, index: int, actor: Actor, lamps: tuple[LampTruth, ...], exposure: Exposure, camera_world_m: Floats
     ) -> Annotation:
-        """The marks of the vehicle in `place` of the frame's vehicles."""
-        surroundings = exposure.surroundings_of(place)
-        peaks_grey = exposure.lamp_peaks_grey(place, [lamp.position_px for lamp in lamps])
+        """The labels of the vehicle `index` of the frame."""
+        surroundings = exposure.surroundings_of(index)
+        peaks_grey = exposure.lamp_peaks_grey(index, [lamp.position_px for lamp in lamps])
         direct = direct_artifacts(lamps, peaks_grey, surroundings, camera_world_m, self._rule, self._scale)
-        light = exposure.light_of(place, is_rear=actor.spec.lane == "own")
+        light = exposure.light_of(index, is_rear=actor.spec.lane == "own")
         indirect: tuple[Artifact, ...] = ()
         candidates: tuple[Artifact, ...] = ()
         if light is not None:

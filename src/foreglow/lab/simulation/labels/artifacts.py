@@ -1,7 +1,7 @@
-"""Light artifacts of one vehicle in one image: where an annotator would put keypoints.
+"""Light artifacts of a vehicle in an image: where an annotator would put keypoints.
 
-The renderer knows each vehicle's light alone, so nothing is searched for in the noisy image: what counts is the grey
-level that the light adds, beside the noise in which an eye would have to find it.
+The renderer gives each vehicle's light separately, so there is no search in the noisy image: what counts is the grey
+level that the light adds, compared with the noise in which an eye would have to find it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Greys: TypeAlias = NDArray[np.float32]
 """Grey levels of 8 bits, shape (height, width), float32."""
 
 SMOOTHING_PX = 2.5
-"""Standard deviation of the smoothing of an eye that looks for light, at 1280 columns; tuned in the trial renderer."""
+"""Standard deviation of the smoothing by an eye in search of light, at 1280 columns; tuned in the trial renderer."""
 COLUMN_GREY = 0.35
-"""Standard deviation of what the columns' fixed pattern leaves after smoothing; tuned in the trial renderer."""
+"""Standard deviation of the columns' fixed pattern after smoothing; tuned in the trial renderer."""
 TEXTURE_SHARE = 0.06
 """Share of the local texture that is mistaken for light; tuned in the trial renderer."""
 TEXTURE_WINDOW_PX = 25.0
@@ -37,13 +37,13 @@ HALO_SHARE = 0.2
 CANDIDATE_FACTOR = 4.0
 """Candidates meet the rule with thresholds divided by this, or by the rule's own factor if that is larger."""
 MAX_CANDIDATES = 40
-"""The strongest of one vehicle in an image that are kept; foliage yields more than a hundred."""
+"""So many of the strongest candidates of a vehicle in an image are kept; foliage yields more than a hundred."""
 KIND_WINDOW_PX = 7.0
-"""Side of the square around a peak whose surface names it, at 1280 columns: about the width of the smoothing."""
+"""Side of the square around a peak that determines its kind, at 1280 columns: about the width of the smoothing."""
 LAMP_MERGE_PX = 3.0
-"""Lamps closer than this are seen as one, at 1280 columns: about the width of the point spread."""
+"""Lamps closer than this look like a single lamp, at 1280 columns: about the width of the point spread."""
 HOUSING_M = 0.4
-"""Lamps closer than this share a housing, such as low and high beam of one headlamp."""
+"""Lamps closer than this share a housing, such as low and high beam of a headlamp."""
 
 _KIND_OF_MATERIAL = np.full(NO_MATERIAL + 1, KINDS.index("haze"), np.intp)
 _KIND_OF_MATERIAL[: len(MATERIALS)] = [KINDS.index(material.kind) for material in MATERIALS]
@@ -51,12 +51,12 @@ _KIND_OF_MATERIAL[: len(MATERIALS)] = [KINDS.index(material.kind) for material i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleLight:
-    """Noise-free expected images with and without the light of one vehicle, each of shape (H, W).
+    """Noise-free images with and without the light of a vehicle, each of shape (H, W).
 
     Attributes:
-        grey_with: With everything.
-        grey_without_indirect: Without this vehicle's reflected and scattered light; its lamps' discs and halo stay.
-        grey_without: Without any of its light.
+        grey_with: With all light.
+        grey_without_indirect: Without the vehicle's reflected and scattered light, but with its lamps' discs and halo.
+        grey_without: Without any of the vehicle's light.
         is_rear: Whether it is the light of its rear lamps.
     """
 
@@ -68,12 +68,12 @@ class VehicleLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """What else is known of each pixel, each of shape (H, W).
+    """What else is known about each pixel, each of shape (H, W).
 
     Attributes:
         noise_grey: Standard deviation of the sensor's noise.
-        materials: Place in `MATERIALS`, uint8; `NO_MATERIAL` for the sky.
-        depth_m: Distance along the ray; anything for the sky.
+        materials: Index in `MATERIALS`, uint8; `NO_MATERIAL` for the sky.
+        depth_m: Distance along the ray; without meaning for the sky.
         haze_share: Share of this vehicle's indirect light that comes from the air, 0..1.
     """
 
@@ -100,28 +100,28 @@ def indirect_artifacts(
 
     Args:
         light: Images with and without the light.
-        surroundings: Noise and what is seen.
-        rule: What counts.
+        surroundings: Noise, material and depth.
+        rule: When light counts.
         width_scale: Columns of the image over 1280.
-        has_direct: Whether one of the vehicle's lamps is seen.
+        has_direct: Whether a lamp of the vehicle is seen.
 
     Returns:
-        The artifacts and the candidates, either without instance ids, strongest first.
+        The artifacts and the candidates, both without instance ids, strongest first.
     """
     found = _strength(light, surroundings.noise_grey, rule, width_scale)
     if found is None:
         return (), ()
-    places = _peak_places(found.strength, rule, width_scale)
+    peaks = _peak_pixels(found.strength, rule, width_scale)
     radius = max(1, round(KIND_WINDOW_PX * width_scale / 2))
     top, left = found.crop[0].start, found.crop[1].start
     candidates: list[Artifact] = []
-    for row, column in places:
-        at = (top + row, left + column)
-        kind, depth_m = _lit_surface(found.difference, surroundings, at, radius)
+    for row, column in peaks:
+        pixel = (top + row, left + column)
+        kind, depth_m = _lit_surface(found.difference, surroundings, pixel, radius)
         candidates.append(
             Artifact(
                 instance_id=-1,
-                position_px=(float(at[1]), float(at[0])),
+                position_px=(float(pixel[1]), float(pixel[0])),
                 kind=kind,
                 is_direct=False,
                 is_rear=light.is_rear,
@@ -138,37 +138,37 @@ def indirect_artifacts(
 def apply_rule(
     candidates: Iterable[Artifact], rule: LabelRule, width_scale: float = 1.0, *, has_direct: bool = False
 ) -> tuple[Artifact, ...]:
-    """The artifacts among the `candidates` of one vehicle in one image, strongest first, then the doubtful ones.
+    """The artifacts among the `candidates` of a vehicle in an image, strongest first, then the doubtful artifacts.
 
-    Doubtful are those that only meet the divided thresholds, and those that are passed over because enough others
-    are marked: neither answer would be wrong. All haze of a vehicle is one glow, however trees cut it up: only its
-    strongest peak is marked. Thresholds must be at least those of the rule under which the candidates were found,
+    Those are doubtful that meet only the divided thresholds, and those that are left out because enough others are
+    marked: neither answer would be wrong. All haze of a vehicle is a single glow, even where trees divide it: only
+    its strongest peak is marked. Thresholds must be at least those of the rule under which the candidates were found,
     divided by `CANDIDATE_FACTOR`.
     """
     min_distance_px = rule.min_distance_px * width_scale
     max_marked = rule.max_instances if has_direct else rule.max_hidden_instances
-    large = [one for one in candidates if one.area_px >= rule.min_area_px * width_scale**2]
-    ranked = sorted(large, key=lambda one: -strength(one, rule))
+    large = [candidate for candidate in candidates if candidate.area_px >= rule.min_area_px * width_scale**2]
+    ranked = sorted(large, key=lambda candidate: -strength(candidate, rule))
     strongest = strength(ranked[0], rule) if ranked else 0.0
     marked: list[Artifact] = []
-    passed_over: list[Artifact] = []
-    for one in ranked:
-        height = strength(one, rule)
-        if height <= 1 / rule.doubtful_factor or not _is_apart(one, marked, min_distance_px):
+    doubtful: list[Artifact] = []
+    for candidate in ranked:
+        height = strength(candidate, rule)
+        if height <= 1 / rule.doubtful_factor or not _is_apart(candidate, marked, min_distance_px):
             continue
-        is_haze_again = one.kind == "haze" and any(other.kind == "haze" for other in marked)
+        is_haze_again = candidate.kind == "haze" and any(other.kind == "haze" for other in marked)
         is_marked = (
             height > max(1.0, rule.relative_strength * strongest) and len(marked) < max_marked and not is_haze_again
         )
         if is_marked:
-            marked.append(replace(one, is_doubtful=False))
-        elif _is_apart(one, passed_over, min_distance_px):
-            passed_over.append(replace(one, is_doubtful=True))
-    return (*marked, *passed_over)
+            marked.append(replace(candidate, is_doubtful=False))
+        elif _is_apart(candidate, doubtful, min_distance_px):
+            doubtful.append(replace(candidate, is_doubtful=True))
+    return (*marked, *doubtful)
 
 
 def strength(artifact: Artifact, rule: LabelRule) -> float:
-    """By which factor both thresholds could be raised until the artifact is not perceivable any more."""
+    """The factor by which both thresholds could be raised until the artifact is no longer perceivable."""
     return min(artifact.grey / rule.min_grey, artifact.contrast / rule.min_contrast)
 
 
@@ -186,24 +186,24 @@ def direct_artifacts(
     rule: LabelRule,
     width_scale: float = 1.0,
 ) -> tuple[Artifact, ...]:
-    """The lamps that are seen themselves, as artifacts without instance ids, in the order of `lamps`.
+    """The visible lamps as artifacts without instance ids, in the order of `lamps`.
 
-    Lamps that share a housing, and those that the image cannot separate, are one artifact at their mean position,
-    weighted with what each adds.
+    Lamps that share a housing or are not separated in the image become a single artifact at their mean position,
+    weighted with their grey levels.
 
     Args:
-        lamps: All lamps of one vehicle.
-        peak_grey: What each adds at its peak, grey levels.
-        surroundings: For the noise.
-        camera_world_m: Shape (3,), where the camera is.
-        rule: What counts.
+        lamps: All lamps of a vehicle.
+        peak_grey: Grey levels that each lamp adds at its peak.
+        surroundings: Its noise is used.
+        camera_world_m: Shape (3,), the camera's position.
+        rule: When light counts.
         width_scale: Columns of the image over 1280.
     """
     groups: list[list[tuple[LampTruth, float]]] = []
     for lamp, grey in zip(lamps, peak_grey, strict=True):
         if lamp.visible_share < rule.min_visible or not grey > rule.min_grey:
             continue
-        joined = next((group for group in groups if _is_seen_as_one(group[0][0], lamp, width_scale)), None)
+        joined = next((group for group in groups if _is_joined(group[0][0], lamp, width_scale)), None)
         if joined is None:
             groups.append([(lamp, grey)])
         else:
@@ -213,7 +213,7 @@ def direct_artifacts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Strength:
-    """The added light of the whole image, and of the part where it may be perceived: smoothed, contrast, strength."""
+    """The added light of the whole image, and of the part where it may be seen: smoothed, contrast, strength."""
 
     difference: Greys
     crop: tuple[slice, slice]
@@ -248,18 +248,18 @@ def _strength(light: VehicleLight, noise_grey: Greys, rule: LabelRule, width_sca
     return _Strength(whole, crop, grey, contrast, strengths)
 
 
-def _peak_places(strengths: Greys, rule: LabelRule, width_scale: float) -> list[tuple[int, int]]:
-    """Row and column of the highest peaks, highest first; found on every second pixel of large, thus smooth images."""
+def _peak_pixels(strengths: Greys, rule: LabelRule, width_scale: float) -> list[tuple[int, int]]:
+    """Row and column of the highest peaks, highest first; large images are smooth, so every second pixel is enough."""
     stride = 2 if width_scale >= 0.75 else 1
     coarse = np.ascontiguousarray(strengths[::stride, ::stride])
     peaks = find_peaks(coarse, 1 / max(CANDIDATE_FACTOR, rule.doubtful_factor), rule.saddle)
-    places: list[tuple[int, int]] = []
+    pixels: list[tuple[int, int]] = []
     for row, column in zip(peaks.rows[:MAX_CANDIDATES].tolist(), peaks.columns[:MAX_CANDIDATES].tolist(), strict=True):
         top, left = max(0, stride * row - stride + 1), max(0, stride * column - stride + 1)
         around = strengths[top : stride * (row + 1), left : stride * (column + 1)]
         down, right = divmod(int(around.argmax()), around.shape[1])
-        places.append((top + down, left + right))
-    return places
+        pixels.append((top + down, left + right))
+    return pixels
 
 
 def _smoothed(image: Greys, sigma_px: float, reach_px: int) -> Greys:
@@ -280,10 +280,10 @@ def _box_around(is_inside: NDArray[np.bool_], margin_px: int) -> tuple[slice, sl
 
 
 def _lit_surface(
-    difference: Greys, surroundings: Surroundings, place: tuple[int, int], radius_px: int
+    difference: Greys, surroundings: Surroundings, pixel: tuple[int, int], radius_px: int
 ) -> tuple[Kind, float]:
-    """What most of the added light around `place` (row, column) is seen on, and the depth of its brightest pixel."""
-    rows, columns = (slice(max(0, at - radius_px), at + radius_px + 1) for at in place)
+    """The kind of surface with most of the light around `pixel` (row, column), and its brightest pixel's depth."""
+    rows, columns = (slice(max(0, at - radius_px), at + radius_px + 1) for at in pixel)
     added = np.maximum(difference[rows, columns], 0.0).ravel()
     numbers = surroundings.materials[rows, columns].ravel()
     in_air = np.where(numbers == NO_MATERIAL, 1.0, surroundings.haze_share[rows, columns].ravel()) * added
@@ -296,19 +296,19 @@ def _lit_surface(
     return KINDS[kind], float(surroundings.depth_m[rows, columns].ravel()[brightest])
 
 
-def _is_apart(one: Artifact, others: Iterable[Artifact], min_distance_px: float) -> bool:
-    return all(math.dist(one.position_px, other.position_px) >= min_distance_px for other in others)
+def _is_apart(artifact: Artifact, others: Iterable[Artifact], min_distance_px: float) -> bool:
+    return all(math.dist(artifact.position_px, other.position_px) >= min_distance_px for other in others)
 
 
-def _is_seen_as_one(one: LampTruth, other: LampTruth, width_scale: float) -> bool:
-    return one.is_rear == other.is_rear and (
-        math.dist(one.position_px, other.position_px) < LAMP_MERGE_PX * width_scale
-        or math.dist(one.position_world_m, other.position_world_m) < HOUSING_M
+def _is_joined(lamp: LampTruth, other: LampTruth, width_scale: float) -> bool:
+    return lamp.is_rear == other.is_rear and (
+        math.dist(lamp.position_px, other.position_px) < LAMP_MERGE_PX * width_scale
+        or math.dist(lamp.position_world_m, other.position_world_m) < HOUSING_M
     )
 
 
 def _lamp_artifact(group: Sequence[tuple[LampTruth, float]], noise_grey: Greys, camera_world_m: Floats) -> Artifact:
-    """One artifact for lamps, each with its peak, that are seen as one."""
+    """The common artifact of joined lamps, given with their peaks."""
     weights = np.array([grey for _, grey in group])
     x, y = weights @ np.array([lamp.position_px for lamp, _ in group]) / weights.sum()
     first, peak = group[0][0], float(weights.max())

@@ -1,4 +1,4 @@
-"""PVDN's category of each image, from what is exactly known of it."""
+"""PVDN's category of each image, from its truth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from foreglow.datasets.simulated import VehicleTruth
 from foreglow.lab.simulation.scenes.scene import LabelRule, VehicleSpec
 
 IN_SIGHT_SHARE = 0.5
-"""Share of a vehicle's body from which it counts as in sight itself."""
+"""Visible share of a vehicle's body from which the vehicle itself counts as in sight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +19,8 @@ class Signs:
 
     Attributes:
         has_indirect: Whether reflected or scattered light is perceivable.
-        has_direct: Whether a lamp is.
-        is_in_sight: Whether a vehicle itself is: all its headlamps, or half of its body.
+        has_direct: Whether a lamp is perceivable.
+        is_in_sight: Whether a vehicle itself is in sight: all its headlamps, or half of its body.
     """
 
     has_indirect: bool = False
@@ -36,13 +36,13 @@ def is_oncoming(vehicle: VehicleSpec) -> bool:
 
 
 def signs_of(vehicle: VehicleTruth, rule: LabelRule) -> Signs:
-    """What an image shows of one oncoming vehicle; doubtful artifacts and those of rear lamps do not count."""
-    counted = [one for one in vehicle.artifacts if not one.is_doubtful and not one.is_rear]
+    """What an image shows of an oncoming vehicle; doubtful artifacts and those of rear lamps do not count."""
+    counted = [artifact for artifact in vehicle.artifacts if not artifact.is_doubtful and not artifact.is_rear]
     headlamps = [lamp for lamp in vehicle.lamps if not lamp.is_rear]
-    has_direct = any(one.is_direct for one in counted)
+    has_direct = any(artifact.is_direct for artifact in counted)
     are_all_seen = all(lamp.visible_share >= rule.min_visible for lamp in headlamps)
     return Signs(
-        has_indirect=any(not one.is_direct for one in counted),
+        has_indirect=any(not artifact.is_direct for artifact in counted),
         has_direct=has_direct,
         is_in_sight=has_direct and (are_all_seen or vehicle.visible_share >= IN_SIGHT_SHARE),
     )
@@ -51,17 +51,17 @@ def signs_of(vehicle: VehicleTruth, rule: LabelRule) -> Signs:
 class ImageCategories:
     """The categories of a drive, image by image.
 
-    A first time - of indirect light, of a lamp, of the vehicle itself - marks its image with 1, 3 or 5, the most
-    advanced one if several come at once. All others have the state that was reached: 2 with indirect light only, 4
-    once a lamp was seen, 6 once the production system reported a vehicle. 7 is never used, as in PVDN.
+    The first image with indirect light, with a lamp, or with the vehicle itself has the category 1, 3 or 5; the
+    highest if they coincide. All other images have the state so far: 2 with indirect light only, 4 after a lamp was
+    seen, 6 after the production system reported a vehicle. 7 is never used, as in PVDN.
 
-    Images without any label are 0. After more than `hold_frames` of them the vehicle is gone, and the next one begins
-    anew; a shorter gap begins nothing.
+    Images without any label are 0. After more than `hold_frames` of them the vehicle is gone, and the states of the
+    next vehicle begin with 1; a shorter gap changes nothing.
     """
 
     def __init__(self, vehicles: Sequence[VehicleSpec], rule: LabelRule) -> None:
-        """Starts a drive among `vehicles`, whose places are the ids in the truth."""
-        self._oncoming = {place for place, vehicle in enumerate(vehicles) if is_oncoming(vehicle)}
+        """Starts a drive among `vehicles`, whose indices are the ids in the truth."""
+        self._oncoming = {index for index, vehicle in enumerate(vehicles) if is_oncoming(vehicle)}
         self._rule = rule
         self._reached = Signs()
         self._is_triggered = False
@@ -69,12 +69,12 @@ class ImageCategories:
 
     def update(self, vehicles: Sequence[VehicleTruth], is_production_detected: bool) -> ImageCategory:
         """The category of the next image."""
-        signs = [signs_of(one, self._rule) for one in vehicles if one.vehicle_id in self._oncoming]
+        signs = [signs_of(vehicle, self._rule) for vehicle in vehicles if vehicle.vehicle_id in self._oncoming]
         return self.step(
             Signs(
-                has_indirect=any(one.has_indirect for one in signs),
-                has_direct=any(one.has_direct for one in signs),
-                is_in_sight=any(one.is_in_sight for one in signs),
+                has_indirect=any(sign.has_indirect for sign in signs),
+                has_direct=any(sign.has_direct for sign in signs),
+                is_in_sight=any(sign.is_in_sight for sign in signs),
             ),
             is_production_detected,
         )

@@ -1,4 +1,4 @@
-"""Light artifacts keep their number through a drive, and do not blink at the threshold."""
+"""Instance ids that artifacts keep through a drive, with hysteresis at the threshold of perceivability."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from foreglow.lab.simulation.labels.artifacts import strength
 from foreglow.lab.simulation.scenes.scene import LabelRule
 
 GATE_PX = 30.0
-"""An instance moves at most this far from one frame to the next, at 1280 columns, when it is far away."""
+"""Largest movement of a distant instance between two frames, at 1280 columns."""
 NEAR_GATE_PX_M2 = 25_000.0
-"""What is added to the gate at a depth of 1 m; it falls with depth squared.
+"""Is added to the gate at a depth of 1 m; it falls with the square of the depth.
 
 A point 6 m beside our path, passed at 30 m/s and 18 Hz with a focal length of 1312 px, moves by 1312 * 6 * 1.7 / z^2 px
 a frame; twice that for light that runs towards us at the same speed.
 """
 MAX_GATE_PX = 200.0
-"""Nothing is matched beyond, at 1280 columns and for each frame."""
+"""Largest gate, at 1280 columns and for each frame."""
 OTHER_KIND_PX = 30.0
-"""Distance that another kind of surface counts for, at 1280 columns."""
+"""A different kind of surface counts as such a distance, at 1280 columns."""
 
 
 @dataclass(slots=True)
 class _Instance:
-    """What is remembered of an instance: its latest artifact, and for how many frames it is missing, weak, marked."""
+    """An instance: its latest artifact, and the number of frames for which it has been missing, weak or marked."""
 
     latest: Artifact
     num_missed: int = 0
@@ -40,10 +40,10 @@ class _Instance:
 class InstanceTracker:
     """Gives artifacts their instance ids over a drive.
 
-    Lamps keep their id by vehicle and name. Indirect artifacts are matched to those of the latest frames, so that the
-    sum of distances is smallest. Doubtful ones are followed too and have ids. An instance that was marked stays
-    marked while it is at least doubtful, for up to `hold_frames` frames, and is remembered for as many frames while
-    it is missing; a new one is marked only if it meets the full rule. Ids count from 0 and are never used again.
+    Lamps keep their id by vehicle and name. Indirect artifacts, doubtful ones too, are matched to those of the latest
+    frames so that the sum of distances is smallest. An instance that was marked stays marked while it is at least
+    doubtful, for up to `hold_frames` frames, and is kept for as many frames while it is missing; a new instance is
+    marked only if it meets the full rule. Ids count from 0 and are never used again.
     """
 
     def __init__(self, rule: LabelRule, width_scale: float = 1.0) -> None:
@@ -55,16 +55,17 @@ class InstanceTracker:
         self._instances: dict[int, dict[int, _Instance]] = {}
 
     def update(self, vehicle_id: int, artifacts: Sequence[Artifact]) -> tuple[Artifact, ...]:
-        """The artifacts of one vehicle in the next frame with their ids, in their order; call it for empty ones too."""
+        """The artifacts of a vehicle in the next frame with their ids, in their order; call it for empty ones, too."""
         known = self._instances.setdefault(vehicle_id, {})
-        matched = self._matched([(place, one) for place, one in enumerate(artifacts) if not one.is_direct], known)
+        indirect = [(index, artifact) for index, artifact in enumerate(artifacts) if not artifact.is_direct]
+        matched = self._matched(indirect, known)
         numbered: list[Artifact] = []
-        for place, artifact in enumerate(artifacts):
+        for index, artifact in enumerate(artifacts):
             if artifact.is_direct:
                 numbered.append(replace(artifact, instance_id=self._lamp_id(vehicle_id, artifact)))
             else:
-                numbered.append(self._followed(artifact, matched.get(place), known))
-        self._forget({one.instance_id for one in numbered}, known)
+                numbered.append(self._followed(artifact, matched.get(index), known))
+        self._forget({artifact.instance_id for artifact in numbered}, known)
         return self._capped(numbered, known)
 
     def _lamp_id(self, vehicle_id: int, artifact: Artifact) -> int:
@@ -78,15 +79,15 @@ class InstanceTracker:
         return self._num_ids - 1
 
     def _matched(self, found: Sequence[tuple[int, Artifact]], known: dict[int, _Instance]) -> dict[int, int]:
-        """Id of the known instance that each of the `found` artifacts, by its place, continues."""
+        """Ids of the known instances that the `found` artifacts continue, by index of the artifact."""
         if not found or not known:
             return {}
-        ids, costs = list(known), _costs([one for _, one in found], list(known.values()), self._scale)
+        ids, costs = list(known), _costs([artifact for _, artifact in found], list(known.values()), self._scale)
         rows, columns = linear_sum_assignment(costs)
         return {found[row][0]: ids[column] for row, column in zip(rows, columns, strict=True) if costs[row, column] < 1}
 
     def _followed(self, artifact: Artifact, instance_id: int | None, known: dict[int, _Instance]) -> Artifact:
-        """`artifact` with its id, marked for a while although it became weak; `known` is brought up to date."""
+        """`artifact` with its id, marked for a while although it became weak; updates `known`."""
         if instance_id is None:
             instance_id = self._new_id()
             known[instance_id] = _Instance(artifact)
@@ -101,33 +102,38 @@ class InstanceTracker:
 
     def _forget(self, seen: set[int], known: dict[int, _Instance]) -> None:
         """Counts the frames in which an instance is missing, and drops it after `hold_frames` of them."""
-        for instance_id in [one for one in known if one not in seen]:
+        for instance_id in known.keys() - seen:
             known[instance_id].num_missed += 1
             if known[instance_id].num_missed > self._rule.hold_frames:
                 del known[instance_id]
 
     def _capped(self, artifacts: Sequence[Artifact], known: dict[int, _Instance]) -> tuple[Artifact, ...]:
-        """As many indirect ones stay marked as the rule allows: those that were come first, then the strongest."""
-        is_hidden = not any(one.is_direct for one in artifacts)
+        """As many indirect artifacts stay marked as the rule allows: earlier ones come first, then the strongest."""
+        is_hidden = not any(artifact.is_direct for artifact in artifacts)
         most = self._rule.max_hidden_instances if is_hidden else self._rule.max_instances
-        marked = [one for one in artifacts if not one.is_direct and not one.is_doubtful]
-        ranked = sorted(marked, key=lambda one: (known[one.instance_id].num_marked == 1, -strength(one, self._rule)))
-        surplus = {one.instance_id for one in ranked[most:]}
+        marked = [artifact for artifact in artifacts if not artifact.is_direct and not artifact.is_doubtful]
+        ranked = sorted(marked, key=lambda each: (known[each.instance_id].num_marked == 1, -strength(each, self._rule)))
+        surplus = {artifact.instance_id for artifact in ranked[most:]}
         for instance_id in surplus:
             known[instance_id].num_marked = 0
-        return tuple(replace(one, is_doubtful=True) if one.instance_id in surplus else one for one in artifacts)
+        return tuple(
+            replace(artifact, is_doubtful=True) if artifact.instance_id in surplus else artifact
+            for artifact in artifacts
+        )
 
 
 def _costs(found: Sequence[Artifact], known: Sequence[_Instance], width_scale: float) -> Floats:
-    """Distance over the gate, shape (found, known): below 1 where one can continue the other, and never more than 1."""
+    """Distance over the gate, shape (found, known): below 1 where an artifact can continue an instance, never above."""
     latest = [instance.latest for instance in known]
-    found_px, known_px = (np.array([one.position_px for one in many]) for many in (found, latest))
-    found_m, known_m = (np.array([np.nan_to_num(one.depth_m, nan=np.inf) for one in many]) for many in (found, latest))
+    found_px, known_px = (np.array([artifact.position_px for artifact in some]) for some in (found, latest))
+    found_m, known_m = (
+        np.nan_to_num(np.array([artifact.depth_m for artifact in some]), nan=np.inf) for some in (found, latest)
+    )
     distance_px = np.linalg.norm(found_px[:, None] - known_px, axis=-1) / width_scale
-    is_other_kind = np.array([[one.kind != other.kind for other in latest] for one in found])
+    is_other_kind = np.array([[artifact.kind != other.kind for other in latest] for artifact in found])
     distance_px += OTHER_KIND_PX * is_other_kind
     gate_px = np.minimum(GATE_PX + NEAR_GATE_PX_M2 / np.minimum(found_m[:, None], known_m) ** 2, MAX_GATE_PX)
     gate_px *= np.array([1 + instance.num_missed for instance in known])
-    is_other_end = np.array([[one.is_rear != other.is_rear for other in latest] for one in found])
-    # A constant outside the gate: what cannot be matched must not sway those that can.
+    is_other_end = np.array([[artifact.is_rear != other.is_rear for other in latest] for artifact in found])
+    # A constant outside the gate, so that artifacts that cannot be matched do not influence the others.
     return np.where(is_other_end, 1.0, np.minimum(distance_px / gate_px, 1.0))

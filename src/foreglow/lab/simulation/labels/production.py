@@ -1,4 +1,4 @@
-"""A model of what a production high-beam assistant sees: headlamps in direct sight, and only after a while."""
+"""A model of a production high-beam assistant: it reports headlamps in direct sight, after a delay."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, S
 class ProductionConfig(SpecModel):
     """When the modelled production system reports a vehicle.
 
-    Nobody publishes such a system's thresholds; the defaults are chosen so that the model is not made slow to look
-    good against it. Regulations are cited from public third-party notes, not from the official texts.
+    The thresholds of such systems are not published; the defaults do not make the model slow in our favour.
+    Regulations are cited from public third-party notes, not from the official texts.
 
     Attributes:
         min_grey: Grey levels that a headlamp adds to its surroundings at its peak; some 25 times the noise of the
             camera in PVDN, so that no reflection of our own beam on a dark road counts.
-        min_illuminance_lx: Of all headlamps in sight together, at the camera. UN R48 asks that an oncoming car is seen
-            at 400 m on a straight level road: two lamps with 200 cd each give 0.0025 lx there, and that is about what
+        min_illuminance_lx: Of all headlamps in sight together, at the camera. UN R48 demands that an oncoming car is
+            seen at 400 m on a straight level road: two lamps with 200 cd each give 0.0025 lx there, which is about what
             a low beam emits above its cut-off (R112 allows 350 cd at B50L, 625 cd in zone III).
         min_visible: Share of a lamp's disc that must be in sight.
-        confirm_frames: Consecutive frames of its own camera until a light is believed: 2 to 5 are published, and five
-            by the paper's own plausibility rule.
+        confirm_frames: Consecutive frames of its own camera until a light is confirmed: 2 to 5 are published, and the
+            paper's own plausibility rule has five.
         rate_hz: Frames a second of its own camera, whatever the drive's.
-        latency_s: From the last of these frames to the reaction. Published from camera to beam: 196 +- 21 ms,
+        latency_s: Time from the last of these frames to the reaction. Published from camera to beam: 196 +- 21 ms,
             288 +- 17 ms, and below 200 ms.
         release_s: A vehicle stays reported for this long after its last sight, since the beam is only restored then.
     """
@@ -44,7 +44,7 @@ class ProductionConfig(SpecModel):
 
 @dataclass(slots=True)
 class _Light:
-    """What the system remembers of one vehicle."""
+    """The state of a vehicle in the system."""
 
     since_ns: int | None = None
     confirmed_ns: int | None = None
@@ -55,8 +55,8 @@ class ProductionSystem:
     """Reports vehicles whose headlamps are in direct sight, bright and steady.
 
     In the paper the production system acts 1.6 s (with the tracker) to 2.1 s (in a single frame) after the provident
-    detection (arXiv 2107.11302). Here that time is not put in: it comes from the hidden part of the drive, and from
-    the plausibility and latency of this model.
+    detection (arXiv 2107.11302). Here that time is not a parameter: it results from the hidden part of the drive,
+    and from the plausibility and latency of this model.
     """
 
     def __init__(self, config: ProductionConfig | None = None) -> None:
@@ -65,9 +65,9 @@ class ProductionSystem:
         self._lights: dict[int, _Light] = {}
 
     def update(self, timestamp_ns: int, vehicles: Iterable[VehicleTruth]) -> frozenset[int]:
-        """Ids of the vehicles that are reported at the time of this image, which is the next one of the drive."""
-        seen = {one.vehicle_id for one in vehicles if self._is_bright(one)}
-        # The first frame counts, and times are rounded to nanoseconds: a millisecond is not missed.
+        """Ids of the vehicles that are reported at the time of the next image of the drive."""
+        seen = {vehicle.vehicle_id for vehicle in vehicles if self._is_bright(vehicle)}
+        # The first frame counts, too. A millisecond of tolerance, as times are rounded to nanoseconds.
         confirm_ns = round((self.config.confirm_frames - 1) / self.config.rate_hz * 1e9) - 1_000_000
         for vehicle_id in seen:
             light = self._lights.setdefault(vehicle_id, _Light())
@@ -75,7 +75,7 @@ class ProductionSystem:
             light.last_seen_ns = timestamp_ns
             if light.confirmed_ns is None and timestamp_ns - light.since_ns >= confirm_ns:
                 light.confirmed_ns = timestamp_ns
-        for vehicle_id in [one for one in self._lights if one not in seen]:
+        for vehicle_id in self._lights.keys() - seen:
             light = self._lights[vehicle_id]
             is_released = timestamp_ns - light.last_seen_ns > round(self.config.release_s * 1e9)
             if light.confirmed_ns is None or is_released:
@@ -93,7 +93,8 @@ class ProductionSystem:
         ]
         if not in_sight:
             return False
-        grey = max((one.grey for one in vehicle.artifacts if one.is_direct and not one.is_rear), default=0.0)
+        headlamps = (artifact for artifact in vehicle.artifacts if artifact.is_direct and not artifact.is_rear)
+        grey = max((artifact.grey for artifact in headlamps), default=0.0)
         # Photometric distance law, for lamps that are seen head-on.
         illuminance_lx = sum(lamp.intensity_cd * lamp.visible_share for lamp in in_sight) / vehicle.range_m**2
         return grey >= self.config.min_grey and illuminance_lx >= self.config.min_illuminance_lx

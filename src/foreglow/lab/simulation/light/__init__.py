@@ -1,1 +1,1 @@
-"""From triangles and lamps to luminance: the ray caster and its shading."""
+"""The renderer: from triangles and lamps to luminance."""

@@ -1,4 +1,4 @@
-"""Light that the air scatters into the view, once: per lamp, with shadows, for every depth."""
+"""Single scattering: light of each lamp that the air scatters into the view, with shadows, up to every depth."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from foreglow.lab.simulation.light.raycast import END_GAP_M, Number
 from foreglow.lab.simulation.light.space import Air, Space
 
 FAR_M = 600.0
-"""Where the air ends: haze beyond adds nothing that a camera sees."""
+"""End of the haze: beyond, it adds nothing that a camera sees."""
 
 NEAR_M = 3.0
-"""Where it begins: what is nearer lies over our own bonnet, which hides the glow around our own lamps."""
+"""Begin of the haze: nearer, it is above our own bonnet, which hides the glow around our own lamps."""
 
 DARKEST_SHARE = 0.1
-"""A step's light is traced from this share of the smallest luminance that counts on surfaces: steps add up."""
+"""Smallest luminance of a step that is traced, relative to that on surfaces; smaller, since steps add up."""
 
 
 class Haze:
-    """A coarse grid of rays, each with the light gathered up to every one of a row of depths.
+    """A coarse grid of rays, each with the light gathered up to a number of depths.
 
-    A pixel looks its own depth up between four rays, so that haze behind does not bleed over the edge of what stands
-    in front. Each step is sampled once: where a lit space begins within the step that ends at a pixel's surface, a part
-    of it counts for that pixel, at most the light of one step; edges of shadows are as sharp as the grid.
+    A pixel interpolates between four rays at its own depth, so that haze behind an object does not bleed over its edge.
+    Each step is sampled once: if a lit volume begins within the step that ends at a pixel's surface, the error is at
+    most the light of one step. Edges of shadows are as sharp as the grid.
     """
 
     def __init__(self, camera: Camera, size: tuple[int, int, int]) -> None:
-        """A grid of `size` columns and rows, which reach to the borders of the image, and steps along each ray."""
+        """A grid with `size` columns, rows and steps along each ray; it reaches to the borders of the image."""
         columns, rows, steps = size
         self._size = size
         self._columns, self._rows, self._steps = (dr.opaque(mi.UInt32, count) for count in size)
@@ -65,7 +65,7 @@ class Haze:
         def luminance(number: Number) -> Number:
             lamp = space.lights.position(number)
             nearest_at = dr.dot(lamp - space.origin, direction)
-            # The mean of 1/distance over the width of a cell is finite, also where a ray meets a lamp.
+            # The mean of 1/distance over the width of a cell is finite even where a ray meets a lamp.
             soft_m = 0.3 * self._cell_rad * greatest(nearest_at, 0.0) + 0.05
             off_m = dr.sqrt(dr.squared_norm(space.origin + direction * nearest_at - lamp) + dr.square(soft_m))
             # Source: Kulla, Fajardo, Importance sampling techniques for path tracing in participating media, 2012:
@@ -87,7 +87,7 @@ class Haze:
         return out
 
     def _looked_up(self, gathered: Number, distance_m: Number, num_layers: int) -> NDArray[np.float32]:
-        """What every pixel finds at its own depth between the four rays around it; shape (num_layers, pixels)."""
+        """Shape (num_layers, pixels): each pixel's light, interpolated at its depth between the four rays around it."""
         num = dr.width(distance_m)
         column = clipped(dr.floor(self._grid_points.x), 0.0, mi.Float(self._columns) - 2.0)
         row = clipped(dr.floor(self._grid_points.y), 0.0, mi.Float(self._rows) - 2.0)
@@ -121,6 +121,6 @@ class Haze:
 
 
 def _henyey_greenstein(cosine: Number, asymmetry: Number) -> Number:
-    """Phase function, 1/sr; a cosine of 1 goes straight on. Source: Henyey, Greenstein 1941."""
+    """Phase function, 1/sr; a cosine of 1 is forward scattering. Source: Henyey, Greenstein 1941."""
     spread = greatest(1.0 + dr.square(asymmetry) - 2.0 * asymmetry * cosine, 1e-6)
     return (1.0 - dr.square(asymmetry)) / (4.0 * dr.pi * spread * dr.sqrt(spread))

@@ -1,4 +1,4 @@
-"""Lamps in the world, as the renderer wants them."""
+"""Lamps and bodies in the world, as the renderer needs them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from foreglow.geometry import Pose
 from foreglow.photometry import IntensityTable
 
 FIXED_LAYER, EGO_LAYER, FIRST_VEHICLE_LAYER = 0, 1, 2
-"""Whose light a layer holds: street lamps, ourselves, then one layer for each other vehicle."""
+"""Layers of light by source: street lamps, our own lamps, then one layer for each other vehicle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,11 +16,11 @@ class PlacedLamp:
     """A point source with an intensity table.
 
     Attributes:
-        world_from_lamp: Where it is and how it is turned, mis-aim included.
-        table: Its intensity; the same object for lamps that share it, so that it is sent to the renderer once.
-        layer: Number of the layer that its light goes to.
+        world_from_lamp: Its pose, misalignment included.
+        table: Its intensity; lamps that share a table share the object, so that it is sent to the renderer once.
+        layer: Number of the layer for its light.
         scale: Factor on the table.
-        radius_m: Of its disc, for its own picture and its visible share.
+        radius_m: Radius of its disc, for its image and its visible share.
     """
 
     world_from_lamp: Pose
@@ -46,12 +46,12 @@ class PlacedBody:
 
     @property
     def mesh_name(self) -> str:
-        """What the renderer calls its mesh."""
+        """Name of its mesh in the renderer."""
         return mesh_name(self.kind, self.is_light)
 
 
 def mesh_name(kind: str, is_light: bool) -> str:
-    """What the renderer calls the mesh of a kind of body in one of its paints.
+    """Name, in the renderer, of the mesh of a kind of body with light or dark paint.
 
     >>> mesh_name("car", False)
     'car/dark'

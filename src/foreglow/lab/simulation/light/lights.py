@@ -1,4 +1,4 @@
-"""The lamps as the rays' kernels read them: one buffer of lamps, and one of all their tables."""
+"""The lamps in the form that the kernels read: one buffer of lamps, and one of all their tables."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from foreglow.photometry import IntensityTable
 
 @dataclass
 class Light:
-    """What one lamp sends to a point; a field has one value a ray.
+    """The light of one lamp at a point; each field has one value per ray.
 
     Attributes:
         direction: Unit vector from the point to the lamp, in the world.
-        distance_m: To the lamp.
-        intensity_cd: Towards the point.
+        distance_m: Distance to the lamp.
+        intensity_cd: Intensity of the lamp towards the point.
     """
 
     direction: Number
@@ -29,17 +29,17 @@ class Light:
 
 
 class Lights:
-    """All lamps of a frame; their number, tables and poses change without a new kernel."""
+    """All lamps of a frame; their number, tables and poses can change without compiling a new kernel."""
 
     def __init__(self) -> None:
-        """No lamps at first."""
+        """Begins without lamps."""
         self._tables: list[IntensityTable] = []
         self._starts: dict[int, int] = {}
         self._candela = mi.Float(np.zeros(1, np.float32))
         self.switch_on([], 0)
 
     def switch_on(self, lamps: Sequence[PlacedLamp], num_layers: int) -> None:
-        """Takes these lamps in place of those before; those of a layer lie together from now on."""
+        """Replaces the lamps; those of the same layer are stored together."""
         self._send_tables(lamps)
         lamps = sorted(lamps, key=lambda lamp: lamp.layer)
         ends = np.searchsorted([lamp.layer for lamp in lamps], np.arange(max(num_layers, 1) + 1))
@@ -60,17 +60,17 @@ class Lights:
         self._layouts = mi.UInt32(layouts.ravel())
 
     def summed(self, slots: Number, luminance: Callable[[Number], Number]) -> Number:
-        """The sum over each layer's lamps of `luminance(number)`, which has one value a ray.
+        """The sum of `luminance(number)`, which has one value per ray, over the lamps of each layer.
 
-        Loops on the device, so that neither the number of lamps nor that of layers needs another kernel. It adds in
-        registers and writes every value once: Dr.Jit's scattered sums take the lanes apart, at which LLVM 19 aborts.
+        The loop runs on the device, so that the kernel does not depend on the numbers of lamps and layers. It adds in
+        registers and writes every value once, since Dr.Jit's scattered sums make LLVM 19 abort.
 
         Args:
-            places: For each ray, where in a layer its sum goes; all places below the number of rays, once each.
-            luminance: From the number of a lamp.
+            slots: For each ray, the slot of its sum within a layer; a permutation of the numbers of the rays.
+            luminance: A function of the number of a lamp.
 
         Returns:
-            In the order layer, place.
+            The sums, ordered by layer and slot.
         """
         num = dr.width(slots)
         out = dr.empty(mi.Float, num * self.num_layers)
@@ -92,11 +92,11 @@ class Lights:
         return out
 
     def position(self, number: Number) -> Number:
-        """Where the lamps called `number`, one a ray, are in the world, metres."""
+        """Positions of the lamps called `number`, one per ray, in the world, metres."""
         return dr.gather(mi.Point3f, self._positions, number)
 
     def towards(self, points: Number, number: Number) -> Light:
-        """What the lamps called `number`, one a ray, send to `points`; bilinear, as `IntensityTable.towards`."""
+        """The light at `points` of the lamps `number`, one per ray; bilinear, as in `IntensityTable.towards`."""
         a, b, c, d = (dr.gather(mi.Vector4f, self._numbers, number * 4 + part) for part in range(4))
         layout = dr.gather(mi.Vector4u, self._layouts, number)
         forward, left = mi.Vector3f(a.w, b.x, b.y), mi.Vector3f(b.z, b.w, c.x)
@@ -120,7 +120,7 @@ class Lights:
         return Light(direction, distance, dr.lerp(lower, upper, v) * c.y)
 
     def _send_tables(self, lamps: Sequence[PlacedLamp]) -> None:
-        """Sends the tables to the renderer, unless they are those of the frame before."""
+        """Sends the tables to the renderer, unless they are those of the previous frame."""
         tables = list({id(lamp.table): lamp.table for lamp in lamps}.values())
         if not tables or (len(tables) == len(self._tables) and all(map(_is_same, tables, self._tables))):
             return

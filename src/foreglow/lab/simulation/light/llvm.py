@@ -1,4 +1,4 @@
-"""Mitsuba and the LLVM that it compiles with, found and loaded when they are first needed."""
+"""Mitsuba, and the LLVM that it compiles with; both are found and loaded when they are first needed."""
 
 from __future__ import annotations
 
@@ -14,34 +14,35 @@ from pathlib import Path
 from typing import Any
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono")
-"""Variants of Mitsuba that the renderer runs in: one channel, arrays, on a GPU or on the CPU."""
+"""Variants of Mitsuba for the renderer: monochrome, on a GPU or on the CPU."""
 
 VARIANT_VARIABLE = "FOREGLOW_RENDER_VARIANT"
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 PACKAGE = "karellen-llvm-core"
-"""Package on PyPI that brings `libLLVM.so`; the extra `sim` depends on it."""
+"""Package on PyPI that contains `libLLVM.so`; the extra `sim` depends on it."""
 
 RUNTIME_LIBRARIES = ("libunwind.so.1", "libc++abi.so.1", "libc++.so.1")
-"""What that `libLLVM.so` is linked to, in the order in which they need each other; they lie beside it."""
+"""Libraries in the package that its `libLLVM.so` is linked to, in the order of their dependencies."""
 
 OLDEST_LLVM = 17
-"""Mitsuba 3.9 aborts with LLVM 14 to 16: these cannot translate its comparisons of floats."""
+"""Oldest usable LLVM: Mitsuba 3.9 aborts with LLVM 14 to 16, which cannot translate its comparisons of floats."""
 
 
 @functools.cache
 def prepare() -> str:
-    """Loads Mitsuba with a working LLVM, sets its variant and returns that variant's name.
+    """Loads Mitsuba with a working LLVM, sets its variant, and returns the name of the variant.
 
-    A GPU is used where there is one; the environment variable `FOREGLOW_RENDER_VARIANT` overrides that. A
-    `DRJIT_LIBLLVM_PATH` that is already set wins over the package from PyPI, and that over the system's LLVM.
+    A GPU is used if there is one, unless the environment variable `FOREGLOW_RENDER_VARIANT` says otherwise. A
+    `DRJIT_LIBLLVM_PATH` that is already set takes precedence over the package from PyPI, and that over the system's
+    LLVM.
 
     Raises:
         ModuleNotFoundError: If Mitsuba is not installed.
         OSError: If there is no suitable LLVM.
         ValueError: If `FOREGLOW_RENDER_VARIANT` names something else.
     """
-    if importlib.util.find_spec("mitsuba") is None:  # to import it before its LLVM is known would be too early
+    if importlib.util.find_spec("mitsuba") is None:  # must not be imported before its LLVM is known
         raise ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba")
     variant = os.environ.get(VARIANT_VARIABLE) or (VARIANTS[0] if _has_gpu() else VARIANTS[1])
     if variant not in VARIANTS:
@@ -53,7 +54,7 @@ def prepare() -> str:
 
 
 class Late:
-    """A module that is loaded when something of it is first used, so that naming it costs nothing."""
+    """A module that is loaded when one of its attributes is first used, so that importing it costs nothing."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -63,7 +64,7 @@ class Late:
             raise AttributeError(attribute)
         prepare()
         value = getattr(importlib.import_module(self._name), attribute)
-        setattr(self, attribute, value)  # found here the next time; the variant never changes
+        setattr(self, attribute, value)  # kept for the next time; the variant never changes
         return value
 
 
@@ -72,7 +73,7 @@ mi = Late("mitsuba")
 
 
 def _has_gpu() -> bool:
-    """Whether NVIDIA's driver is there and finds a device."""
+    """Whether NVIDIA's driver is installed and finds a device."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -83,7 +84,7 @@ def _has_gpu() -> bool:
 
 
 def _packaged_llvm() -> Path | None:
-    """The library of the package from PyPI, with all that it needs loaded; None where that is not installed."""
+    """The library of the package from PyPI, with its dependencies loaded; None if the package is not installed."""
     try:
         files = metadata.files(PACKAGE) or []
     except metadata.PackageNotFoundError:
@@ -93,8 +94,8 @@ def _packaged_llvm() -> Path | None:
     if not libraries or not all(name in paths for name in RUNTIME_LIBRARIES):
         return None
     for name in RUNTIME_LIBRARIES:
-        # Loaded already, they are found by their names. Locally: their unwinder must not serve other libraries, whose
-        # exceptions it cannot unwind (ONNX Runtime then crashes instead of raising).
+        # Once they are loaded, LLVM finds them by name. They are loaded locally, since their unwinder must not be used
+        # by other libraries, whose exceptions it cannot unwind (ONNX Runtime then crashes instead of raising).
         ctypes.CDLL(str(paths[name]), mode=ctypes.RTLD_LOCAL)
     return paths[libraries[0]].resolve()
 
@@ -117,17 +118,17 @@ def _system_llvm() -> str:
 
 
 def least(first: Any, second: Any) -> Any:
-    """The smaller value of every lane; LLVM 19 cannot always translate `dr.minimum`, and aborts the process."""
+    """Element-wise minimum; LLVM 19 cannot always translate `dr.minimum`, and aborts the process."""
     return dr.select(first < second, first, second)
 
 
 def greatest(first: Any, second: Any) -> Any:
-    """The greater value of every lane, instead of `dr.maximum`."""
+    """Element-wise maximum, instead of `dr.maximum`."""
     return dr.select(first > second, first, second)
 
 
 def clipped(values: Any, low: Any, high: Any) -> Any:
-    """Every lane's value, between `low` and `high`, instead of `dr.clip`."""
+    """The values clipped to `low` and `high`, instead of `dr.clip`."""
     return least(greatest(values, low), high)
 
 
@@ -142,11 +143,11 @@ ARCTAN = (
     -0.3333314528,
     1.0,
 )
-"""From the highest power down. Source: Abramowitz, Stegun, Handbook of mathematical functions, 1964, 4.4.49."""
+"""Coefficients from the highest power down. Source: Abramowitz, Stegun, Handbook of mathematical functions, 4.4.49."""
 
 
 def angle_rad(y: Any, x: Any) -> Any:
-    """The angle of (x, y) from the x axis, -pi..pi, to about 1e-7, instead of `dr.atan2`, which takes minima."""
+    """The angle of (x, y) from the x axis, -pi..pi, to about 1e-7, instead of `dr.atan2`, which uses minima."""
     tall, wide = dr.abs(y), dr.abs(x)
     ratio = least(tall, wide) / greatest(greatest(tall, wide), 1e-30)
     square = dr.square(ratio)

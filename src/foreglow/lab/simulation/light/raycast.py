@@ -1,4 +1,4 @@
-"""Rays against triangles: the fixed world in one tree, all moving bodies in another that is built for every frame."""
+"""Ray casting: the fixed world is in one tree, all moving bodies are in another that is built for every frame."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from foreglow.lab.simulation.light.llvm import dr, mi
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 
 RECORD = 16
-"""Floats that a triangle's record has: three normals, three pairs of coordinates, and its code. One cache line."""
+"""Floats in a triangle's record: three normals, three pairs of coordinates, and its code. One cache line."""
 
 CODES_PER_BODY = 256
-"""A triangle's code is its material plus this times (its body's number + 1): a whole number that a float holds."""
+"""A triangle's code is its material plus this times (number of its body + 1): a whole number that a float can hold."""
 
 END_GAP_M = 0.06
-"""Shadow rays end this short of the lamp, so that its own housing does not block it."""
+"""Shadow rays end this far before the lamp, so that its own housing does not block them."""
 
 START_GAP_M = 3e-3
-"""Shadow rays start this far off the surface: more than single precision loses a kilometre from the origin."""
+"""Shadow rays start this far from the surface: more than the error of single precision a kilometre from the origin."""
 
 MAX_SELF_HITS = 24
-"""Surfaces of an ignored body that a ray may pass."""
+"""Largest number of surfaces of an ignored body that a ray passes."""
 
 Number = Any
-"""Dr.Jit values, one a ray: their types depend on the variant and exist only once it is set."""
+"""Dr.Jit values, one per ray; their types depend on the variant and exist only once it is set."""
 
 
 @dataclass
 class Hit:
-    """Where rays end; a field has one value a ray.
+    """The hits of rays; each field has one value per ray.
 
     Attributes:
-        is_hit: Whether there is anything at all.
-        distance_m: Along the ray; 0 where there is nothing.
-        position: In the world, metres.
-        normal: Interpolated, unit length, on the ray's side.
+        is_hit: Whether the ray hits anything.
+        distance_m: Distance along the ray; 0 without a hit.
+        position: Position in the world, metres.
+        normal: Interpolated normal, unit length, on the ray's side.
         coordinates_m: Surface coordinates, as in `Mesh`.
         material: Number of the material.
         body: Number of the moving body; -1 for the fixed world.
@@ -56,10 +56,10 @@ class Hit:
 
 
 class Tree:
-    """Triangles that rays can be sent against."""
+    """A tree of triangles for ray casting."""
 
     def __init__(self, mesh: Mesh, bodies: NDArray[np.intp] | None = None) -> None:
-        """Builds the tree; `bodies`, shape (F,), are the moving bodies' numbers, None for the fixed world."""
+        """Builds the tree; `bodies`, shape (F,), are numbers of moving bodies, None for the fixed world."""
         if not len(mesh.faces):
             mesh, bodies = _nowhere(), None
         shape = mi.Mesh("mesh", len(mesh.vertices_m), len(mesh.faces))
@@ -77,7 +77,7 @@ class Tree:
         return self.scene.ray_intersect_preliminary(ray, coherent=True, active=mi.Bool(is_active))
 
     def record(self, found: Number, is_active: Number) -> tuple[Number, Number, Number]:
-        """Interpolated normal (not yet of unit length), surface coordinates and code of found triangles."""
+        """Interpolated normal (not normalised), surface coordinates and code of the triangles found."""
         start = mi.UInt32(found.prim_index) * (RECORD // 4)
         a, b, c, d = (dr.gather(mi.Vector4f, self.records, start + part, is_active) for part in range(4))
         second, third = found.prim_uv.x, found.prim_uv.y
@@ -103,7 +103,7 @@ class Solids:
         self._face_starts = np.zeros(1, np.intp)
 
     def place(self, bodies: Sequence[PlacedBody]) -> None:
-        """Puts the moving bodies where they are now.
+        """Moves the bodies to their current poses.
 
         Raises:
             ValueError: If there is no mesh for one of them.
@@ -122,7 +122,7 @@ class Solids:
         return self._bodies[body.mesh_name]
 
     def hit(self, origin: Number, direction: Number) -> Hit:
-        """What each ray meets first."""
+        """The first hit of each ray."""
         fixed = self._static.first(origin, direction, mi.Float(dr.largest(mi.Float)))
         moving = self._moving.first(origin, direction, fixed.t)
         is_moving = moving.is_valid()
@@ -148,7 +148,7 @@ class Solids:
         )
 
     def is_blocked(self, origin: Number, direction: Number, limit_m: Number, is_active: Number) -> Number:
-        """Whether anything lies along each ray before `limit_m`."""
+        """Whether anything blocks each ray before `limit_m`."""
         ray = mi.Ray3f(origin, direction, limit_m, 0.0, [])
         by_fixed = self._static.scene.ray_test(ray, coherent=True, active=is_active)
         return by_fixed | self._moving.scene.ray_test(ray, coherent=True, active=is_active & ~by_fixed)
@@ -187,7 +187,7 @@ class Solids:
 
 
 def _records(mesh: Mesh, bodies: NDArray[np.intp] | None) -> NDArray[np.float32]:
-    """What shading needs of each triangle, shape (F, RECORD), float32."""
+    """The data of each triangle for shading, shape (F, RECORD), float32."""
     records = np.empty((len(mesh.faces), RECORD), np.float32)
     records[:, :9] = mesh.normals[mesh.faces].reshape(-1, 9)
     records[:, 9:15] = mesh.coordinates_m[mesh.faces].reshape(-1, 6)
@@ -196,7 +196,7 @@ def _records(mesh: Mesh, bodies: NDArray[np.intp] | None) -> NDArray[np.float32]
 
 
 def _nowhere() -> Mesh:
-    """One tiny triangle far below everything: a tree needs one."""
+    """One tiny triangle far below everything, since a tree cannot be empty."""
     corners = np.array([[0, 0, -1e5], [1e-3, 0, -1e5], [0, 1e-3, -1e5]], np.float32)
     faces = np.arange(3, dtype=np.uint32)[None]
     return Mesh(corners, faces, np.zeros(1, np.uint8), np.zeros((3, 3), np.float32), np.zeros((3, 2), np.float32))

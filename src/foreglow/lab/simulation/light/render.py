@@ -1,4 +1,4 @@
-"""Luminance images of a night drive: one layer a light source, with the depth and the material of every pixel."""
+"""Luminance images of a night drive: a layer for each light source, and the depth and material of every pixel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from foreglow.lab.simulation.light.raycast import END_GAP_M, START_GAP_M, Number
 from foreglow.lab.simulation.light.sampling import QUALITIES, RenderSettings, Samples
 from foreglow.lab.simulation.light.shading import reflectance_per_sr
 from foreglow.lab.simulation.light.space import Air, Space, air_of, space_of
-from foreglow.lab.simulation.light.surfaces import Looks, Surface
+from foreglow.lab.simulation.light.surfaces import Surface, Surfaces
 from foreglow.lab.simulation.scenes.scene import RoadSpec, WeatherSpec
 from foreglow.lab.simulation.world.materials import NO_MATERIAL
 from foreglow.lab.simulation.world.mesh import Mesh
@@ -29,15 +29,15 @@ Floats32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """What the camera would see without optics and imager; H rows, W columns, L layers.
+    """The light before optics and imager; H rows, W columns, L layers.
 
     Attributes:
-        surface_cd_m2: Shape (L, H, W), float32: light that surfaces reflect.
-        haze_cd_m2: Shape (L, H, W), float32: light that the air scatters.
+        surface_cd_m2: Shape (L, H, W), float32: light reflected by surfaces.
+        haze_cd_m2: Shape (L, H, W), float32: light scattered by the air.
         ambient_cd_m2: Shape (H, W), float32: the sky, and its light on surfaces.
-        depth_m: Shape (H, W), float32: along the ray through the pixel's middle; NaN where there is only sky.
-        materials: Shape (H, W), uint8: numbers of the materials; 255 is the sky.
-        bodies: Shape (H, W), int16: which of the moving bodies is seen; -1 is none.
+        depth_m: Shape (H, W), float32: along the ray through the pixel's centre; NaN for the sky.
+        materials: Shape (H, W), uint8: numbers of the materials; 255 for the sky.
+        bodies: Shape (H, W), int16: number of the moving body; -1 for none.
     """
 
     surface_cd_m2: Floats32
@@ -49,11 +49,11 @@ class Rendered:
 
 
 class Renderer:
-    """One world, seen frame by frame.
+    """Renders a world frame by frame.
 
-    Direct light with shadows only: further bounces change most lit areas by less than a percent. The lamps' own discs
-    and lit windows are left to the sensor, which draws them as points with their glare. The same arguments give the
-    same bytes, with any number of threads.
+    It computes direct light with shadows only; further bounces change most lit areas by less than a percent. The lamps'
+    own discs and lit windows are left to the sensor, which draws them as points with glare. The same arguments give the
+    same bytes with any number of threads.
     """
 
     def __init__(
@@ -69,18 +69,18 @@ class Renderer:
         """Builds the world.
 
         Args:
-            static: What never moves, in the world.
+            static: The fixed triangles, in the world.
             bodies: Vehicles in their own frames, called `kind/light` or `kind/dark`.
             camera: The calibration; its mount is not used here.
-            settings: What a picture may cost.
+            settings: Quality and cost of an image.
             road: State of the carriageway.
-            seed: Of the textures.
+            seed: Seed of the textures.
         """
         prepare()
         self._settings = settings
         self._world = Solids(static, bodies)
         self._lights = Lights()
-        self._looks = Looks(road, seed)
+        self._surfaces = Surfaces(road, seed)
         self._haze = Haze(camera, settings.haze_cells)
         self._pixel_rad = dr.opaque(mi.Float, 1.0 / float(np.mean(camera.focal_px)))
         self._samples = Samples(camera, settings)
@@ -93,7 +93,7 @@ class Renderer:
         bodies: Sequence[PlacedBody],
         weather: WeatherSpec,
     ) -> Rendered:
-        """The view from `camera_pose`, world_from_camera; the lamps' layers are numbers below `num_layers`.
+        """The view from `camera_pose`, world_from_camera; layers of lamps are below `num_layers`.
 
         Raises:
             ValueError: If a lamp's layer is out of range, or there is no mesh for a body.
@@ -137,24 +137,24 @@ class Renderer:
     ) -> NDArray[np.bool_]:
         """Whether each of `origins_m`, shape (N, 3), sees `target_m`, shape (3,), in the world; shape (N,).
 
-        The last few centimetres at either end do not count, so that a lamp's glass is no obstacle.
+        The last few centimetres at both ends do not count, so that a lamp's glass is no obstacle.
 
         Args:
             origins_m: Points on a lamp's disc, for example.
             target_m: The camera, or a driver's eye.
             bodies: The moving bodies.
-            ignore_body: Number of one that does not block, such as the driver's own vehicle.
+            ignore_body: Number of a body that does not block, such as the driver's own vehicle.
         """
         self._world.place(bodies)
         return self._world.is_free(np.asarray(origins_m, np.float64).reshape(-1, 3), target_m, ignore_body)
 
     def _shoot(self, space: Space, air: Air, rays: Number, slots: Number) -> _Shot:
-        """One sample in the direction of each of `rays`, which are in the camera's frame; its values go to `places`."""
+        """A sample along each of `rays`, which are in the camera's frame; its values are stored in `slots`."""
         direction = space.rotation @ rays
         hit = space.world.hit(space.origin, direction)
-        surface = self._looks.at(hit, direction, self._pixel_rad)
+        surface = self._surfaces.at(hit, direction, self._pixel_rad)
         kept = dr.exp(-air.scattering_per_m * hit.distance_m)
-        # Half of the sky's hemisphere on a wall, all of it on the ground.
+        # A wall sees half of the sky's hemisphere, the ground all of it.
         skylight = air.sky_cd_m2 * surface.albedo * (0.5 + 0.5 * surface.normal.z)
         light = _reflected(space, air, surface, hit.distance_m, slots)
         ambient = dr.select(hit.is_hit, dr.lerp(air.sky_cd_m2, skylight, kept), air.sky_cd_m2)
@@ -168,7 +168,7 @@ class Renderer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shot:
-    """One sample a ray: arrays where sums are made of them, Dr.Jit values where further kernels read them."""
+    """One sample per ray: arrays where they are summed, Dr.Jit values where further kernels read them."""
 
     surface_cd_m2: Floats32
     ambient_cd_m2: Floats32
@@ -178,7 +178,7 @@ class _Shot:
 
 
 def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, slots: Number) -> Number:
-    """Light that reaches the camera from the surfaces, cd/m^2, in the order layer, place."""
+    """Light that reaches the camera from the surfaces, cd/m^2, ordered by layer and slot."""
 
     def luminance(number: Number) -> Number:
         light = space.lights.towards(surface.position, number)
@@ -195,7 +195,7 @@ def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, slo
 
 
 def _placed(values: Number, slots: Number) -> Number:
-    """The values in another order."""
+    """The values reordered into their slots."""
     out = dr.empty(type(values), dr.width(slots))
     dr.scatter(out, values, slots)
     return out

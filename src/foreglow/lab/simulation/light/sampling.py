@@ -1,4 +1,4 @@
-"""Where rays go: through the middle of every pixel, and again through pixels that one ray does not describe."""
+"""Sampling: a ray through the centre of every pixel, and further rays through pixels with detail."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from foreglow.lab.simulation.light.llvm import dr, mi
 from foreglow.lab.simulation.light.raycast import Number
 
 TILE_PX = 4
-"""Sixteen rays travel together; those of a square tile stay together longer than those of a row."""
+"""Side of a tile: sixteen rays are traced together, and rays of a square stay together longer than those of a row."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """What a picture may cost.
+    """Quality and cost of an image.
 
     Attributes:
-        extra_samples: Further rays in pixels where the picture has edges or detail; the first goes through the middle.
-        max_extra_share: At most this share of the pixels gets them, those with most contrast first.
-        edge_contrast: A pixel's surroundings differ by more than this share of the brightest, to get them ...
-        edge_cd_m2: ... and by more than this luminance.
+        extra_samples: Number of further rays in pixels with edges or detail.
+        max_extra_share: Largest share of the pixels that get further rays, those with most contrast first.
+        edge_contrast: Smallest contrast of a pixel's neighbourhood, relative to its brightest pixel, for further rays.
+        edge_cd_m2: Smallest difference of luminance in the neighbourhood for further rays.
         haze_cells: Columns, rows and steps of the grid of the haze.
         darkest_cd_m2: Light of a lamp below this luminance is left out.
     """
@@ -49,14 +49,14 @@ QUALITIES: dict[str, RenderSettings] = {
         darkest_cd_m2=1e-6,
     ),
 }
-"""By name; `training` is the default everywhere. A grey level of the long exposure is about 1e-3 cd/m^2."""
+"""Settings by name; `training` is the default everywhere. A grey level of the long exposure is about 1e-3 cd/m^2."""
 
 
 class Samples:
     """Directions through the pixels of a camera, computed once."""
 
     def __init__(self, camera: Camera, settings: RenderSettings) -> None:
-        """Rays for one sample in every pixel and for the further ones, with the lens's distortion."""
+        """Rays for the first and the further samples of every pixel, with the lens's distortion."""
         self._settings = settings
         self.shape = (camera.height_px, camera.width_px)
         y, x = np.indices(self.shape).reshape(2, -1)
@@ -74,23 +74,23 @@ class Samples:
 
     @property
     def first(self) -> Number:
-        """Directions through the middles of the pixels, in the camera's frame and in the order of `pixels`."""
+        """Directions through the centres of the pixels, in the camera's frame and in the order of `pixels`."""
         return self._rays[0]
 
     @property
     def num(self) -> int:
-        """Samples of a pixel that has the further ones."""
+        """Number of samples of a pixel with further samples."""
         return len(self._rays)
 
     def further(self, pixels: NDArray[np.intp]) -> list[Number]:
-        """Directions of the further samples through `pixels`, for each of these samples."""
+        """Directions through `pixels`, for each of the further samples."""
         ranks = mi.UInt32(self._ranks[pixels].astype(np.uint32))
         further = [dr.gather(mi.Vector3f, rays, ranks) for rays in self._rays[1:]]
-        dr.eval(further)  # arrays, like the first rays: so the same kernel takes them
+        dr.eval(further)  # evaluated like the first rays, so that the same kernel is used
         return further
 
     def detailed(self, luminance_cd_m2: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Numbers of the pixels that want further samples, tile by tile; `luminance_cd_m2` has the image's shape."""
+        """Numbers of the pixels that need further samples, tile by tile; `luminance_cd_m2` has the image's shape."""
         if self.num == 1:
             return np.zeros(0, np.intp)
         around = np.ones((3, 3), np.uint8)
@@ -106,10 +106,10 @@ class Samples:
 
 
 def _offsets(extra_samples: int) -> list[tuple[float, float]]:
-    """Places of the samples in a pixel: its middle, and a circle on which they have the variance of its area.
+    """Offsets of the samples in a pixel: its centre, and points on a circle with the same variance as the pixel's area.
 
-    >>> places = np.array(_offsets(3)) - 0.5
-    >>> np.allclose(np.mean(places**2, axis=0), 1 / 12)
+    >>> offsets = np.array(_offsets(3)) - 0.5
+    >>> np.allclose(np.mean(offsets**2, axis=0), 1 / 12)
     True
     """
     angles = np.pi / 2 + 2.0 * np.pi * np.arange(extra_samples) / max(extra_samples, 1)

@@ -1,4 +1,4 @@
-"""How surfaces reflect the light of a lamp: diffuse, glossy, retroreflected, and through leaves."""
+"""Reflection of a lamp's light by surfaces: diffuse, glossy, retroreflected, and through leaves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHEETING_DEG, SHEETING_POWER = 0.6, 1.15
 """
 
 BEADS_DEG = 2.5
-"""Fall-off of the beads in markings, which send light back into a wider cone."""
+"""Fall-off of the beads in markings, which reflect light back into a wider cone."""
 
 OPPOSITION_SURGE, OPPOSITION_WIDTH = 0.5, 0.1
 """Height and width (tangent of half the phase angle) of the brightening of rough surfaces towards the lamp."""
@@ -21,14 +21,14 @@ WATER = 0.02
 """Reflectance of water at normal incidence."""
 
 MIN_COSINE = 0.01
-"""Grazing views below this are shaded as if they were at it."""
+"""Smallest cosine between normal and view; more grazing views are shaded with this one."""
 
 
 def reflectance_per_sr(surface: Surface, to_lamp: Number) -> Number:
     """Luminance for 1 lx on a plane that faces the lamp, 1/sr: the BRDF times the lamp's cosine.
 
     Source: Lambert; Walter et al., Microfacet models, 2007 (GGX, Smith's shadowing with correlated heights); Schlick
-    1994 (Fresnel); EN 12899-1, EN 1436 (what the coefficients of retroreflection mean).
+    1994 (Fresnel); EN 12899-1, EN 1436 (definition of the coefficients of retroreflection).
     """
     facing = dr.dot(surface.normal, to_lamp)
     front, back = greatest(facing, 0.0), greatest(-facing, 0.0)
@@ -41,7 +41,7 @@ def reflectance_per_sr(surface: Surface, to_lamp: Number) -> Number:
 
 
 def _diffuse(surface: Surface, to_lamp: Number, front: Number, back: Number, seen: Number) -> Number:
-    """Lambert for smooth paint and leaves, with a share through to the other side; far leaves as a canopy; else rough.
+    """Lambert for smooth paint and leaves, which transmit a share; far leaves as a canopy; everything else rough.
 
     Source: Ross, The radiation regime and architecture of plant stands, 1981 (scattering of spherical leaf angles).
     """
@@ -58,10 +58,11 @@ def _diffuse(surface: Surface, to_lamp: Number, front: Number, back: Number, see
 
 
 def _rough(albedo: Number, cosine: Number, front: Number, seen: Number) -> Number:
-    """Light from a surface of grains and holes, such as asphalt, soil and plaster, under grazing light.
+    """Reflection by a surface of grains and holes, such as asphalt, soil and plaster, under grazing light.
 
-    Lambert would leave a road in its own beam several times too dark from 10 m on: with this an albedo of 0.085 has
-    9 mcd/m^2/lx in the geometry of EN 1436, where dry asphalt has 5 to 30, and the distances in the real frames fit.
+    With Lambert's law, the road in our own beam would be several times too dark from 10 m on. With this model, an
+    albedo of 0.085 gives 9 mcd/m^2/lx in the geometry of EN 1436, where dry asphalt has 5 to 30, and the fall-off with
+    distance fits the real frames.
 
     Source: Hapke, Bidirectional reflectance spectroscopy 1, J. Geophys. Res. 86, 1981; the albedo is the diffusive
     reflectance.
@@ -69,7 +70,7 @@ def _rough(albedo: Number, cosine: Number, front: Number, seen: Number) -> Numbe
     loss = (1.0 - albedo) / (1.0 + albedo)
     single = 1.0 - loss * loss
     many_front, many_seen = ((1.0 + 2.0 * mu) / (1.0 + 2.0 * mu * loss) for mu in (front, seen))
-    # tan(phase / 2); the holes' own shadows are hidden where the lamp is near the line of sight.
+    # tan(phase / 2); the shadows in the holes are hidden if the lamp is near the line of sight.
     tangent = dr.sqrt(greatest(1.0 - cosine, 0.0) / greatest(1.0 + cosine, 1e-6))
     surge = 1.0 + OPPOSITION_SURGE / (1.0 + tangent / OPPOSITION_WIDTH)
     return single / (4.0 * dr.pi) * front / (front + seen) * (surge + many_front * many_seen - 1.0)
@@ -92,17 +93,17 @@ def _glossy(surface: Surface, to_lamp: Number, front: Number, seen: Number) -> N
 
 
 def _fresnel(normal_reflectance: Number, cosine: Number) -> Number:
-    """Mirrored share of the light. Source: Schlick, An inexpensive BRDF model, 1994."""
+    """Specularly reflected share of the light. Source: Schlick, An inexpensive BRDF model, 1994."""
     rest = 1.0 - cosine
     square = rest * rest
     return normal_reflectance + (1.0 - normal_reflectance) * square * square * rest
 
 
 def _retroreflected(surface: Surface, to_lamp: Number, front: Number, seen: Number) -> Number:
-    """Light that goes back to where it came from, almost."""
-    # The chord between the directions: an arc cosine knows no angles below 0.02 degrees in single precision.
+    """Light that is reflected almost back to the lamp."""
+    # From the chord between the directions: in single precision, an arc cosine does not resolve less than 0.02 degrees.
     angle_deg = dr.rad2deg(2.0 * dr.asin(least(0.5 * dr.norm(to_lamp - surface.view), 1.0)))
     sheeting = dr.exp(-dr.power(angle_deg / SHEETING_DEG, SHEETING_POWER)) * front
-    # R_L of markings is luminance per illuminance facing the lamp: no cosine where lamp and eye are as low.
+    # R_L of markings is luminance per illuminance facing the lamp: no cosine if lamp and eye are at the same height.
     beads = dr.exp(-angle_deg / BEADS_DEG) * front / greatest(front, seen)
     return surface.retroreflection * dr.select(surface.is_beaded, beads, sheeting)

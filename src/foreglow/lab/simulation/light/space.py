@@ -1,4 +1,4 @@
-"""What the rays of one frame start from, travel through and meet."""
+"""The world, lamps, camera and air of one frame, as the kernels need them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Space:
     """A frame's world, lamps and camera.
 
     Attributes:
-        world: What rays meet.
+        world: The triangles.
         lights: The lamps.
-        origin: The camera in the world, metres.
-        rotation: world_from_camera.
+        origin: Position of the camera in the world, metres.
+        rotation: Rotation of world_from_camera.
         darkest_cd_m2: Light below this is left out.
     """
 
@@ -34,7 +34,7 @@ class Space:
 
 @dataclass
 class Air:
-    """The air's numbers, as parameters of the kernels.
+    """The air's properties, as parameters of the kernels.
 
     Attributes:
         scattering_per_m: Scattering coefficient.
@@ -60,5 +60,5 @@ def air_of(weather: WeatherSpec) -> Air:
 
 
 def _parameter(value: float | np.floating) -> Number:
-    """A number that is handed to a kernel, rather than compiled into it."""
+    """A number that is passed to a kernel, rather than compiled into it."""
     return dr.opaque(mi.Float, float(value))

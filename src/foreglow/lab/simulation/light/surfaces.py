@@ -1,4 +1,4 @@
-"""What a surface looks like where a ray meets it: material, texture, markings, water and snow."""
+"""Properties of a surface at the hit of a ray: material, texture, markings, water and snow."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from foreglow.lab.simulation.world.materials import MATERIALS, column, material_
 
 NOISE_TEXELS = 512
 NOISE_BLUR_TEXELS = 1.2
-"""Standard deviation of the noise's blur: its features are about three texels wide."""
+"""Standard deviation of the noise's blur, with which its features are about three texels wide."""
 
 TEXEL_M = (0.02, 0.1, 0.5, 2.5)
-"""The same noise in four sizes: features of 6 cm to 7.5 m."""
+"""Sizes of a texel: the same noise is used at four scales, with features of 6 cm to 7.5 m."""
 
 FEATURE_TEXELS = 3.0
 
@@ -32,12 +32,12 @@ CURVATURE_PER_M = {
     "paint_light": 1.5,
     "glass": 1.0,
 }
-"""How much the normals of a material turn per metre, below what its triangles show: the beads of a rail have radii of
-some centimetres. A pixel that covers a whole bead sees a rough surface, not sparks.
+"""Rotation of a material's normals per metre at scales below its triangles: the beads of a rail have radii of some
+centimetres. A pixel that covers a whole bead shows a rough surface instead of sparkles.
 """
 
 LEAF_SIZE_M = {"leaf": 0.06, "grass_blade": 0.02}
-"""Plants of which a pixel sees many parts at once from some distance on."""
+"""Size of leaves and blades, many of which are in one pixel from some distance on."""
 
 ROUGH = tuple(
     material.name
@@ -45,7 +45,7 @@ ROUGH = tuple(
     if material.name == "bark" or (material.kind in ("road", "verge", "wall") and material.roughness > 0.4)
     if not material.transmission
 )
-"""What is made of grains and holes. Paint, metal and glass are not."""
+"""Materials made of grains and holes, unlike paint, metal and glass."""
 
 MARKING_WIDTH_M = 0.12
 EDGE_LINE_INSET_M = 0.2
@@ -55,31 +55,31 @@ DASH_M, DASH_PERIOD_M = 4.0, 12.0
 TRACK_HALF_GAUGE_M, TRACK_WIDTH_M = 0.75, 0.28
 
 WET_ROUGHNESS = 0.23
-"""Of a fully wet road; with less it becomes a mirror, which real asphalt never is."""
+"""Roughness of a fully wet road; with less it would become a mirror, which real asphalt never is."""
 
 BRANCH_OFFSET_M = 50.0
-"""Beyond this |t| the carriageway is a side road's and has no markings."""
+"""A carriageway with a greater |t| belongs to a side road and has no markings."""
 
 
 @dataclass
 class Surface:
-    """What shading needs of the points that rays meet; a field has one value a ray.
+    """Properties of the surfaces that rays hit, for shading; each field has one value per ray.
 
     Attributes:
-        is_hit: Whether the ray meets anything.
-        position: In the world, metres.
+        is_hit: Whether the ray hits anything.
+        position: Position in the world, metres.
         outward: Normal without bumps, on the ray's side.
         normal: Normal with bumps.
         view: Unit vector to the camera.
         albedo: Diffuse reflectance.
         specular: Reflectance of the glossy part at normal incidence.
-        alpha: Width of the GGX distribution: roughness squared, and what a pixel averages.
+        alpha: Width of the GGX distribution: roughness squared, and the variation of normals within the pixel.
         transmission: Share of the diffuse light that leaves on the other side.
-        retroreflection: cd/lx/m^2.
-        is_beaded: Whether that is of glass beads on the ground, not of a sign's sheeting.
-        is_rough: Whether it is made of grains and holes, and no smooth paint or leaf.
-        film: Share under a film of water, which mirrors what comes and goes at grazing angles.
-        canopy: Share to which the pixel sees leaves of all directions, 0..1.
+        retroreflection: Coefficient of retroreflection, cd/lx/m^2.
+        is_beaded: Whether the retroreflection is that of glass beads on the ground, not of a sign's sheeting.
+        is_rough: Whether it is made of grains and holes, unlike smooth paint or leaves.
+        film: Share under a film of water, which reflects light at grazing angles.
+        canopy: Share of the pixel that shows leaves of all orientations, 0..1.
     """
 
     is_hit: Number
@@ -98,11 +98,11 @@ class Surface:
     canopy: Number
 
 
-class Looks:
-    """Materials, textures and the road's state, as the rays' kernels read them."""
+class Surfaces:
+    """Materials, textures and the road's state, in the form that the kernels read."""
 
     def __init__(self, road: RoadSpec, seed: int) -> None:
-        """The textures follow from `seed`; the road's state is a parameter of the kernels, not a part of them."""
+        """The textures follow from `seed`; the road's state is passed to the kernels, not compiled into them."""
         noise = _noise(np.random.default_rng([seed, 71]))
         self._noise = mi.Texture2f(
             mi.TensorXf(noise), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat, use_accel=False
@@ -114,17 +114,17 @@ class Looks:
             "wetness": road.wetness,
             "dash_m": {"dashed": DASH_M, "solid": DASH_PERIOD_M, "none": 0.0}[road.centre_marking],
             "edge_m": MARKING_WIDTH_M if road.has_edge_marking else 0.0,
-            # The noise is about normal: this quantile leaves the asked share under snow.
+            # The noise is roughly normal, so that this quantile leaves the wanted share under snow.
             "bare": NormalDist().inv_cdf(float(np.clip(1.0 - road.snow, 1e-4, 1.0 - 1e-4))) if road.snow else 1e3,
         }
         self._road = {name: dr.opaque(mi.Float, float(value)) for name, value in values.items()}
 
     def at(self, hit: Hit, direction: Number, pixel_rad: Number) -> Surface:
-        """The surfaces that rays in `direction` have met; a pixel sees the angle `pixel_rad`."""
+        """The surfaces hit by rays in `direction`; a pixel has the angle `pixel_rad`."""
         first = dr.gather(mi.Vector4f, self._materials, hit.material * 2, hit.is_hit)
         second = dr.gather(mi.Vector4f, self._materials, hit.material * 2 + 1, hit.is_hit)
         across_m = hit.distance_m * pixel_rad
-        # A pixel's footprint on the surface is longer along the view; its mean size decides what can be seen.
+        # A pixel's footprint on the surface is longer along the view; its mean size limits what can be resolved.
         slant = greatest(-dr.dot(hit.normal, direction), 0.02)
         footprint_m = across_m * dr.rsqrt(slant)
         u, v, u_axis, v_axis = _flat_coordinates(hit)
@@ -166,7 +166,7 @@ class Looks:
         return surface
 
     def _streaks(self, hit: Hit, u: Number, v: Number, footprint_m: Number) -> Number:
-        """Noise that is long along the road, and downwards on walls."""
+        """Noise that is stretched along the road, and vertically on walls."""
         is_road = hit.material == material_number("road")
         s, t = hit.coordinates_m.x, hit.coordinates_m.y
         texel = dr.select(is_road, mi.Point2f(s / 1.2, t / 0.06), mi.Point2f(u / 0.06, v / 0.9))
@@ -176,7 +176,7 @@ class Looks:
     def _build_walls(
         self, surface: Surface, hit: Hit, u: Number, v: Number, footprint_m: Number, streak: Number
     ) -> None:
-        """Courses of bricks, joints of concrete panels, and what rain has washed down."""
+        """Courses of bricks, joints of concrete panels, and streaks left by rain."""
         is_brick = hit.material == material_number("brick")
         is_concrete = hit.material == material_number("concrete")
         is_plaster = hit.material == material_number("plaster")
@@ -193,7 +193,7 @@ class Looks:
     def _pave(
         self, surface: Surface, hit: Hit, bump: Number, footprint_m: Number, patches: Number, streak: Number
     ) -> Number:
-        """Markings, wheel tracks, water and snow on the carriageway; returns the bumps that remain."""
+        """Markings, wheel tracks, water and snow on the carriageway; returns the remaining bump."""
         road = self._road
         s, t = hit.coordinates_m.x, hit.coordinates_m.y
         is_road = hit.material == material_number("road")
@@ -209,12 +209,12 @@ class Looks:
         paint = dr.select(is_main, least(edge + centre, 1.0) * kept, 0.0)
         marking = MATERIALS[material_number("marking")]
         albedo = dr.lerp(albedo, marking.albedo, paint)
-        # Water fills the pores: darker, smoother; more of it in the tracks.
+        # Water fills the pores and makes the surface darker and smoother, most of all in the tracks.
         wet = clipped(road["wetness"] * (1.0 + 0.25 * patches + 0.3 * track), 0.0, 1.0)
         albedo *= 1.0 - 0.5 * wet
         road_roughness = MATERIALS[material_number("road")].roughness
         roughness = dr.lerp(road_roughness * (1.0 - 0.08 * worn + 0.03 * streak), WET_ROUGHNESS, wet)
-        paint_retro = marking.retroreflection * paint * (1.0 - 0.8 * wet)  # water drowns the beads
+        paint_retro = marking.retroreflection * paint * (1.0 - 0.8 * wet)  # the beads are under water
         snow = clipped((patches + 0.5 * streak - 1.2 * track + 0.4 - road["bare"]) * 3.0 + 0.5, 0.0, 1.0)
         albedo, roughness = dr.lerp(albedo, 0.7, snow), dr.lerp(roughness, 0.6, snow)
         surface.albedo = dr.select(is_road, albedo, surface.albedo)
@@ -226,7 +226,7 @@ class Looks:
 
 
 def _noise(generator: np.random.Generator) -> NDArray[np.float32]:
-    """Four fields of smooth noise that repeats, each of mean 0 and variance 1; shape (rows, columns, 4)."""
+    """Four periodic fields of smooth noise, each with mean 0 and variance 1; shape (rows, columns, 4)."""
     white = generator.standard_normal((NOISE_TEXELS, NOISE_TEXELS, 4))
     smooth = gaussian_filter(white, (NOISE_BLUR_TEXELS, NOISE_BLUR_TEXELS, 0), mode="wrap")
     smooth -= smooth.mean((0, 1))
@@ -241,7 +241,7 @@ def _material_records() -> NDArray[np.float32]:
 
 
 def _flat_coordinates(hit: Hit) -> tuple[Number, Number, Number, Number]:
-    """Two coordinates for textures, and their directions: x, y on what lies, along and up on what stands."""
+    """Two texture coordinates and their directions: x and y on the ground, along and up on walls."""
     x, y, z = hit.position.x, hit.position.y, hit.position.z
     is_steep = dr.abs(hit.normal.z) < 0.7
     is_along_y = is_steep & (dr.abs(hit.normal.x) > dr.abs(hit.normal.y))
@@ -251,7 +251,7 @@ def _flat_coordinates(hit: Hit) -> tuple[Number, Number, Number, Number]:
 
 
 def _bumped(normal: Number, slope: Number, view: Number) -> Number:
-    """The normal of a part of the surface that is seen: parts that turn away lie behind others."""
+    """The normal of a visible part of a bumpy surface: parts that are turned away are hidden by others."""
     bumped = dr.normalize(normal + slope)
     least_seen = 0.4 * greatest(dr.dot(normal, view), 0.0)
     return dr.normalize(bumped + view * greatest(least_seen - dr.dot(bumped, view), 0.0))
@@ -272,21 +272,21 @@ def _canopy(material: Number, footprint_m: Number) -> Number:
 
 
 def _stripe(from_middle_m: Number, width_m: Number, footprint_m: Number) -> Number:
-    """Share of the footprint that lies on a stripe."""
+    """Share of the footprint that is on a stripe."""
     low = greatest(from_middle_m - 0.5 * footprint_m, -0.5 * width_m)
     high = least(from_middle_m + 0.5 * footprint_m, 0.5 * width_m)
     return clipped((high - low) / greatest(footprint_m, 1e-6), 0.0, 1.0)
 
 
-def _stripes(place_m: Number, period_m: float, width_m: Number, footprint_m: Number) -> Number:
-    """Share of the footprint that lies on stripes which begin at every multiple of the period."""
+def _stripes(position_m: Number, period_m: float, width_m: Number, footprint_m: Number) -> Number:
+    """Share of the footprint that is on stripes, which begin at every multiple of the period."""
 
     def covered(end_m: Number) -> Number:
         full = dr.floor(end_m / period_m)
         return full * width_m + least(end_m - full * period_m, width_m)
 
     width = greatest(footprint_m, 1e-4)
-    return clipped((covered(place_m + 0.5 * width) - covered(place_m - 0.5 * width)) / width, 0.0, 1.0)
+    return clipped((covered(position_m + 0.5 * width) - covered(position_m - 0.5 * width)) / width, 0.0, 1.0)
 
 
 def _dashes(s_m: Number, dash_m: Number, footprint_m: Number) -> Number:

@@ -1,1 +1,1 @@
-"""What a drive is: the scenario language, and the scenarios that draw it."""
+"""Descriptions of drives: the scenario language, and the scenarios that are drawn in it."""

@@ -1,4 +1,4 @@
-"""Courses of roads: how each scenario's road runs, and the land beside it."""
+"""Courses of roads: the bends and hills of each scenario's road, and the land beside it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from foreglow.lab.simulation.scenes.scene import Branch
 from foreglow.lab.simulation.scenes.surroundings import Profile
 
 Bend: TypeAlias = tuple[float, float, float]
-"""From, to, and signed curvature in 1/m."""
+"""Begin, end, and signed curvature in 1/m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How a road runs, and the land beside it."""
+    """The course of a road, and the land beside it."""
 
     style: Style = "open"
     bends: tuple[Bend, ...] = ()
@@ -28,7 +28,7 @@ class Course:
 
 
 Layout: TypeAlias = Callable[[Draw, float], Course]
-"""Draws a course around the place, in metres, at which the view should open."""
+"""Draws a course around the arc length, in metres, at which the view should open."""
 
 
 def curve(draw: Draw, focus_m: float) -> Course:
@@ -38,7 +38,7 @@ def curve(draw: Draw, focus_m: float) -> Course:
 
 
 def s_bend(draw: Draw, focus_m: float) -> Course:
-    """Two bends to opposite sides."""
+    """Two bends in opposite directions."""
     first = _bend(draw, focus_m - 30.0)
     start = first[1] + draw.uniform(15.0, 60.0)
     second = (start, start + draw.uniform(60.0, 140.0), float(-np.sign(first[2])) / draw.log_uniform(90.0, 300.0))
@@ -63,12 +63,12 @@ def sag(draw: Draw, focus_m: float) -> Course:
 
 
 def straight(draw: Draw, focus_m: float) -> Course:
-    """A straight road; the other car is seen from far."""
+    """A straight road, on which the other car is seen from afar."""
     return Course(draw.choice(["open", "forest"]), (), _gentle_hills(draw, focus_m))
 
 
 def junction(draw: Draw, focus_m: float) -> Course:
-    """A side road that meets ours, with a car on it."""
+    """A side road that joins ours, with a car on it."""
     branch = Branch(s_m=round(focus_m, 1), angle_deg=draw.choice([-1, 1]) * draw.uniform(60.0, 115.0))
     bends = (_bend(draw, focus_m + 110.0),) if draw.chance(0.6) else ()
     return Course(draw.choice(["open", "open", "village"]), bends, ((0.0, 0.0),), (branch,))
@@ -93,7 +93,7 @@ def _bend(draw: Draw, focus_m: float, *, gentle: bool = False) -> Bend:
 
 
 def _winding(draw: Draw, first: Bend) -> tuple[Bend, ...]:
-    """`first` and what follows: where roads wind, the light of a car is hidden until the last bend."""
+    """`first` and further bends: on a winding road, the light of a car is hidden until the last bend."""
     bends = [first]
     while len(bends) < 4 and draw.chance(0.8):
         start = bends[-1][1] + draw.uniform(10.0, 50.0)

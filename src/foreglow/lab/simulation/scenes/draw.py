@@ -1,4 +1,4 @@
-"""Random numbers with the names that scenarios use."""
+"""Random numbers as scenarios need them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Value = TypeVar("Value")
 
 
 class Draw:
-    """Draws from a seed; numbers are rounded so that a scene reads well and is the same after TOML and JSON."""
+    """Draws from a seed; numbers are rounded, so that a scene is readable and the same after TOML and JSON."""
 
     def __init__(self, *seeds: int) -> None:
-        """Starts the stream of the given seeds, such as that of the data set and the number of the scene."""
+        """Starts the stream of the given seeds, such as the data set's seed and the number of the scene."""
         self._rng = np.random.default_rng(seeds)
 
     def uniform(self, low: float, high: float) -> float:
@@ -22,11 +22,11 @@ class Draw:
         return self._rounded(self._rng.uniform(low, high))
 
     def log_uniform(self, low: float, high: float) -> float:
-        """Between `low` and `high`, each factor as likely as any other."""
+        """Between `low` and `high`, uniform in the logarithm."""
         return self._rounded(np.exp(self._rng.uniform(np.log(low), np.log(high))))
 
     def normal(self, mean: float, deviation: float, limit: float = 2.5) -> float:
-        """Gaussian, cut at `limit` standard deviations."""
+        """Gaussian, clipped at `limit` standard deviations."""
         return self._rounded(mean + deviation * float(np.clip(self._rng.normal(), -limit, limit)))
 
     def integer(self, low: int, high: int) -> int:
@@ -38,7 +38,7 @@ class Draw:
         return bool(self._rng.random() < probability)
 
     def choice(self, values: Sequence[Value], weights: Sequence[float] | None = None) -> Value:
-        """One of `values`, as likely as its weight."""
+        """One of `values`, with probabilities proportional to `weights`."""
         shares = None if weights is None else np.array(weights) / np.sum(weights)
         return values[int(self._rng.choice(len(values), p=shares))]
 

@@ -1,4 +1,4 @@
-"""Planning when two vehicles come into sight of each other; the renderer has the last word on what is seen."""
+"""Estimates of when two vehicles come into sight of each other, for planning; the renderer decides what is seen."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BLOCKING_HEIGHT_M = 1.2
 """A bank or a wall of at least this height hides a car behind it."""
 
 LIT_AHEAD_M = (20.0, 50.0, 90.0, 130.0)
-"""How far ahead of a car its low beam lights a rail or a bank well enough to be noticed."""
+"""Distances ahead of a car at which its low beam lights a rail or a bank well enough to be noticed."""
 
 NUM_SAMPLES = 32
 CENTRE_STEP_M = 3.0
@@ -28,14 +28,14 @@ TIME_STEP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Corridor:
-    """How far to the left and to the right of the centre line one can see along the road, metres."""
+    """Width of the open space to the left and to the right of the centre line, metres."""
 
     left_m: float
     right_m: float
 
 
 def corridor(surroundings: SurroundingsSpec, half_width_m: float) -> Corridor:
-    """The open space along the road: up to the nearest bank, wall or wood on either side."""
+    """The open space along the road, up to the nearest bank, wall or wood on either side."""
     limits = {"left": 60.0, "right": 60.0}
     for side, verge in (("left", surroundings.left), ("right", surroundings.right)):
         if verge.bank_m >= BLOCKING_HEIGHT_M:
@@ -50,7 +50,7 @@ def corridor(surroundings: SurroundingsSpec, half_width_m: float) -> Corridor:
 
 
 def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
-    """Whether an oncoming car at `other_s_m` can be seen from our place at `ego_s_m`."""
+    """Whether an oncoming car at `other_s_m` can be seen from our position at `ego_s_m`."""
     if other_s_m <= ego_s_m + 1.0:
         return True
     lane = road.half_width_m / 2
@@ -59,7 +59,7 @@ def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) ->
 
 
 def is_light_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
-    """Whether something straight ahead of an oncoming car at `other_s_m`, lit by it, can be seen from `ego_s_m`."""
+    """Whether a surface straight ahead of an oncoming car at `other_s_m`, lit by it, can be seen from `ego_s_m`."""
     if other_s_m <= ego_s_m + 1.0:
         return True
     lane = road.half_width_m / 2
@@ -73,14 +73,14 @@ def is_light_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corrid
 def sight_time_s(
     road: Road, free: Corridor, ego: Profile, other: Profile, is_seen: Callable[..., bool] = is_in_sight
 ) -> float:
-    """Time before the meeting, in s, for which the two see each other without a break; 0 if only at the meeting.
+    """Time before the meeting, in s, during which the two see each other without a break; 0 if only at the meeting.
 
     Args:
-        road: Where they drive.
-        free: What keeps the view open.
+        road: The road.
+        free: The open space along it.
         ego: Two points (time, arc length) of our time table, at constant speed.
         other: The same for the oncoming car.
-        is_seen: What is meant by seeing: the car, or its light.
+        is_seen: Whether the car, or its light, is in sight.
     """
     ego_speed, other_speed = (_speed(profile) for profile in (ego, other))
     meeting = (other[0][1] - ego[0][1]) / (ego_speed - other_speed)
@@ -110,7 +110,7 @@ def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Fl
 
 @functools.lru_cache(maxsize=2)
 def _centre_line(road: Road) -> tuple[Floats, Floats, Floats]:
-    """Arc lengths every few metres, also beyond the road's ends, the points there and the headings."""
+    """Arc lengths every few metres, also beyond the road's ends, with points and headings."""
     arc_lengths = np.arange(-100.0, road.length_m + 100.0, CENTRE_STEP_M)
     return arc_lengths, road.points(arc_lengths), road.heading_rad(arc_lengths)
 

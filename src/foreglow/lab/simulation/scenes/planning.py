@@ -1,8 +1,8 @@
-"""Drawing a scene: who meets whom, where and when, and everything around it.
+"""Drawing a scene: an encounter with time and place, and everything around it.
 
-The course of the road, the land beside it and the speeds are drawn first; then the oncoming car's time table is chosen
-so that it comes into sight a few seconds into the drive, as in PVDN's sequences, whose typical one shows three seconds
-of empty road, the best part of a second of indirect light and then the car until it passes.
+The course of the road, the land beside it and the speeds are drawn first. The oncoming car's time table is then chosen
+so that the car comes into sight a few seconds into the drive, as in PVDN: a typical sequence shows three seconds of
+empty road, almost a second of indirect light, and then the car until it passes.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from foreglow.lab.simulation.scenes.surroundings import Profile, SurroundingsSpe
 from foreglow.lab.simulation.world.road import Road
 
 SIGHT_S = (3.6, 0.8)
-"""Mean and standard deviation of the time into the drive at which the oncoming car comes into sight; of the order of
-PVDN's night validation split, whose median is 3.6 s."""
+"""Mean and standard deviation of the time at which the oncoming car comes into sight; similar to PVDN's night
+validation split, whose median is 3.6 s."""
 
 LONGEST_MISS_S, LONGEST_LEAD_S = 1.5, 0.9
-"""An encounter in which the car comes into sight at another time than wanted, or its light should lead by more, is
-drawn anew; in PVDN light leads by 0.6 to 1.5 s (quartiles)."""
+"""An encounter is drawn again if the car comes into sight at a time that is further from the wanted one, or if its
+light precedes it by more; in PVDN, light precedes the car by 0.6 to 1.5 s (quartiles)."""
 
 MAX_PLANS = 12
 
 SHORTEST_S, LONGEST_S = 6.5, 9.5
-"""Bounds of the time into the drive at which the two meet."""
+"""Bounds of the time of the meeting."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Where and when the two meet.
+    """An encounter.
 
     Attributes:
-        course: How the road runs.
+        course: Course of the road.
         road: The road.
         surroundings: What stands beside it.
         ego: Our time table.
-        other: The oncoming car's.
-        meeting_s: When they meet.
-        miss_s: How far the time at which the other car comes into sight is from the wanted one.
-        lead_s: By how much light that it throws should be seen before the car.
+        other: The oncoming car's time table.
+        meeting_s: Time of the meeting.
+        miss_s: Difference between the time at which the other car comes into sight and the wanted time.
+        lead_s: Time by which the car's light should be seen before the car.
     """
 
     course: Course
@@ -68,12 +68,12 @@ class _Plan:
 
     @property
     def is_good(self) -> bool:
-        """Whether it is much like a drive of PVDN."""
+        """Whether it resembles a drive of PVDN."""
         return self.miss_s <= LONGEST_MISS_S and self.lead_s <= LONGEST_LEAD_S
 
 
 def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
-    """Draws everything of one scene; the encounter is drawn anew while it is unlike those of PVDN."""
+    """Draws everything in a scene; the encounter is drawn again until it resembles those of PVDN."""
     weather, wetness = _weather(draw)
     plans: list[_Plan] = []
     while len(plans) < MAX_PLANS and not (plans and plans[-1].is_good):
@@ -122,7 +122,7 @@ def _plan(draw: Draw, layout: Layout, wetness: float) -> _Plan:
 
 
 def _encounter(road: Road, free: Corridor, ego: Profile, other_mps: float, sight_s: float) -> tuple[Profile, float]:
-    """The oncoming car's time table, with which it comes into sight nearest to `sight_s`, and the time of meeting."""
+    """The time table with which the oncoming car comes into sight closest to `sight_s`, and the time of the meeting."""
     ego_mps = (ego[1][1] - ego[0][1]) / (ego[1][0] - ego[0][0])
     best: tuple[float, Profile, float] | None = None
     for meeting_s in np.arange(max(sight_s + 2.0, SHORTEST_S), LONGEST_S + 0.01, 0.5):
@@ -137,7 +137,7 @@ def _encounter(road: Road, free: Corridor, ego: Profile, other_mps: float, sight
 
 
 def _vehicles(draw: Draw, course: Course, other: Profile, ego: Profile) -> tuple[VehicleSpec, ...]:
-    """The oncoming car and whoever else is there; one drive in eight has nobody."""
+    """The oncoming car and other vehicles; one drive in eight has none at all."""
     if draw.chance(0.12):
         return ()
     vehicles = [_vehicle(draw, timetable=other)]
@@ -213,7 +213,7 @@ def _road(draw: Draw, course: Course, length_m: float, wetness: float) -> RoadSp
 
 
 def _speed_mps(draw: Draw, course: Course, cruising_mps: float) -> float:
-    """Slower in a village and in bends: at most 3.5 m/s^2 to the side."""
+    """A speed that is lower in a village and in bends: at most 3.5 m/s^2 of lateral acceleration."""
     if course.style == "village":
         return draw.uniform(9.0, 15.0)
     tightest = max((abs(bend) for _, _, bend in course.bends), default=0.0)
@@ -263,7 +263,7 @@ def _camera(draw: Draw) -> CameraSpec:
 
 
 def _sensor(draw: Draw) -> SensorSpec:
-    """Around the figures of the one lossless real frame."""
+    """Draws around the figures of the one lossless real frame."""
     return SensorSpec(
         grey_per_cd_m2=draw.log_uniform(38.0, 66.0),
         night_gain=draw.log_uniform(6.0, 11.0),

@@ -1,4 +1,4 @@
-"""Drawing what stands beside a road: open land, forest, rock and walls, a village."""
+"""Drawing the surroundings of a road: open land, forest, rock and walls, a village."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ SIDES: tuple[Side, Side] = ("left", "right")
 def draw_surroundings(
     draw: Draw, style: Style, length_m: float, bends: tuple[tuple[float, float, float], ...]
 ) -> SurroundingsSpec:
-    """What stands beside a road of `length_m`.
+    """The surroundings of a road of `length_m`.
 
     Args:
         draw: Random numbers.
         style: The kind of land.
-        length_m: Of the road.
-        bends: From, to and signed curvature of each bend: chevrons and rails stand on its outer side, banks and
-            bushes hide what comes on its inner side.
+        length_m: Length of the road.
+        bends: Begin, end and signed curvature of each bend: chevrons and rails stand on its outer side, banks and
+            bushes block the view on its inner side.
     """
     bends = tuple(bend for bend in bends if bend[0] < length_m - 40.0)
     snow = draw.uniform(0.3, 1.0) if draw.chance(0.15) else 0.0

@@ -1,4 +1,4 @@
-"""Named scenarios: each draws a `Scene` of its kind; a data set draws its scenes among them."""
+"""Named scenarios: each draws a `Scene` of its kind; the scenes of a data set are drawn from all of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENARIOS: dict[str, tuple[Layout, float]] = {
     "village": (courses.village, 0.06),
     "forest": (courses.forest, 0.17),
 }
-"""Every scenario by name, with its share of a data set. Roads that hide the other car come first: they are what
+"""Every scenario by name, with its share of a data set. Most are roads that hide the other car, since these are what
 provident detection is about."""
 
 
@@ -40,7 +40,7 @@ def scenario(name: str, seed: int = 0) -> Scene:
 
 
 def draw_scenes(num_scenes: int, seed: int, split: Split = "train") -> tuple[Scene, ...]:
-    """The scenes of a data set; each depends on the seed, the split and its number alone.
+    """The scenes of a data set; each depends only on the seed, the split and its number.
 
     Raises:
         ValueError: If the number is not positive or the split is unknown.
@@ -59,7 +59,7 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train") -> tuple[Sce
 
 
 def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
-    """`scene` seen by the same camera with an image of another size: the horizontal field of view stays."""
+    """`scene` with another image size and the same horizontal field of view."""
     camera = scene.camera
     if (camera.width_px, camera.height_px) == (width_px, height_px):
         return scene
@@ -79,20 +79,20 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
 
 
 def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
-    """`scene` driven with another beam of our own."""
+    """`scene` with another beam of our own vehicle."""
     return scene.model_copy(update={"ego": scene.ego.model_copy(update={"beam": beam})})
 
 
 def without_traffic(scene: Scene) -> Scene:
-    """`scene` with nobody in it whose lamps are lit; dark cars that are parked stay."""
+    """`scene` without vehicles whose lamps are lit; parked dark cars stay."""
     return scene.model_copy(update={"vehicles": tuple(vehicle for vehicle in scene.vehicles if vehicle.beam == "off")})
 
 
 def adapted(scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str) -> Scene:
-    """`scene` with images of another size (width, height), another frame rate and another exposure.
+    """`scene` with another image size (width, height), frame rate and exposure.
 
     Raises:
-        ValueError: If one is out of range; the message names the field.
+        ValueError: If a value is out of range; the message names the field.
     """
     sized = resized(scene, *size_px).model_dump()
     sized["rate_hz"] = rate_hz

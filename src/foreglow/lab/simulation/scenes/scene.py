@@ -1,7 +1,7 @@
-"""The scenario language: one frozen `Scene` says everything about a drive, and TOML writes it down.
+"""The scenario language: a frozen `Scene` describes a whole drive, and can be written as TOML.
 
-Positions along a road are arc lengths `s` in metres, offsets `t` are metres to the left of its centre line. Traffic
-keeps to the right. Angles in degrees, as people write them; profiles are lists of pairs, interpolated in between.
+Positions along a road are arc lengths `s` in metres; offsets `t` are metres to the left of its centre line. Traffic
+keeps to the right. Angles are in degrees, for people to write; profiles are lists of pairs, interpolated in between.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class Branch(SpecModel):
     """A straight side road that meets the main one.
 
     Attributes:
-        s_m: Where it meets the main road's centre line.
-        angle_deg: Its direction away from the main road, to the left of the main road's; 90 leaves to the left.
-        length_m: How far it goes.
+        s_m: Arc length at which it meets the main road's centre line.
+        angle_deg: Its direction away from the junction, to the left of the main road's; 90 leaves to the left.
+        length_m: Its length.
     """
 
     s_m: float
@@ -53,17 +53,17 @@ class RoadSpec(SpecModel):
     """Course and surface of the main road, and the side roads.
 
     Attributes:
-        length_m: Length of the road that is built; it starts at s = 0.
+        length_m: Length of the road, which begins at s = 0.
         lane_width_m: Width of either lane.
         curvature_per_m: Signed curvature over s, positive to the left; linear in between, so that bends begin and
             end with clothoids; constant beyond the ends.
-        elevation_m: Height over s; a smooth curve runs through the points.
-        superelevation: Cross slope per 1/100 m of curvature, up to 6 %; roads lean into their bends.
+        elevation_m: Height over s; a smooth curve passes through the points.
+        superelevation: Cross slope for each 1/100 m of curvature, up to 6 %; roads lean into their bends.
         centre_marking: Dashes, a solid line, or none.
         has_edge_marking: Whether there are lines at the edges.
-        wear: 0 new to 1 worn: markings fade, wheel tracks shine.
-        wetness: 0 dry to 1 wet: the surface is darker and glossy.
-        snow: Share of the carriageway under snow.
+        wear: From 0, new, to 1, worn: markings fade, wheel tracks shine.
+        wetness: From 0, dry, to 1, wet: the surface becomes darker and glossy.
+        snow: Share of the carriageway that is covered with snow.
         branches: Side roads.
     """
 
@@ -93,18 +93,18 @@ class VehicleSpec(SpecModel):
     """Another road user with its time table.
 
     Attributes:
-        kind: What it is.
-        lane: `oncoming` comes towards us on its lane, `own` drives ahead on ours, `parked_left` and `parked_right`
+        kind: The kind of vehicle.
+        lane: `oncoming` comes towards us in its lane, `own` drives ahead in ours, `parked_left` and `parked_right`
             stand at the edge, `branch` drives on a side road.
-        branch: Number of the side road for lane `branch`.
+        branch: Number of the side road for the lane `branch`.
         is_towards: On a side road: whether it drives towards the main road. Parked: whether it faces us.
         timetable: Pairs (time in s, arc length in m) along its road; smooth in between, at constant speed beyond.
-        lateral_m: Metres to the left of the road's centre line; None is the middle of the lane.
-        beam: Its headlamps.
-        low_beam_file: An IES file for the low beam in place of the table that ships.
+        lateral_m: Offset to the left of the road's centre line; None for the middle of the lane.
+        beam: The beam of its headlamps.
+        low_beam_file: An IES file for the low beam instead of the built-in table.
         brightness: Factor on all its lamps.
-        yaw_aim_deg: Mis-aim of the headlamps to the left.
-        pitch_aim_deg: Mis-aim upwards.
+        yaw_aim_deg: Misalignment of the headlamps to the left.
+        pitch_aim_deg: Misalignment of the headlamps upwards.
         is_light: Whether its paint is light.
     """
 
@@ -133,11 +133,11 @@ class EgoSpec(SpecModel):
     Attributes:
         timetable: Pairs (time in s, arc length in m), as for other vehicles.
         beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
-        low_beam_file: An IES file for the low beam in place of the table that ships.
+        low_beam_file: An IES file for the low beam instead of the built-in table.
         brightness: Factor on the headlamps.
-        yaw_aim_deg: Mis-aim to the left.
-        pitch_aim_deg: Mis-aim upwards.
-        body_motion: Factor on pitch, roll and heave of the body on its springs; 0 is a smooth ride.
+        yaw_aim_deg: Misalignment of the headlamps to the left.
+        pitch_aim_deg: Misalignment of the headlamps upwards.
+        body_motion: Factor on pitch, roll and heave of the body on its springs; 0 for a smooth ride.
     """
 
     timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
@@ -155,14 +155,14 @@ class EgoSpec(SpecModel):
 
 
 class WeatherSpec(SpecModel):
-    """The air, what falls through it, and what light there is anyway.
+    """Haze, precipitation, and the light of the sky.
 
     Attributes:
-        scattering_per_m: Scattering coefficient of the haze; 4e-4 is clear, 3e-3 is mist.
+        scattering_per_m: Scattering coefficient of the haze; 4e-4 is clear air, 3e-3 is mist.
         asymmetry: Henyey-Greenstein parameter of the haze.
         rain_mm_h: Rate of rain.
         snow_mm_h: Rate of snow, as water.
-        sky_cd_m2: Luminance of the sky; 2e-4 is a cloudy night far from towns, 5e-3 is beside one.
+        sky_cd_m2: Luminance of the sky; 2e-4 is a cloudy night far from towns, 5e-3 is near a town.
     """
 
     scattering_per_m: NonNegative = 4e-4
@@ -173,18 +173,18 @@ class WeatherSpec(SpecModel):
 
 
 class CameraSpec(SpecModel):
-    """The camera and how it is mounted; sizes are those of the full image.
+    """The camera and its mount.
 
     Attributes:
-        width_px: Columns.
-        height_px: Rows.
+        width_px: Columns of the image.
+        height_px: Rows of the image.
         focal_px: Focal length.
-        centre_px: Principal point; None is the middle.
+        centre_px: Principal point; None for the middle of the image.
         distortion: k1, k2, p1, p2, k3, as OpenCV defines them.
-        mount_m: In the vehicle: forward of the rear axle, left, up.
-        pitch_deg: Upwards.
-        yaw_deg: To the left.
-        roll_deg: To the right.
+        mount_m: Position in the vehicle: forward of the rear axle, left, up.
+        pitch_deg: Pitch upwards.
+        yaw_deg: Yaw to the left.
+        roll_deg: Roll to the right.
     """
 
     width_px: Annotated[int, Field(ge=32, le=8192)] = 1280
@@ -199,25 +199,26 @@ class CameraSpec(SpecModel):
 
 
 class SensorSpec(SpecModel):
-    """Optics and imager, in grey levels of 8 bits; pixels are those of a 1280 columns wide image.
+    """Optics and imager, in grey levels of 8 bits and pixels of an image of 1280 columns.
 
     Attributes:
         exposure: `day` is the short exposure of PVDN's cycle, `night` the long one.
         grey_per_cd_m2: Grey levels for 1 cd/m^2 in the short exposure, in the linear part of the response.
-        night_gain: How much more the long exposure collects.
-        day_exposure_s: Duration of the short exposure; from the length of motion blur in PVDN's frames, as is the next.
-        night_exposure_s: Duration of the long exposure; what `night_gain` has beyond it is amplification, of noise too.
+        night_gain: Ratio of the grey levels of the long and the short exposure.
+        day_exposure_s: Duration of the short exposure; estimated from motion blur in PVDN's frames, as is the next.
+        night_exposure_s: Duration of the long exposure; the rest of `night_gain` is amplification, which also amplifies
+            noise.
         black_level: Grey level without light.
         knee: Grey levels above black up to which the response is linear.
         log_slope: Grey levels for a factor e above the knee.
         read_noise: Standard deviation without light.
-        shot_noise: Variance for a grey level of signal.
+        shot_noise: Variance for each grey level of signal.
         column_noise: Factor on the fixed pattern of the columns.
         core_px: Standard deviation of the point spread's core.
         middle_share: Share of the light in the exponential part.
         middle_px: Length of the exponential part.
         tail_share: Share of the light in the 1/r^2 tail (veiling glare).
-        vignetting: Factor on the natural cos^4 fall-off's logarithm.
+        vignetting: Exponent on the natural cos^4 fall-off.
     """
 
     exposure: Literal["day", "night"] = "day"
@@ -239,21 +240,22 @@ class SensorSpec(SpecModel):
 
 
 class LabelRule(SpecModel):
-    """When light counts as a perceivable artifact; part of every result, for it sets each first sight.
+    """When light counts as a perceivable artifact; recorded with every result, since it determines each first sight.
 
     `D` is the noise-free grey level that a vehicle's light adds, smoothed; pixels are those of images of 1280 columns.
 
     Attributes:
         min_grey: D must exceed this.
         min_contrast: D over its noise (sensor, columns, texture of the surroundings, veiling glare) must exceed this.
-        min_area_px: Pixels around a peak that reach half of it.
-        saddle: Two peaks are two instances where the light falls below this share of the lower one in between.
-        min_distance_px: Between instances of one vehicle.
-        max_instances: Indirect ones of one vehicle in an image in which one of its lamps is seen; the strongest stay.
-        max_hidden_instances: The same while none of its lamps is seen: people then mark the light as a whole.
-        relative_strength: Peaks below this share of the vehicle's strongest are dropped.
-        doubtful_factor: Peaks that meet the rule only with thresholds divided by this are kept apart as doubtful.
-        hold_frames: An instance that was there stays while it meets the divided thresholds, for this many frames.
+        min_area_px: Smallest number of pixels around a peak that reach half of it.
+        saddle: Two peaks are two instances if the light between them falls below this share of the lower one.
+        min_distance_px: Smallest distance between instances of one vehicle.
+        max_instances: Largest number of indirect instances of a vehicle in an image that shows one of its lamps; the
+            strongest are kept.
+        max_hidden_instances: The same if none of its lamps is seen: people then mark the light as a whole.
+        relative_strength: Peaks below this share of the vehicle's strongest peak are dropped.
+        doubtful_factor: Peaks that meet the rule only with thresholds divided by this are doubtful.
+        hold_frames: Number of frames for which an instance is kept while it meets the divided thresholds.
         min_visible: Share of a lamp's disc that must be seen for a direct instance.
     """
 
@@ -271,13 +273,13 @@ class LabelRule(SpecModel):
 
 
 class Scene(SpecModel):
-    """One drive, completely: the same scene gives the same images.
+    """The complete description of a drive: the same scene gives the same images.
 
     Attributes:
         name: Scenario that it belongs to, such as `curve`.
-        seed: Of everything that is placed or drawn at random: plants, textures, noise, body motion.
-        duration_s: Length of the drive.
-        rate_hz: Frames a second.
+        seed: Seed of everything random: plants, textures, noise, body motion.
+        duration_s: Duration of the drive.
+        rate_hz: Frames per second.
         road: Course and surface of the road.
         surroundings: What stands beside it.
         vehicles: The other road users.
@@ -311,12 +313,12 @@ class Scene(SpecModel):
 
     @property
     def num_frames(self) -> int:
-        """Frames of the drive."""
+        """Number of frames of the drive."""
         return max(1, round(self.duration_s * self.rate_hz))
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene in the TOML file `path`; what it does not mention has the default.
+    """The scene in the TOML file `path`; fields that it does not mention have their defaults.
 
     Raises:
         FileNotFoundError: If there is no such file.

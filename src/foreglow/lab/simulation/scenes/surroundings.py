@@ -1,4 +1,4 @@
-"""What stands beside the road, as a part of a `Scene`, and the small types that every part of a scene is made of."""
+"""The surroundings of the road as a part of a `Scene`, and the small types that all parts of a scene use."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Rail(SpecModel):
 
     Attributes:
         side: Side of the road.
-        span_m: From and to.
+        span_m: Begin and end along the road.
         offset_m: From the edge of the carriageway to the rail's face.
-        post_spacing_m: Between posts.
+        post_spacing_m: Distance between posts.
     """
 
     side: Side
@@ -63,10 +63,10 @@ class Wall(SpecModel):
 
     Attributes:
         side: Side of the road.
-        span_m: From and to.
+        span_m: Begin and end along the road.
         offset_m: From the edge of the carriageway.
-        height_m: Above the ground.
-        material: What it is made of.
+        height_m: Height above the ground.
+        material: Its material.
     """
 
     side: Side
@@ -77,16 +77,16 @@ class Wall(SpecModel):
 
 
 class Sign(SpecModel):
-    """A retroreflective sign that faces traffic going along the road, or coming.
+    """A retroreflective sign.
 
     Attributes:
         side: Side of the road.
-        s_m: Where it stands.
-        kind: Its shape and picture.
+        s_m: Position along the road.
+        kind: Shape and picture.
         offset_m: From the edge of the carriageway.
-        height_m: Of its lower edge above the ground.
+        height_m: Height of its lower edge above the ground.
         size_m: Its width.
-        faces_oncoming: Whether oncoming traffic reads it; then its dull back is seen.
+        faces_oncoming: Whether it faces oncoming traffic, so that we see its dull back.
     """
 
     side: Side
@@ -103,13 +103,13 @@ class Woods(SpecModel):
 
     Attributes:
         side: Side of the road.
-        span_m: From and to.
+        span_m: Begin and end along the road.
         offset_m: From the edge of the carriageway to the first trees.
-        depth_m: How far the trees reach from there.
-        spacing_m: Mean distance between trees; with `depth_m` 0 they stand in a row.
-        leaves: 0 bare to 1 in full leaf.
-        height_m: Of a tree.
-        has_undergrowth: Whether bushes stand between and before them.
+        depth_m: Depth of the wood; 0 for a single row of trees.
+        spacing_m: Mean distance between trees.
+        leaves: From 0, bare, to 1, in full leaf.
+        height_m: Height of a tree.
+        has_undergrowth: Whether bushes stand between and in front of the trees.
     """
 
     side: Side
@@ -127,12 +127,12 @@ class House(SpecModel):
 
     Attributes:
         side: Side of the road.
-        s_m: Where its middle is.
+        s_m: Position of its middle along the road.
         offset_m: From the edge of the carriageway to its front.
-        size_m: Length along the road, depth and height of the walls.
-        num_lit_windows: How many windows shine, at most eight.
+        size_m: Length along the road, depth, and height of the walls.
+        num_lit_windows: Number of lit windows, at most eight.
         window_cd_m2: Luminance of a lit window.
-        yaw_deg: Turned away from standing along the road.
+        yaw_deg: Rotation away from the direction of the road.
     """
 
     side: Side
@@ -149,10 +149,10 @@ class StreetLamp(SpecModel):
 
     Attributes:
         side: Side of the road.
-        s_m: Where it stands.
+        s_m: Position along the road.
         offset_m: From the edge of the carriageway.
-        height_m: Of the light above the ground.
-        intensity_cd: Straight down; 0 is a lamp that is out.
+        height_m: Height of the light above the ground.
+        intensity_cd: Intensity straight down; 0 for a lamp that is off.
     """
 
     side: Side
@@ -163,16 +163,16 @@ class StreetLamp(SpecModel):
 
 
 class Verge(SpecModel):
-    """The ground beside the carriageway, on one side.
+    """The ground on one side of the carriageway.
 
     Attributes:
-        bank_m: Height that the ground gains within a few metres; negative falls away.
-        bank_offset_m: From the edge of the carriageway to where that begins.
-        ditch_m: Depth of a ditch before it.
-        ground: What covers it.
-        snow: Share of it under snow, drifts first.
-        grass_height_m: Of the blades; 0 is mown.
-        grass_per_m2: Blades near the road.
+        bank_m: Height of the bank, which rises within a few metres; negative for an embankment.
+        bank_offset_m: From the edge of the carriageway to the foot of the bank.
+        ditch_m: Depth of a ditch in front of it.
+        ground: Cover of the ground.
+        snow: Share of the ground under snow, drifts first.
+        grass_height_m: Height of the blades; 0 for none.
+        grass_per_m2: Number of blades near the road.
     """
 
     bank_m: Annotated[float, Field(ge=-10, le=15)] = 0.5
@@ -185,7 +185,7 @@ class Verge(SpecModel):
 
 
 class SurroundingsSpec(SpecModel):
-    """What stands beside the road.
+    """The surroundings of the road.
 
     Attributes:
         left: The ground to the left.
@@ -196,8 +196,8 @@ class SurroundingsSpec(SpecModel):
         woods: Rows of trees and forests.
         houses: Houses.
         street_lamps: Lamps on poles.
-        delineator_spacing_m: Between posts with reflectors on both sides; 0 leaves them out.
-        num_bushes: Single bushes.
+        delineator_spacing_m: Distance between posts with reflectors on both sides; 0 for none.
+        num_bushes: Number of single bushes.
     """
 
     left: Verge = Verge()

@@ -1,1 +1,1 @@
-"""The vehicles and lights of one frame, and who sees whom."""
+"""The vehicles and lights of one frame, and the lines of sight between them."""

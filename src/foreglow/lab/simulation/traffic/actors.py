@@ -14,13 +14,13 @@ from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
 from foreglow.lab.simulation.traffic.kinematics import VehicleState, vehicle_state
 from foreglow.lab.simulation.world.bodies import BODIES, Body, LampMount
 from foreglow.lab.simulation.world.road import Road
-from foreglow.photometry import IntensityTable, high_beam, low_beam, matrix_beam, read_headlamps, read_ies, rear_lamp
+from foreglow.photometry import Headlamps, IntensityTable, high_beam, low_beam, read_ies, rear_lamp
 
 BEHIND_M = 15.0
-"""A vehicle further than this behind our rear axle is left out: neither its light nor its body is in the picture."""
+"""A vehicle further than this behind our rear axle is left out: neither its light nor its body is in the image."""
 
 FARTHEST_M = 900.0
-"""Nor is one beyond this distance: at 900 m a low beam lights a wall with less than a hundredth of a lux."""
+"""A vehicle beyond this distance is left out: at 900 m, a low beam lights a wall with less than 0.01 lx."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,9 +28,9 @@ class LitLamp:
     """A lamp of a vehicle at one time.
 
     Attributes:
-        name: Of its mount.
+        name: Name of its mount.
         is_rear: Whether it shines backwards.
-        placed: Where it is and what it shines.
+        placed: Its pose and its light.
     """
 
     name: str
@@ -43,11 +43,11 @@ class Actor:
     """Another vehicle at one time.
 
     Attributes:
-        vehicle_id: Its place in `Scene.vehicles`.
-        spec: What the scene says of it.
+        vehicle_id: Its index in `Scene.vehicles`.
+        spec: Its description in the scene.
         body: Its shape.
-        state: Where it is and how fast.
-        lamps: What it shines with.
+        state: Its pose and motion.
+        lamps: Its lamps that are on.
     """
 
     vehicle_id: int
@@ -74,13 +74,13 @@ def actors_at(
     time_s: float,
     first_layer: int,
 ) -> tuple[Actor, ...]:
-    """The vehicles that matter at `time_s`; the light of the one in place i goes to layer `first_layer` + i.
+    """The vehicles that matter at `time_s`; the light of the vehicle at index i has the layer `first_layer` + i.
 
     Args:
-        vehicles: Those of the scene.
+        vehicles: The vehicles of the scene.
         roads: The main road and its side roads.
-        ego_pose: world_from_vehicle of our own.
-        time_s: Time since the drive began.
+        ego_pose: world_from_vehicle of our own vehicle.
+        time_s: Time since the begin of the drive.
         first_layer: Layer of the first vehicle's light.
     """
     actors: list[Actor] = []
@@ -97,20 +97,19 @@ def actors_at(
     return tuple(actors)
 
 
-def ego_tables(ego: EgoSpec, led_levels: Floats) -> tuple[IntensityTable, IntensityTable]:
-    """What our left and right headlamps shine; `led_levels`, shape (2, 84), 0..1, count for the matrix beam only."""
+def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[IntensityTable, IntensityTable]:
+    """The light of our left and right headlamps; `led_levels`, shape (2, L), 0..1, is for the matrix beam only."""
     if ego.beam == "matrix":
-        return matrix_beam("left").table(led_levels[0]), matrix_beam("right").table(led_levels[1])
+        return headlamps.left.matrix.table(led_levels[0]), headlamps.right.matrix.table(led_levels[1])
     table = high_beam() if ego.beam == "high" else _low_table(ego.low_beam_file)
     return table, table
 
 
 def ego_lamps(
-    ego: EgoSpec, pose: Pose, tables: tuple[IntensityTable, IntensityTable], layer: int
+    ego: EgoSpec, pose: Pose, tables: tuple[IntensityTable, IntensityTable], layer: int, mounts: Headlamps
 ) -> tuple[PlacedLamp, PlacedLamp]:
-    """Our headlamps in the world: where the shipped description has them, and out of aim as the scene says."""
+    """Our headlamps in the world: mounted as in their description, and misaligned as in the scene."""
     out_of_aim = Pose(np.zeros(3), _aim(ego.yaw_aim_deg, ego.pitch_aim_deg))
-    mounts = read_headlamps()
     left, right = (
         PlacedLamp(pose @ lamp.vehicle_from_lamp @ out_of_aim, table, layer, ego.brightness)
         for lamp, table in zip((mounts.left, mounts.right), tables, strict=True)
@@ -124,7 +123,7 @@ def _lamps(spec: VehicleSpec, body: Body, pose: Pose, layer: int) -> tuple[LitLa
     return tuple(
         LitLamp(mount.name, mount.function == "rear", _placed(mount, spec, pose, layer))
         for mount in body.lamps
-        if mount.function != "high"  # the table of the high beam holds the low beam, and takes its place
+        if mount.function != "high"  # the table of the high beam includes the low beam, and replaces it
     )
 
 
@@ -142,7 +141,7 @@ def _aim(yaw_deg: float, pitch_deg: float) -> Floats:
     return rotation(float(np.radians(yaw_deg)), float(np.radians(pitch_deg)))
 
 
-@functools.cache  # one object for each table: the renderer sends every object once
+@functools.cache  # one object for each table, which is sent to the renderer once
 def _low_table(file: str | None) -> IntensityTable:
-    """The low beam that ships, or that of an IES file."""
+    """The built-in low beam, or that of an IES file."""
     return low_beam() if file is None else read_ies(Path(file))

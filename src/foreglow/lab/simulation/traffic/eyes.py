@@ -1,4 +1,4 @@
-"""The light at the drivers' eyes: what glare is measured by."""
+"""Illuminance at the drivers' eyes, as a measure of glare."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from foreglow.lab.simulation.traffic.actors import Actor
 from foreglow.lab.simulation.traffic.sightings import Sightings
 
 EGO_EYE_M = np.array([1.45, 0.35, 1.2])
-"""Our driver's eye in the vehicle."""
+"""Our driver's eye in the vehicle's frame."""
 
 FARTHEST_M = 400.0
-"""Lamps further away than this are left out: a low beam then gives less than 0.005 lx."""
+"""Lamps further away are left out: a low beam gives less than 0.005 lx there."""
 
 FAINTEST_LX = 1e-6
 
 
 class Eyes:
-    """Illuminance at eyes in one frame, on a plane across the direction that the driver looks along.
+    """Illuminance at eyes in one frame, on a plane perpendicular to the driver's line of sight.
 
-    The pane before an eye and the vehicle around it are taken as clear.
+    The windscreen and the driver's own vehicle do not block any light.
     """
 
     def __init__(
         self, sightings: Sightings, actors: Sequence[Actor], own: Sequence[PlacedLamp], fixed: Sequence[PlacedLamp]
     ) -> None:
-        """Prepares nothing.
+        """Takes the frame's lamps.
 
         Args:
             sightings: Lines of sight in this frame.
@@ -43,7 +43,7 @@ class Eyes:
         self._fixed = fixed
 
     def at_vehicle(self, index: int) -> dict[str, float]:
-        """At the eye of the vehicle in `place`, by source: `ego`, `fixed`, and other vehicles' ids."""
+        """Illuminance at the eye of the vehicle at `index`, by source: `ego`, `fixed`, and other vehicles' ids."""
         actor = self._actors[index]
         eye, forward = actor.eye_world_m, actor.state.pose.rotation[:, 0]
         sources = {"ego": self._own, "fixed": self._fixed}
@@ -55,7 +55,7 @@ class Eyes:
         return {name: self._lx(eye, forward, lamps, index) for name, lamps in sources.items()}
 
     def at_ego(self, pose: Pose) -> dict[str, float]:
-        """At our own driver's eye, by vehicle id."""
+        """Illuminance at our own driver's eye, by vehicle id."""
         eye, forward = pose.to_outer(EGO_EYE_M), pose.rotation[:, 0]
         return {
             str(actor.vehicle_id): self._lx(eye, forward, [lamp.placed for lamp in actor.lamps], None)

@@ -1,4 +1,4 @@
-"""Street lamps and lit windows: what they light, and what the camera sees of them."""
+"""Street lamps and lit windows: their light, and their image in the camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from foreglow.lab.simulation.world.buildings import FixedLight
 from foreglow.photometry import IntensityTable, street_lamp, window
 
 REACH_M = 120.0
-"""Street lamps further from the camera light nothing that matters in its picture; they themselves are still seen."""
+"""Light of street lamps further from the camera does not matter in the image; the lamps themselves are still seen."""
 
 FARTHEST_M = 600.0
 """Lights further away are not drawn."""
@@ -27,14 +27,14 @@ SMALL_PX = 8.0
 
 
 class FixedLights:
-    """The lights that belong to a place."""
+    """The fixed lights of a scene."""
 
     def __init__(self, lights: Sequence[FixedLight]) -> None:
         self._lights = tuple(light for light in lights if light.intensity_cd > 0)
         self._positions_m = np.array([light.pose.position_m for light in self._lights]).reshape(-1, 3)
 
     def lamps_near(self, position_m: Floats) -> list[PlacedLamp]:
-        """The street lamps that light what a camera at `position_m`, shape (3,), sees; windows light nothing."""
+        """The street lamps whose light a camera at `position_m`, shape (3,), sees; windows light nothing."""
         near = np.linalg.norm(self._positions_m - position_m, axis=1) < REACH_M
         return [
             PlacedLamp(light.pose, street_lamp(), FIXED_LAYER, light.intensity_cd)
@@ -54,7 +54,7 @@ class FixedLights:
             intensity = float(_table(light).towards(towards)) * light.intensity_cd
             is_small = sightings.radius_px(max(light.size_m), distance) < SMALL_PX
             pane = PANE[:1] * 0.0 if is_small else PANE
-            # A little before the face, which would hide its own points.
+            # Slightly in front of the face, which otherwise would hide its own points.
             points = light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m]))
             seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane), bool)
             cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(pane) / np.pi)

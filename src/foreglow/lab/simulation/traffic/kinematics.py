@@ -1,4 +1,4 @@
-"""Where everybody is at a time: from time tables to poses, with the body's motion on its springs."""
+"""Poses of vehicles at a time, from time tables, with the motion of our body on its springs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from foreglow.lab.simulation.world.road import Road, interpolated
 
 EGO_WHEELBASE_M = 2.8
 STREAM = 1
-"""Number of the stream of random numbers of the body's motion."""
+"""Random stream of the body's motion."""
 
 PITCH_DEG, ROLL_DEG, HEAVE_M = 0.12, 0.10, 0.008
-"""Standard deviations of the body's motion on a fair country road; of the order of published ride measurements."""
+"""Standard deviations of the body's motion on a good country road; similar to published ride measurements."""
 
 NUM_WAVES = 12
 
@@ -27,8 +27,8 @@ class VehicleState:
     Attributes:
         pose: world_from_vehicle.
         s_m: Arc length of the rear axle along its road.
-        speed_mps: Forward.
-        yaw_rate_radps: To the left.
+        speed_mps: Forward speed.
+        yaw_rate_radps: Yaw rate to the left.
     """
 
     pose: Pose
@@ -40,13 +40,13 @@ class VehicleState:
 class BodyMotion:
     """Pitch, roll and heave over time: sums of waves around the body's and the wheels' natural frequencies.
 
-    A function of time alone, so that any frame can be made without the ones before it.
+    It is a function of time alone, so that any frame can be rendered without earlier ones.
     """
 
     def __init__(self, seed: int, strength: float) -> None:
         """Draws the waves; `strength` scales them all."""
         rng = np.random.default_rng([seed, STREAM])
-        is_body = np.arange(NUM_WAVES) < NUM_WAVES - 3  # the rest are the wheels, ten times faster and weaker
+        is_body = np.arange(NUM_WAVES) < NUM_WAVES - 3  # the others are the wheels, ten times faster and weaker
         centres = np.where(is_body, 1.4, 11.0)
         self._frequencies_hz = centres * np.exp(rng.normal(0.0, 0.25, (3, NUM_WAVES)))
         self._phases = rng.uniform(0.0, 2.0 * np.pi, (3, NUM_WAVES))
@@ -77,7 +77,7 @@ def vehicle_state(
     direction = driving_direction(vehicle)
     lateral = _lateral_m(vehicle, own_road) if vehicle.lateral_m is None else vehicle.lateral_m
     speed = direction * rate
-    # Against the arc length a bend to the left is one to the right.
+    # Driving against the arc length turns a bend to the left into one to the right.
     yaw_rate = speed * direction * float(own_road.curvature_per_m(s))
     return VehicleState(own_road.pose(s, lateral, direction, wheelbase_m), s, speed, yaw_rate)
 

@@ -1,4 +1,4 @@
-"""What the camera sees of lamps and bodies."""
+"""Visibility of lamps and bodies for the camera."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from foreglow.photometry import illuminance_lx
 DISC = np.array(
     [(0.0, 0.0), *((share * np.cos(a), share * np.sin(a)) for share in (0.5, 0.95) for a in np.arange(6) * np.pi / 3)]
 )
-"""Points spread over a lamp's disc, in radii."""
+"""Points spread over a lamp's disc, in units of its radius."""
 
 BODY_POINTS = np.array([(x, y, z) for x in (-0.45, 0.0, 0.45) for y in (-0.45, 0.0, 0.45) for z in (-0.35, 0.1, 0.45)])
-"""Points spread over a vehicle's box, in its lengths."""
+"""Points spread over a vehicle's box, in units of its size."""
 
 
 class Sightings:
     """Lines of sight in one frame.
 
     Attributes:
-        camera_m: Where the camera is, shape (3,), in the world.
+        camera_m: Position of the camera in the world, shape (3,).
     """
 
     def __init__(
         self, renderer: Renderer, camera: Camera, camera_pose: Pose, bodies: Sequence[PlacedBody], haze_per_m: float
     ) -> None:
-        """Prepares nothing; every question casts its own rays.
+        """Takes the frame; every method casts its own rays.
 
         Args:
-            renderer: Casts them.
+            renderer: Casts the rays.
             camera: The calibration.
             camera_pose: world_from_camera.
-            bodies: Of all vehicles, in the order of the actors.
+            bodies: Bodies of all vehicles, in the order of the actors.
             haze_per_m: Extinction coefficient of the air.
         """
         self._renderer = renderer
@@ -59,7 +59,7 @@ class Sightings:
         return tuple(self._lamp(lamp, float(seen.mean())) for lamp, seen in zip(actor.lamps, is_seen, strict=True))
 
     def visible_points(self, points_world_m: Floats) -> NDArray[np.bool_]:
-        """Which of the points, shape (N, 3), the camera sees, shape (N,); none outside the image."""
+        """Which of the points, shape (N, 3), the camera sees, shape (N,); points outside the image are not seen."""
         is_seen = self._is_in_image(points_world_m)
         if is_seen.any():
             is_seen[is_seen] = self.is_free(points_world_m[is_seen], self.camera_m)
@@ -75,7 +75,7 @@ class Sightings:
         return float(is_seen.sum() / len(points))
 
     def box_xyxy_px(self, actor: Actor) -> tuple[int, int, int, int] | None:
-        """The box around a vehicle's projection, cut to the image; None if it is outside or behind the camera."""
+        """The box around a vehicle's projection, clipped to the image; None if it is outside or behind the camera."""
         corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
         world = actor.state.pose.to_outer(actor.body.box_centre_m + corners * actor.body.size_m)
         in_camera = self._camera_pose.to_body(world)
@@ -123,7 +123,7 @@ class Sightings:
         return free * self.attenuation(distance)
 
     def range_m(self, actor: Actor) -> float:
-        """From the camera to the middle between a vehicle's headlamps, or to its box's centre if it has none lit."""
+        """From the camera to the middle between a vehicle's headlamps, or to its box's centre if they are off."""
         heads = [lamp.placed.world_from_lamp.position_m for lamp in actor.lamps if not lamp.is_rear]
         middle = np.mean(heads, axis=0) if heads else actor.state.pose.to_outer(actor.body.box_centre_m)
         return float(np.linalg.norm(middle - self.camera_m))
@@ -150,7 +150,7 @@ class Sightings:
 
     def _is_in_image(self, points_world_m: Floats) -> NDArray[np.bool_]:
         in_camera = self._camera_pose.to_body(points_world_m)
-        # Far outside the field of view the distortion folds back: the angle is checked as well.
+        # Far outside the field of view, the distortion may fold back into the image, so that the angle is checked too.
         is_ahead = in_camera[:, 0] > 0.2 * np.linalg.norm(in_camera, axis=1)
         pixels = np.nan_to_num(self._camera.project(in_camera), nan=-1.0)
         is_inside = ((pixels >= 0) & (pixels < (self._camera.width_px, self._camera.height_px))).all(1)
@@ -158,6 +158,6 @@ class Sightings:
 
 
 def _disc_points(lamp: PlacedLamp) -> Floats:
-    """Points on a lamp's disc, two centimetres before it, shape (len(DISC), 3), in the world."""
+    """Points on a lamp's disc, two centimetres in front of it, shape (len(DISC), 3), in the world."""
     local = np.column_stack([np.full(len(DISC), 0.02), DISC * lamp.radius_m])
     return lamp.world_from_lamp.to_outer(local)

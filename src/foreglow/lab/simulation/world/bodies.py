@@ -29,18 +29,18 @@ NUM_CORNERS = 32
 """Points around a body's cross-section."""
 
 LAMP_GAP_M = 0.02
-"""From the body's shell to the middle of a lamp's disc, so that the shell does not hide it."""
+"""Distance from the body's shell to a lamp's disc, so that the shell does not hide the lamp."""
 
 
 @dataclass(frozen=True, slots=True)
 class LampMount:
-    """Where a lamp sits; its axis points along x, backwards for rear lamps.
+    """The mount of a lamp, whose axis points along x, or backwards for rear lamps.
 
     Attributes:
-        name: Such as `low_left`.
-        function: Which beam it is part of.
-        position_m: In the vehicle's frame, just outside the body.
-        radius_m: Of its disc.
+        name: A name such as `low_left`.
+        function: The beam that it belongs to.
+        position_m: Position in the vehicle's frame, just outside the body.
+        radius_m: Radius of its disc.
     """
 
     name: str
@@ -55,10 +55,10 @@ class Body:
 
     Attributes:
         kind: car, van, lorry or motorcycle.
-        mesh: In the vehicle's frame, with dark paint.
-        lamps: Where its lamps sit.
-        size_m: Length, width, height of the box around it.
-        box_centre_m: Middle of that box in the vehicle's frame.
+        mesh: Mesh in the vehicle's frame, with dark paint.
+        lamps: Mounts of its lamps.
+        size_m: Length, width and height of the box around it.
+        box_centre_m: Centre of that box in the vehicle's frame.
         wheelbase_m: From the rear axle to the front axle.
         eye_m: The driver's eye in the vehicle's frame.
     """

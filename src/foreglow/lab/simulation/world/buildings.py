@@ -1,4 +1,4 @@
-"""Houses with windows and street lamps: what stands beside a village street, and the lights that burn there anyway."""
+"""Houses with windows and street lamps, and the light of both."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from foreglow.lab.simulation.scenes.surroundings import House, StreetLamp
 from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.primitives import box, flat, tubes
+from foreglow.lab.simulation.world.primitives import box, flat, triangulated, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedLight:
-    """A light that belongs to the place, not to a vehicle.
+    """A fixed light, not that of a vehicle.
 
     Attributes:
         pose: world_from_lamp; a street lamp's x points down, a window's out of the wall.
-        kind: What it is.
-        intensity_cd: On its axis; it falls with the cosine of the angle from there.
-        size_m: Width (along its y) and height (along its z) of its own picture.
+        kind: Street lamp or window.
+        intensity_cd: Intensity on its axis; it falls with the cosine of the angle to the axis.
+        size_m: Width (along its y) and height (along its z) of its face.
     """
 
     pose: Pose
@@ -37,7 +37,7 @@ STOREY_M = 2.7
 WINDOW_SIZE_M = (1.0, 1.25)
 WINDOW_SPACING_M = 2.2
 FOUNDATION_M = 2.0
-"""How far walls reach below the ground at a house's middle."""
+"""Depth of the walls below the ground at the middle of a house."""
 
 ROOF_PITCH = 0.75
 EAVES_M = 0.5
@@ -65,8 +65,8 @@ def build_houses(
         is_lit[rng.permutation(len(windows))[: house.num_lit_windows]] = True
         meshes.append(house_mesh(house, wall, windows).moved(pose))
         area = WINDOW_SIZE_M[0] * WINDOW_SIZE_M[1]
-        for window, is_one_lit in zip(windows, is_lit, strict=True):
-            if is_one_lit and house.window_cd_m2 > 0:
+        for window, is_window_lit in zip(windows, is_lit, strict=True):
+            if is_window_lit and house.window_cd_m2 > 0:
                 out = Pose(window.to_outer([0.05, 0.0, 0.0]), window.rotation)
                 lights.append(FixedLight(pose @ out, "window", house.window_cd_m2 * area, WINDOW_SIZE_M))
     return meshes, lights
@@ -77,33 +77,12 @@ def house_mesh(house: House, wall: str, windows: list[Pose]) -> Mesh:
     length, depth, height = house.size_m
     x, y, ridge = depth, length / 2, height + ROOF_PITCH * depth / 2
     number, roof = material_number(wall), material_number("roof")
-    corners = np.array(
-        [
-            [0, -y, -FOUNDATION_M],
-            [0, y, -FOUNDATION_M],
-            [-x, y, -FOUNDATION_M],
-            [-x, -y, -FOUNDATION_M],
-            [0, -y, height],
-            [0, y, height],
-            [-x, y, height],
-            [-x, -y, height],
-            [-x / 2, -y, ridge],
-            [-x / 2, y, ridge],
-        ]
-    )
-    walls = [
-        [0, 1, 5],
-        [0, 5, 4],
-        [1, 2, 6],
-        [1, 6, 5],
-        [2, 3, 7],
-        [2, 7, 6],
-        [3, 0, 4],
-        [3, 4, 7],
-        [4, 7, 8],
-        [5, 6, 9],
-    ]
-    # The roof reaches over the walls, down its own slope.
+    outline = np.array([[0, -y], [0, y], [-x, y], [-x, -y]])
+    rims = [np.column_stack([outline, np.full(4, z)]) for z in (-FOUNDATION_M, height)]
+    corners = np.concatenate([*rims, [[-x / 2, -y, ridge], [-x / 2, y, ridge]]])
+    sides = np.array([[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
+    gables = [[4, 7, 8], [5, 6, 9]]
+    # The roof overhangs the walls, along its own slope.
     low = height - ROOF_PITCH * EAVES_M
     roofs = []
     for front in (EAVES_M, -x - EAVES_M):
@@ -114,7 +93,8 @@ def house_mesh(house: House, wall: str, windows: list[Pose]) -> Mesh:
     chimney = box((-x / 2 - 0.8, 0.25 * length, ridge), (0.6, 0.6, 1.6), material_number("brick"))
     door = box((0.0, 0.0, 1.0), (0.06, 1.0, 2.1), material_number("sign_back"))
     panes = [_window().moved(window) for window in windows]
-    return joined([flat(corners, np.array(walls), number), *roofs, chimney, door, *panes])
+    walls = flat(corners, np.concatenate([triangulated(sides), gables]), number)
+    return joined([walls, *roofs, chimney, door, *panes])
 
 
 def _window() -> Mesh:
@@ -127,7 +107,7 @@ def _window() -> Mesh:
 
 
 def _windows(house: House) -> list[Pose]:
-    """Poses of all windows in the house's frame: rows on the front and on both gables, none over the door."""
+    """Poses of all windows in the house's frame: rows on the front and on both gables, but none at the door."""
     length, depth, height = house.size_m
     levels = STOREY_M * np.arange(max(1, int(height // STOREY_M))) + min(1.5, 0.6 * height)
     poses = []
@@ -149,7 +129,7 @@ def _row(length_m: float) -> Floats:
 
 
 def build_street_lamps(lamps: tuple[StreetLamp, ...], terrain: Terrain) -> tuple[list[Mesh], list[FixedLight]]:
-    """The poles with arms and heads in the world, and the lights of those that burn."""
+    """The poles with arms and heads in the world, and the lights of those that are on."""
     meshes: list[Mesh] = []
     lights: list[FixedLight] = []
     for lamp in lamps:
@@ -167,7 +147,7 @@ def build_street_lamps(lamps: tuple[StreetLamp, ...], terrain: Terrain) -> tuple
 
 
 def _lamp_post(height_m: float, arm_m: float) -> Mesh:
-    """A post with an arm along x and a head whose lower face is a hand above the light."""
+    """A post with an arm along x and a head whose lower face is slightly above the light."""
     pole = material_number("pole")
     top = height_m + 0.06
     bend = np.array(

@@ -1,4 +1,4 @@
-"""What lines a road: guardrails, walls and delineators."""
+"""Guardrails, walls and delineators along a road."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ RAIL_PROFILE_M = np.array(
         [0.030, 0.750],
     ]
 )
-"""Cross-section of a W-beam: away from the road behind its face, and above the edge of the carriageway."""
+"""Cross-section of a W-beam: distance behind its face, and height above the edge of the carriageway."""
 
 RAIL_STEP_M = 0.5
 RAIL_POST_TOP_M = 0.70
 RAIL_POST_SIZE_M = (0.055, 0.10)
 RAIL_END_M = 10.0
-"""Length over which a rail comes up out of the ground."""
+"""Length over which a rail rises out of the ground."""
 
 BURIED_M = 0.3
-"""How far posts and walls reach into the ground."""
+"""Depth of posts and walls below the ground."""
 
 WALL_THICKNESS_M = 0.3
 DELINEATOR_OFFSET_M = 0.5
 DELINEATOR_HEIGHT_M = 1.0
 DELINEATOR_FOOT_M = 0.9
-"""How far a post reaches below its zero height; much of it stands in the air beside an embankment."""
+"""Length of a post below its zero height; on an embankment, part of it is above the ground."""
 
 SIDE_SIGNS: dict[Side, float] = {"left": 1.0, "right": -1.0}
 
@@ -61,7 +61,7 @@ def build_furniture(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Gen
 
 
 def clear_spans(terrain: Terrain, span: Span, t_m: float, step_m: float = 0.5) -> list[Span]:
-    """The parts of `span`, cut to the road's length, at offset `t_m` that no side road crosses; at least 2 m long."""
+    """The parts of `span` on the road that no side road crosses at the offset `t_m`; each at least 2 m long."""
     start, end = max(span[0], 0.0), min(span[1], terrain.road.length_m)
     if end - start < 2.0:
         return []
@@ -73,9 +73,7 @@ def clear_spans(terrain: Terrain, span: Span, t_m: float, step_m: float = 0.5) -
 
 
 def rail_base_m(terrain: Terrain, s_m: ArrayLike, t_m: float) -> Floats:
-    """Height in the world from which a rail at offset `t_m` is measured: of the edge of the carriageway, or of the
-    ground where it stands further off.
-    """
+    """Height from which a rail at the offset `t_m` is measured: the carriageway's edge, or the ground far from it."""
     s, road = np.asarray(s_m, np.float64), terrain.road
     edge = road.elevation_m(s) + road.cross_height_m(s, t_m)
     share = smooth_step((abs(t_m) - road.half_width_m - 1.5) / 1.5)
@@ -93,7 +91,7 @@ def _rail(rail: Rail, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
     meshes = []
     for start, end in clear_spans(terrain, rail.span_m, face):
         s = np.linspace(start, end, max(2, round((end - start) / RAIL_STEP_M) + 1))
-        # Rails are never quite straight: that is what breaks up the glint on them.
+        # Rails are never quite straight, which breaks up their glints.
         behind = RAIL_PROFILE_M[:, 0] + 0.006 * wobble(s, 0.0)[:, None]
         base = rail_base_m(terrain, s, face) + 0.004 * wobble(s, 9.0)
         # At its ends the rail goes down into the ground.
@@ -112,7 +110,7 @@ def _rail(rail: Rail, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
 
 
 def _risen(s: Floats, start: float, end: float) -> Floats:
-    """How far the rail has come up at s, 0 at its ends, 1 along its run."""
+    """How far the rail has risen at s: 0 at its ends, 1 along its run."""
     length = min(RAIL_END_M, (end - start) / 3)
     return smooth_step(np.minimum(s - start, end - s) / length)
 
@@ -140,7 +138,7 @@ def _wall(wall: Wall, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
         ground = terrain.ground_height_m(s, front)
         top = ground + wall.height_m
         if not is_rock:
-            # Masons work to a line: the top follows the ground only slowly.
+            # Masons work to a line: the top of the wall follows the ground smoothly.
             top = np.convolve(np.pad(top, 10, "edge"), np.full(21, 1 / 21), "valid")
         bottom = np.minimum(ground, terrain.ground_height_m(s, front + side * thickness)) - BURIED_M
         heights = bottom[:, None] + (top - bottom)[:, None] * levels
@@ -157,7 +155,7 @@ def _wall(wall: Wall, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
 
 
 def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, material: str, is_rock: bool) -> list[Mesh]:
-    """The faces of a wall through outlines of shape (len(s), corners), with sharp edges; rock has facets."""
+    """The faces of a wall with outlines of shape (len(s), corners) and sharp edges; rock has facets."""
     number = material_number(material)
     points = terrain.road.points(s[:, None], t)
     points[..., 2] = heights
@@ -173,7 +171,7 @@ def _wall_sides(terrain: Terrain, s: Floats, t: Floats, heights: Floats, materia
 
 
 def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
-    """White posts with a black band; a driver sees an upright reflector on the right and two small ones on the left."""
+    """White posts with a black band; drivers see an upright reflector on the right and two small ones on the left."""
     road = terrain.road
     arc_lengths = np.arange(rng.uniform(0.1, 0.9) * spec.delineator_spacing_m, road.length_m, spec.delineator_spacing_m)
     meshes = []
@@ -191,7 +189,7 @@ def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Genera
         if len(s):
             turns = yaw_rotations(road.heading_rad(s) + rng.normal(0, 0.05, len(s)), rng.normal(0, 0.015, len(s)))
             feet = terrain.points(s, t)
-            # They are as high above the carriageway's edge, also where the ground falls away.
+            # All have the same height above the carriageway's edge, even where the ground falls away.
             edge = road.points(s, side * road.half_width_m)[:, 2]
             feet[:, 2] = np.clip(edge, feet[:, 2], feet[:, 2] + DELINEATOR_FOOT_M - BURIED_M)
             meshes.append(instanced(_delineator(side), feet, turns))

@@ -1,4 +1,4 @@
-"""What lies on the ground beside a road: gravel at its edge, grass or soil, pavements and snow."""
+"""Cover of the ground beside a road: gravel at its edge, grass or soil, pavements and snow."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ PAVEMENT_M, KERB_M = 2.2, 0.12
 KERB_WIDTH_M = 0.16
 GRAVEL_M = 0.3
 SNOW_M = 0.22
-"""Height of drifts along a road with snow all over its verge."""
+"""Height of drifts along a road whose verge is completely under snow."""
 
 RAGGED = 0.3
-"""How much the borders of the snow fray, in deviations of where it lies."""
+"""Raggedness of the snow's borders: amplitude of the fine noise in `snow_score`."""
 
 NUM_PARTS = 3
-"""Into how many parts a cell is cut, either way, where two covers meet."""
+"""Number of parts, along each axis, that a cell is divided into where two covers meet."""
 
 REFINED_REACH_M = 18.0
 
@@ -38,11 +38,11 @@ class GroundCover:
     Attributes:
         left: The verge to the left.
         right: The verge to the right.
-        half_width_m: Of the carriageway.
-        patches: Where snow lies, and how ragged its borders are.
-        drifts: How high it lies along the road.
-        frays: How the gravel ends.
-        snow_limits: What `snow_score` must exceed, left and right, so that the asked share is under snow.
+        half_width_m: Half the width of the carriageway.
+        patches: Coarse and fine noise of where snow lies.
+        drifts: Noise of its height along the road.
+        frays: Noise of the edge of the gravel.
+        snow_limits: Values that `snow_score` must exceed, left and right, for the wanted share of snow.
     """
 
     left: Verge
@@ -54,7 +54,7 @@ class GroundCover:
     snow_limits: tuple[float, float]
 
     def materials(self, s: Floats, t: Floats) -> NDArray[np.uint8]:
-        """Material numbers at places of any shape, carriageway included."""
+        """Material numbers at points of any shape, carriageway included."""
         out = np.abs(t) - self.half_width_m
         kinds = np.full(np.shape(s), material_number("road"), np.uint8)
         for is_side, verge, limit in zip((t > 0, t <= 0), (self.left, self.right), self.snow_limits, strict=True):
@@ -71,7 +71,7 @@ class GroundCover:
         return kinds
 
     def snow_depth_m(self, s: Floats, t: Floats, beyond: Floats, verge: Verge) -> Floats:
-        """Snow that a plough threw to the side: a low ridge along the edge; `beyond` is the distance from there."""
+        """Height of the low ridge of snow that a plough leaves at the edge; `beyond` is the distance from the edge."""
         if verge.snow == 0:
             return np.zeros(np.shape(beyond))
         ridge = smooth_step((beyond - 0.1) / 0.7) * (1 - 0.7 * smooth_step((beyond - 1.0) / 1.6))
@@ -81,7 +81,7 @@ class GroundCover:
 def ground_cover(
     left: Verge, right: Verge, half_width_m: float, length_m: float, rng: np.random.Generator
 ) -> GroundCover:
-    """Draws the covers; the limits for snow are quantiles over the verges along the road."""
+    """Draws the covers; the limits for snow are quantiles of the score over the verges along the road."""
     patches = Noise(rng, 5.0, 4), Noise(rng, 0.7, 2)
     drifts, frays = Noise(rng, 7.0), Noise(rng, 2.2)
     s, out = np.meshgrid(np.arange(0.0, length_m, 1.5), np.arange(0.1, 15.0, 0.4))
@@ -89,19 +89,19 @@ def ground_cover(
         float(np.quantile(snow_score(patches, s, side * (half_width_m + out), out), 1 - verge.snow))
         for side, verge in ((1, left), (-1, right))
     ]
-    # Everything is under snow where the share is 1.
+    # With a share of 1, everything is under snow.
     limits = [-np.inf if verge.snow == 1 else limit for verge, limit in zip((left, right), limits, strict=True)]
     return GroundCover(left, right, half_width_m, patches, drifts, frays, (limits[0], limits[1]))
 
 
 def snow_score(patches: tuple[Noise, Noise], s: Floats, t: Floats, out: Floats) -> Floats:
-    """Where snow lies longest: the higher, the longer; in the drifts at the edge before elsewhere."""
+    """Where snow lies longest: the higher the score, the longer; highest in the drifts at the edge."""
     drift = 0.8 * smooth_step(out / 0.5) * (1 - smooth_step((out - 1.2) / 2.5))
     return patches[0](s, t) + RAGGED * patches[1](s, t) + drift
 
 
 def covered(mesh: Mesh, shape: tuple[int, int], cover: GroundCover) -> Mesh:
-    """A grid of `shape` rows and columns with its covers; cells are cut smaller where two covers meet near the road."""
+    """A grid of `shape` rows and columns with its covers; cells are subdivided where two covers meet near the road."""
     rows, columns = shape
     coordinates = mesh.coordinates_m.astype(np.float64).reshape(rows, columns, 2)
     middles = (coordinates[:-1, :-1] + coordinates[1:, 1:]) / 2
@@ -120,12 +120,12 @@ def covered(mesh: Mesh, shape: tuple[int, int], cover: GroundCover) -> Mesh:
 
 
 def _cut(mesh: Mesh, first: NDArray[np.uint32], second: NDArray[np.uint32], cover: GroundCover) -> Mesh:
-    """Cells, each given as its two triangles, cut into NUM_PARTS x NUM_PARTS smaller ones with covers of their own."""
+    """Cells, each given as two triangles, divided into NUM_PARTS x NUM_PARTS smaller ones with their own covers."""
     corners = np.stack([first[:, 0], second[:, 2], first[:, 1], first[:, 2]], -1)
     steps = np.linspace(0.0, 1.0, NUM_PARTS + 1)
     u, v = np.meshgrid(steps, steps, indexing="ij")
     middles = mesh.coordinates_m[corners].mean(1)[:, None].astype(np.float64)
-    # Vertices within a cell move aside, or borders would have teeth like a saw.
+    # Vertices within a cell are moved a little, or borders would look like the teeth of a saw.
     is_inside = ((u > 0) & (u < 1) & (v > 0) & (v < 1)).ravel()
     number = np.arange(u.size) * 0.37
     aside = [

@@ -1,4 +1,4 @@
-"""What surfaces are made of: how they reflect, and what a light artifact on them is called."""
+"""Materials of surfaces: how they reflect, and the kind of a light artifact that is seen on them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from foreglow.datasets.simulated import Kind
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Diffuse, glossy and retroreflective parts of one surface.
+    """Diffuse, glossy and retroreflective parts of a surface's reflection.
 
     Attributes:
         name: Unique.
-        kind: What a light artifact on it is called.
+        kind: Kind of a light artifact on it.
         albedo: Diffuse reflectance, 0..1.
         specular: Reflectance at normal incidence of the glossy part (F0).
         roughness: GGX roughness, 0..1.
         transmission: Share of the diffuse light that leaves on the other side (leaves, grass).
-        retroreflection: Coefficient at an observation angle of 0, cd/lx/m^2.
-        variation: Standard deviation of the albedo's natural logarithm, over textures of several sizes.
+        retroreflection: Coefficient of retroreflection at an observation angle of 0, cd/lx/m^2.
+        variation: Standard deviation of the natural logarithm of the albedo, over textures of several sizes.
         bump: Standard deviation of the surface's slope in the texture, no unit.
     """
 
@@ -75,8 +75,8 @@ MATERIALS: tuple[Material, ...] = (
     Material("kerb", "road", 0.30, 0.0, 0.8, variation=0.2, bump=0.02),
     Material("pole", "sign", 0.25, 0.15, 0.5, variation=0.1),
 )
-"""Every material of a world; the place is the number in `Mesh.materials`. Albedos and retroreflection coefficients are
-of the order of published tables (EN 1436 for markings, EN 12899 for signs) and tuned on no image.
+"""Every material of a world; its index is the number in `Mesh.materials`. Albedos and coefficients of retroreflection
+are similar to published tables (EN 1436 for markings, EN 12899 for signs) and not tuned on images.
 """
 
 _NUMBERS = {material.name: number for number, material in enumerate(MATERIALS)}
@@ -86,7 +86,7 @@ NO_MATERIAL = 255
 
 
 def material_number(name: str) -> int:
-    """The place of the material called `name`.
+    """The number of the material called `name`.
 
     Raises:
         ValueError: If there is none; the message lists those that exist.

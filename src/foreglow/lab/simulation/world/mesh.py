@@ -1,4 +1,4 @@
-"""Triangle meshes: plain arrays, joined and moved."""
+"""Triangle meshes as plain arrays."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from foreglow.geometry import Pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles with a material each.
+    """Triangles, each with a material.
 
     Attributes:
         vertices_m: Shape (V, 3), float32.
-        faces: Shape (F, 3), uint32, places in `vertices_m`.
-        materials: Shape (F,), uint8, places in `materials.MATERIALS`.
-        normals: Shape (V, 3), float32, unit length; either side counts as the outside.
-        coordinates_m: Shape (V, 2), float32: surface coordinates for textures and markings; on the ground these are
-            the arc length along the road and the offset to the left of its centre line.
+        faces: Shape (F, 3), uint32, indices into `vertices_m`.
+        materials: Shape (F,), uint8, indices into `materials.MATERIALS`.
+        normals: Shape (V, 3), float32, unit length; either side may be the outside.
+        coordinates_m: Shape (V, 2), float32: surface coordinates for textures and markings; on the ground, the arc
+            length along the road and the offset to the left of its centre line.
     """
 
     vertices_m: NDArray[np.float32]
@@ -42,7 +42,7 @@ class Mesh:
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
-    """All of `meshes` as one; none of them gives a mesh without triangles."""
+    """All of `meshes` as one; without meshes, a mesh without triangles."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
     if not parts:
@@ -67,7 +67,7 @@ def surface(
     normals: NDArray[np.floating] | None = None,
     coordinates_m: NDArray[np.floating] | None = None,
 ) -> Mesh:
-    """A mesh of one material; without `normals` they are averaged over the faces around each vertex."""
+    """A mesh of one material; by default, normals are averaged over the faces around each vertex."""
     vertices = np.asarray(vertices_m, np.float32).reshape(-1, 3)
     triangles = np.asarray(faces, np.uint32).reshape(-1, 3)
     return Mesh(

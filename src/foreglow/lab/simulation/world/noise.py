@@ -1,4 +1,4 @@
-"""Smooth random fields over a plane, for ground that is uneven and plants that grow in patches."""
+"""Smooth random fields over a plane, for uneven ground and plants that grow in patches."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike
 from foreglow.geometry import Floats
 
 NUM_CELLS = 64
-"""Cells after which a field repeats."""
+"""Number of cells after which a field repeats."""
 
 _DEVIATION = 0.74
 """Standard deviation of a value between random grid points of deviation 1, with smooth steps between them."""
 
 
 class Noise:
-    """Sum of random fields, each with half the wavelength and half the amplitude of the one before.
+    """Sum of random fields, each with half the wavelength and half the amplitude of the previous one.
 
     Mean 0 and standard deviation about 1; it repeats after `NUM_CELLS` times the scale.
     """

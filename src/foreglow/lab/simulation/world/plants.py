@@ -1,4 +1,4 @@
-"""Where plants grow: woods, undergrowth, single bushes and grass."""
+"""Woods, undergrowth, single bushes and grass."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ MAX_BUSH_FACES = 130_000
 MAX_BLADES = 110_000
 
 DETAIL_REACH_M = (8.0, 18.0)
-"""Distances from the edge of the carriageway at which plants become coarser at the latest."""
+"""Distances from the edge of the carriageway from which plants are made in less detail."""
 
 DETAIL_SHARES = (0.55, 0.85)
-"""Shares of the permitted triangles after which they do."""
+"""Shares of the permitted triangles after which plants are made in less detail, even if they are nearer."""
 
 NUM_SHAPES = 4
 UNDERGROWTH_SPACING_M = 1.9
 GRASS_DECAY_M = 2.6
-"""Blades become rarer with the distance from the edge: few are seen singly further off."""
+"""Distance from the edge over which blades become rarer by 1 / e, since few can be seen singly further off."""
 
 BLADES_PER_TUFT = 5
 STALK_SHARE, STALK_FACTOR = 0.03, 3.5
-"""Some blades are dry stalks of that many times the height."""
+"""Share of dry stalks among the blades, and how many times as high they are."""
 
 FAR_FACTOR = 0.1
-"""A plant a metre further ahead than we ever come counts as this much further from the road."""
+"""A plant one metre beyond the end of our drive counts as this much further from the road."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stand:
-    """Plants of one kind: where each stands, shape (N,), and its scale."""
+    """Plants of one kind: the position and the scale of each, shape (N,)."""
 
     s_m: Floats
     t_m: Floats
@@ -88,7 +88,7 @@ def _woods(woods: Woods, terrain: Terrain, rng: np.random.Generator, seen_m: Spa
         depth = min(woods.depth_m, 8.0) + 1.5
         num = round((end - start) * depth / UNDERGROWTH_SPACING_M**2)
         s, out = rng.uniform(start, end, num), rng.uniform(-min(1.5, 0.5 * woods.offset_m), depth - 1.5, num)
-        # Brambles and young trees come in thickets.
+        # Brambles and young trees grow in thickets.
         is_thicket = Noise(rng, 9.0)(s, side * out) + rng.normal(0, 0.5, num) > -0.2
         s, out = s[is_thicket], out[is_thicket]
         stand = _standing(terrain, s, side * (edge + out), np.exp(rng.normal(-0.15, 0.35, len(s))), 0.8)
@@ -127,7 +127,7 @@ def _instances(
     details: tuple[Detail, ...],
     max_faces: int,
 ) -> list[Mesh]:
-    """Copies of a few prototypes; the plants furthest from the road are coarser, so that `max_faces` suffice."""
+    """Copies of a few prototypes, in less detail further from the road, with at most `max_faces` triangles."""
     prototypes = [[grown(detail) for _ in range(NUM_SHAPES)] for detail in details]
     num = len(stand.s_m)
     shapes, yaws, leans = rng.integers(0, NUM_SHAPES, num), rng.uniform(0, 2 * np.pi, num), rng.normal(0, 0.03, num)
@@ -150,9 +150,9 @@ def _instances(
 def _levels(
     away_m: Floats, num_faces: NDArray[np.intp], shapes: NDArray[np.int64], max_faces: int
 ) -> NDArray[np.int64]:
-    """Level of detail of each plant, shape (N,): 0 is the finest, -1 leaves it out.
+    """Level of detail of each plant, shape (N,): 0 is the finest, -1 omits the plant.
 
-    The nearest are as fine as `max_faces` triangles allow; `num_faces` has shape (levels, shapes).
+    The nearest plants are as fine as `max_faces` triangles allow; `num_faces` has shape (levels, shapes).
     """
     levels = np.full(len(away_m), -1)
     nearest = np.argsort(away_m, kind="stable")
@@ -173,7 +173,7 @@ def _grass(verge: Verge, side: float, terrain: Terrain, rng: np.random.Generator
         return []
     wanted = verge.grass_per_m2 * (end - start) * GRASS_DECAY_M * (1 - 0.85 * verge.snow)
     num_tufts = round(min(wanted, MAX_BLADES / 2) / BLADES_PER_TUFT)
-    # Twice as many places as tufts: the patches take their half.
+    # Twice as many candidates as tufts: only those in patches grow.
     first = PAVEMENT_M + 0.1 if verge.ground == "pavement" else 0.12
     s, out = rng.uniform(start, end, 2 * num_tufts), first + rng.exponential(GRASS_DECAY_M, 2 * num_tufts)
     patches = Noise(rng, 1.8)(s, out) + 0.5 * rng.normal(size=len(s))
@@ -192,7 +192,7 @@ def _grass(verge: Verge, side: float, terrain: Terrain, rng: np.random.Generator
 
 
 def _blades(feet: Floats, heights: Floats, rng: np.random.Generator) -> Mesh:
-    """Blades that bend over to one side, of three triangles each; `heights` are their lengths."""
+    """Blades that bend to one side, each of three triangles; `heights` are their lengths."""
     num = len(feet)
     azimuths, lean = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.15, 1.1, num)
     over = np.stack([np.cos(azimuths), np.sin(azimuths), np.zeros(num)], -1)

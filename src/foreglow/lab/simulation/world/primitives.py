@@ -1,6 +1,8 @@
-"""Shapes that everything is built from: strips, lofts, tubes, boxes, polygons, and many copies of one mesh."""
+"""Basic shapes: strips, lofts, tubes, boxes, polygons, and many copies of one mesh."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,21 +15,26 @@ _BOX_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [
 
 
 def grid_faces(num_rows: int, num_columns: int, is_closed: bool = False) -> NDArray[np.uint32]:
-    """Two triangles, in turn, for each cell between the vertices of a grid, row by row; shape (F, 3).
+    """Two consecutive triangles for each cell between the vertices of a grid, row by row; shape (F, 3).
 
-    A closed grid has cells between the last column and the first, too.
+    A closed grid also has cells between the last column and the first.
     """
     first = np.arange(num_rows * num_columns, dtype=np.uint32).reshape(num_rows, num_columns)
     if is_closed:
         first = np.concatenate([first, first[:, :1]], 1)
     quads = np.stack([first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]], -1).reshape(-1, 4)
+    return triangulated(quads)
+
+
+def triangulated(quads: NDArray[Any]) -> NDArray[Any]:
+    """Two consecutive triangles for each quadrilateral; from corners of shape (Q, 4) to shape (2 Q, 3)."""
     return np.asarray(quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
 
 
 def strip(points_m: Floats, material: int, *, coordinates_m: Floats | None = None, is_closed: bool = False) -> Mesh:
     """A smooth surface through a grid of points of shape (rows, columns, 3).
 
-    Without `coordinates_m`, shape (rows, columns, 2), these are the lengths along the first row and column.
+    By default, `coordinates_m`, shape (rows, columns, 2), are the lengths along the first column and row.
     """
     if coordinates_m is None:
         rows = _lengths(points_m[:, 0])
@@ -38,7 +45,7 @@ def strip(points_m: Floats, material: int, *, coordinates_m: Floats | None = Non
 
 
 def loft(sections_m: Floats, material: int) -> Mesh:
-    """A body through closed sections of shape (sections, points, 3), with a flat lid at either end."""
+    """A body through closed sections of shape (sections, points, 3), with flat lids at both ends."""
     lids = [polygon(section, material) for section in (sections_m[0], sections_m[-1])]
     return joined([strip(sections_m, material, is_closed=True), *lids])
 
@@ -53,7 +60,7 @@ def polygon(outline_m: Floats, material: int) -> Mesh:
 def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Mesh:
     """Triangles with sharp edges: each has its own vertices and its own normal."""
     corners = np.asarray(vertices_m, np.float64)[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = _across(corners)
     normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.where(np.abs(normals[:, 2:]) > 0.7, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     up = along - normals * np.sum(along * normals, 1, keepdims=True)
@@ -70,7 +77,7 @@ def flat(vertices_m: ArrayLike, faces: NDArray[np.integer], material: int) -> Me
 def faceted(mesh: Mesh) -> Mesh:
     """The same triangles with sharp edges."""
     corners = mesh.vertices_m[mesh.faces].astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = _across(corners)
     lengths = np.linalg.norm(across, axis=1, keepdims=True)
     normals = np.where(lengths > 0, across / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
     return Mesh(
@@ -85,7 +92,7 @@ def faceted(mesh: Mesh) -> Mesh:
 def box(centre_m: ArrayLike, size_m: ArrayLike, material: int) -> Mesh:
     """A box along the axes with sharp edges."""
     vertices = _BOX_CORNERS * np.asarray(size_m, np.float64) + np.asarray(centre_m, np.float64)
-    return flat(vertices, _BOX_SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), material)
+    return flat(vertices, triangulated(_BOX_SIDES), material)
 
 
 def tubes(
@@ -121,7 +128,7 @@ def tubes(
 
 
 def yaw_rotations(yaws_rad: ArrayLike, leans_rad: ArrayLike = 0.0) -> Floats:
-    """Rotations of shape (N, 3, 3): first each leans over towards its x, then it turns to the left about z."""
+    """Rotations of shape (N, 3, 3): a lean towards x, followed by a turn to the left about z."""
     yaws, leans = np.broadcast_arrays(np.atleast_1d(np.asarray(yaws_rad, np.float64)), np.asarray(leans_rad))
     cy, sy, cl, sl = np.cos(yaws), np.sin(yaws), np.cos(leans), np.sin(leans)
     zero = np.zeros_like(cy)
@@ -132,8 +139,8 @@ def yaw_rotations(yaws_rad: ArrayLike, leans_rad: ArrayLike = 0.0) -> Floats:
 def instanced(prototype: Mesh, positions_m: Floats, rotations: Floats, scales: ArrayLike = 1.0) -> Mesh:
     """Copies of `prototype` at positions of shape (N, 3), with rotations of shape (N, 3, 3).
 
-    Scales are one number, one for each copy, or three for each along the prototype's axes, shape (N, 3); the normals
-    stay right under three only where they lie along an axis.
+    Scales are one number, one for each copy, or three for each along the prototype's axes, shape (N, 3); with three,
+    only normals along an axis stay correct.
     """
     num, num_vertices = len(positions_m), len(prototype.vertices_m)
     turns = np.swapaxes(rotations, 1, 2).astype(np.float32)
@@ -141,7 +148,7 @@ def instanced(prototype: Mesh, positions_m: Floats, rotations: Floats, scales: A
     factors = np.broadcast_to(factors if factors.ndim == 2 else factors.reshape(-1, 1), (num, 3))[:, None]
     vertices = np.matmul(prototype.vertices_m * factors, turns) + positions_m[:, None].astype(np.float32)
     starts = (np.arange(num, dtype=np.uint32) * np.uint32(num_vertices))[:, None, None]
-    # Copies lie apart on the texture, or all would have the same spots.
+    # Copies are shifted on the texture, or all would have the same spots.
     shifts = np.arange(num, dtype=np.float32)[:, None, None] * np.float32(3.7)
     return Mesh(
         vertices.reshape(-1, 3),
@@ -150,6 +157,11 @@ def instanced(prototype: Mesh, positions_m: Floats, rotations: Floats, scales: A
         np.matmul(prototype.normals, turns).reshape(-1, 3),
         (prototype.coordinates_m[None] + shifts).reshape(-1, 2),
     )
+
+
+def _across(corners_m: Floats) -> Floats:
+    """Vectors across triangles of shape (F, 3, 3), as long as twice their areas."""
+    return np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
 
 
 def _lengths(points_m: Floats) -> Floats:

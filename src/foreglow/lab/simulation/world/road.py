@@ -14,7 +14,7 @@ from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.scenes.surroundings import Profile
 
 STEP_M = 0.25
-"""Step of the integration of the heading; the error of a 20 m radius over 500 m stays below a millimetre."""
+"""Step of the integration of the heading; the error for a radius of 20 m over 500 m is below a millimetre."""
 
 MAX_SUPERELEVATION = 0.06
 CROWN = 0.02
@@ -27,7 +27,7 @@ NUM_FOOT_STEPS = 4
 STEP_LIMIT_M = 200.0
 
 MOUTH_M = 25.0
-"""Length over which a side road levels out from the slope with which it leaves the main road."""
+"""Length over which a side road levels out from the slope at which it leaves the main road."""
 
 
 class Road:
@@ -37,7 +37,7 @@ class Road:
     """
 
     def __init__(self, spec: RoadSpec, start: Pose | None = None, length_m: float | None = None) -> None:
-        """Integrates the profiles of `spec` (all but its branches)."""
+        """Integrates the profiles of `spec`, except its branches."""
         self.spec = spec
         self.length_m = spec.length_m if length_m is None else length_m
         self.half_width_m = spec.lane_width_m
@@ -54,7 +54,7 @@ class Road:
 
     def curvature_per_m(self, s_m: ArrayLike) -> Floats:
         """Signed curvature at arc lengths of any shape, positive to the left, 1/m."""
-        # Not a spline: it would ring where the profile has steps or kinks.
+        # A spline would oscillate where the profile has steps or kinks.
         return np.asarray(np.interp(np.asarray(s_m, np.float64), *self._curvatures))
 
     def heading_rad(self, s_m: ArrayLike) -> Floats:
@@ -74,18 +74,18 @@ class Road:
     def cross_height_m(self, s_m: ArrayLike, t_m: ArrayLike) -> Floats:
         """Height of the carriageway above its centre line at offset t: crown on straights, banking in bends.
 
-        Beyond the edges the height of the edge goes on.
+        Beyond the edges, it is the height of the edge.
         """
         t = np.clip(np.asarray(t_m, np.float64), -self.half_width_m, self.half_width_m)
         bank = np.clip(
             self.spec.superelevation * 100.0 * self.curvature_per_m(s_m), -MAX_SUPERELEVATION, MAX_SUPERELEVATION
         )
-        # The crown gives way to the banking as soon as that is as steep.
+        # The crown disappears as the banking becomes as steep.
         crown = np.maximum(CROWN - np.abs(bank), 0.0)
         return np.asarray(-bank * t - crown * np.abs(t))
 
     def points(self, s_m: ArrayLike, t_m: ArrayLike = 0.0, height_m: ArrayLike = 0.0) -> Floats:
-        """Points in the world, shape (..., 3), at arc length s, t to the left, and `height_m` above the carriageway."""
+        """Points in the world, shape (..., 3), at arc length s, offset t, and `height_m` above the carriageway."""
         s, t, height = np.broadcast_arrays(*(np.asarray(values, np.float64) for values in (s_m, t_m, height_m)))
         line = self._line(s)
         x, y = line[..., 0] - np.sin(line[..., 2]) * t, line[..., 1] + np.cos(line[..., 2]) * t
@@ -95,9 +95,9 @@ class Road:
         return np.asarray(flat)
 
     def places_m(self, points_world: ArrayLike) -> tuple[Floats, Floats]:
-        """Arc length and offset to the left, each of shape (...), of points of shape (..., 2 or 3): `points` undone.
+        """Arc length and offset to the left, each of shape (...), of points of shape (..., 2 or 3).
 
-        Of several feet of the perpendicular the nearest counts; heights are ignored.
+        The inverse of `points`: by the nearest foot of a perpendicular, ignoring heights.
         """
         points = np.asarray(points_world, np.float64)[..., :2]
         samples, tree = self._samples
@@ -107,12 +107,12 @@ class Road:
             heading = self.heading_rad(s)
             along = away[..., 0] * np.cos(heading) + away[..., 1] * np.sin(heading)
             t = away[..., 1] * np.cos(heading) - away[..., 0] * np.sin(heading)
-            # At the centre of a bend every place is as near: there the step would have no end.
+            # From the centre of a bend, every point of it is equally near, and the step would be unlimited.
             s = s + np.clip(along / np.maximum(1.0 - self.curvature_per_m(s) * t, 0.1), -STEP_LIMIT_M, STEP_LIMIT_M)
         return s, np.asarray(t)
 
     def distances_m(self, points_world: ArrayLike) -> Floats:
-        """Horizontal distances, shape (...), of points of shape (..., 2 or 3) from the centre line, to 0.2 m."""
+        """Horizontal distances, shape (...), of points of shape (..., 2 or 3) from the centre line, within 0.2 m."""
         return np.asarray(self._samples[1].query(np.asarray(points_world, np.float64)[..., :2])[0])
 
     def pose(self, s_m: float, t_m: float, direction: int, wheelbase_m: float) -> Pose:
@@ -149,18 +149,18 @@ class Road:
             *profile,
             [profile[-1, 0] + 1e4, profile[-1, 1] + 1e4 * slopes[1]],
         ]
-        # Monotone between the points: a crest that is written down is as high as it says.
+        # Monotone between the points, so that a crest is exactly as high as specified.
         return PchipInterpolator(*np.array(ends).T)
 
 
 def branch_road(main: Road, number: int) -> Road:
-    """The side road `number` of the main road: its s = 0 is where the centre lines meet.
+    """The side road `number` of the main road, with s = 0 where the centre lines meet.
 
-    It leaves in the plane of the main carriageway and becomes level after it.
+    It leaves in the plane of the main carriageway and then becomes level.
     """
     branch = main.spec.branches[number]
     angle = np.radians(branch.angle_deg)
-    # Where it crosses the main road's edge; a side road along the main one never would.
+    # Where it crosses the main road's edge; a side road parallel to the main road never would.
     mouth = main.half_width_m / max(abs(float(np.sin(angle))), 0.2)
     edge = main.points(branch.s_m + mouth * np.cos(angle), np.sign(np.sin(angle)) * main.half_width_m)
     start = Pose(main.points(branch.s_m), rotation(float(main.heading_rad(branch.s_m) + angle)))
@@ -180,7 +180,7 @@ def branch_road(main: Road, number: int) -> Road:
 
 
 def interpolated(profile: Profile, times_s: ArrayLike) -> tuple[Floats, Floats]:
-    """Arc length in m and its rate in m/s at `times_s`, from a time table; constant speed beyond its ends."""
+    """Arc length in m and speed in m/s at `times_s`, from a time table; constant speed beyond its ends."""
     times = np.asarray(times_s, np.float64)
     table = np.array(profile, np.float64)
     if len(table) == 1:

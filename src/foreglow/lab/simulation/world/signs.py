@@ -13,12 +13,12 @@ from foreglow.lab.simulation.world.primitives import polygon, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
 
 LAYER_M = 0.008
-"""How far the picture lies before its plate: enough that rays tell them apart."""
+"""Distance of the picture from its plate, enough for rays to separate them."""
 
 _CIRCLE = np.stack([np.cos(np.arange(24) * np.pi / 12), np.sin(np.arange(24) * np.pi / 12)], -1) / 2
 _TRIANGLE = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, 0.866]])
 _ARROW = np.array([[[0.08, 0.5], [0.36, 0.5], [-0.08, 0.0], [-0.36, 0.0]]])
-"""Upper arm of a chevron that points to the left of who reads it, in units of the plate's width."""
+"""Upper arm of a chevron that points to the reader's left, in units of the plate's width."""
 
 ASPECTS: dict[SignKind, float] = {
     "chevron_left": 1.0,
@@ -32,7 +32,7 @@ ASPECTS: dict[SignKind, float] = {
 
 
 def build_signs(signs: tuple[Sign, ...], terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
-    """The signs, in the world; each is turned a little away from the road, as people set them up."""
+    """The signs in the world, each turned slightly away from the road, as in reality."""
     return [_placed(sign, terrain, float(rng.normal(0.05, 0.04)), int(rng.integers(0, 3))) for sign in signs]
 
 
@@ -40,14 +40,14 @@ def _placed(sign: Sign, terrain: Terrain, turn_rad: float, num_lines: int) -> Me
     side = SIDE_SIGNS[sign.side]
     t = side * (terrain.road.half_width_m + sign.offset_m + sign.size_m / 2)
     heading = float(terrain.road.heading_rad(sign.s_m))
-    # A sign's x points at who reads it: back along the road, or on.
+    # A sign's x points at the reader: back along the road, or forward.
     facing = heading + (0.0 if sign.faces_oncoming else np.pi)
     away = -side * turn_rad * (-1.0 if sign.faces_oncoming else 1.0)
     return sign_mesh(sign, num_lines).moved(Pose(terrain.points(sign.s_m, t), rotation(facing + away)))
 
 
 def sign_mesh(sign: Sign, num_lines: int = 2) -> Mesh:
-    """The sign with its foot at the origin, facing along x; `num_lines` of writing on a rectangle."""
+    """The sign with its foot at the origin, facing along x; a rectangle has `num_lines` of text."""
     width, height = sign.size_m, sign.size_m * ASPECTS[sign.kind]
     outline, layers = _picture(sign.kind, num_lines)
     centre = sign.height_m + height / 2
@@ -82,7 +82,7 @@ _Layer = tuple[Floats, str, int]
 
 
 def _picture(kind: SignKind, num_lines: int) -> tuple[Floats, list[_Layer]]:
-    """Outline of the plate and what is on it, in units of its width; x to the right of who reads it, y up."""
+    """Outline of the plate and the shapes on it, in units of its width; x to the reader's right, y up."""
     if kind == "round":
         digits = [(_rectangle(x, 0.0, 0.14, 0.34), "sign_black", 2) for x in (-0.12, 0.12)]
         return _CIRCLE, [(_CIRCLE * 0.76, "sign_white", 1), *digits]
@@ -110,5 +110,5 @@ def _rectangle(x: float, y: float, width: float, height: float) -> Floats:
 
 
 def _plate(corners: Floats, width_m: float, x_m: float, centre_m: float) -> Floats:
-    """Corners of a picture, shape (N, 3), upright at x; the reader's right is -y of the reader, so +y of the sign."""
+    """Corners of a picture, shape (N, 3), upright at x; the reader's right is the sign's +y."""
     return np.stack([np.full(len(corners), x_m), corners[:, 0] * width_m, centre_m + corners[:, 1] * width_m], -1)

@@ -1,4 +1,4 @@
-"""The ground: the carriageway, the verges with ditches, banks and snow, and the side roads that join."""
+"""The ground: the carriageway, the verges with ditches, banks and snow, and the side roads."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from foreglow.lab.simulation.world.road import Road
 OUTS_M = np.array(
     [0.04, 0.16, 0.35, 0.6, 0.9, 1.25, 1.65, 2.2, 2.8, 3.4, 4.1, 5, 6, 7.2, 8.6, 10.5, 13, 16, 20, 25, 32, 41, 53, 70]
 )
-"""Distances from the edge of the carriageway of the columns of the ground."""
+"""Distances of the columns of the mesh from the edge of the carriageway."""
 
 LANE_STEP_M = 0.5
 FINE_STEP_M, COARSE_STEP_M = 0.5, 2.0
 LEAD_M = 60.0
-"""How far the ground goes on before and after the road."""
+"""Length of the ground before and after the road."""
 
 SHOULDER_SLOPE = 0.04
 DITCH_WIDTH_M = 1.5
@@ -34,7 +34,7 @@ BRANCH_T_M = 1000.0
 marking or wheel track of the main road appears there."""
 
 CORRIDOR_M = 6.0
-"""Width over which the ground beside a side road comes up or down to it."""
+"""Width over which the ground beside a side road adapts to the height of that road."""
 
 _FLARE_M = 4.0
 
@@ -50,7 +50,7 @@ class Terrain:
         rng: np.random.Generator,
         fine_m: Span = (-np.inf, np.inf),
     ) -> None:
-        """Draws the unevenness; `verges` are left and right, between `fine_m` the mesh has short rows."""
+        """Draws the unevenness; `verges` are left and right; within `fine_m`, the mesh has short rows."""
         self.road, self.branches = road, branches
         self._left, self._right = verges
         self._rolling, self._rough = Noise(rng, 28.0), Noise(rng, 2.2)
@@ -79,7 +79,7 @@ class Terrain:
         return points
 
     def is_clear(self, s_m: ArrayLike, t_m: ArrayLike, margin_m: float = 0.5) -> NDArray[np.bool_]:
-        """Whether something may stand there: off every carriageway by `margin_m`, and nearer to no other place."""
+        """Whether something may stand there: `margin_m` off every carriageway, and nearest to this part of the road."""
         s, t = np.broadcast_arrays(np.asarray(s_m, np.float64), np.asarray(t_m, np.float64))
         points = self.road.points(s, t)
         distances = self.road.distances_m(points)
@@ -118,11 +118,11 @@ class Terrain:
         return np.asarray(rise + self._cover.snow_depth_m(s, t, beyond, verge))
 
     def _branch_half_width_m(self, branch: Road, out: Floats) -> Floats:
-        """Half width of a side road at a distance `out` from the main road's edge: it widens at its mouth."""
+        """Half width of a side road at the distance `out` from the main road's edge; it widens at its mouth."""
         return np.asarray(branch.half_width_m + 3.0 * (1 - smooth_step(np.maximum(out, 0.0) / _FLARE_M)) ** 2)
 
     def _branch_ground(self, branch: Road, s: Floats, t: Floats, edge: Floats, out: Floats) -> tuple[Floats, Floats]:
-        """Height that a side road asks for, and how much it counts, 0..1."""
+        """Height of the ground beside a side road, and the weight of that height, 0..1."""
         along, across = branch.places_m(self.road.points(s, t))
         beside = np.abs(across) - self._branch_half_width_m(branch, out) - 0.8
         counts = (1 - smooth_step(beside / CORRIDOR_M)) * smooth_step((along + 2.0) / 2.0)
@@ -156,9 +156,9 @@ class Terrain:
         return np.concatenate(parts)
 
     def _columns_m(self, s: Floats) -> list[Floats]:
-        """Distances from the edge for every row, shape (rows, columns), left and right.
+        """Distances of the columns from the edge, for every row, shape (rows, columns), left and right.
 
-        Inside a tight bend the columns move together so that they end where another place of the road is nearer.
+        Inside a tight bend, the columns are moved together, so that they end where another part of the road is nearer.
         """
         found = []
         for side in (1, -1):
@@ -173,7 +173,7 @@ class Terrain:
         return found
 
     def _sunk_m(self, points: Floats, out: Floats) -> Floats:
-        """How far the ground is lowered so that it stays below the surface of the side roads."""
+        """Depth by which the ground is lowered to stay below the surface of the side roads."""
         sunk = np.zeros(out.shape)
         for branch in self.branches:
             along, across = branch.places_m(points)
@@ -183,7 +183,7 @@ class Terrain:
         return sunk
 
     def _branch_mesh(self, number: int) -> Mesh:
-        """The surface of a side road from the main road's edge on, with the ground beside it far from the main road."""
+        """The surface of a side road, and the ground beside it far from the main road."""
         branch = self.branches[number]
         far = np.arange(60.0, branch.length_m, COARSE_STEP_M)
         along = np.concatenate([np.linspace(0.0, 12.0, 25), np.arange(13.0, min(60.0, branch.length_m)), far])
@@ -207,7 +207,7 @@ class Terrain:
         return joined([strip(flat, material_number("road"), coordinates_m=coordinates), *self._far_verges(number)])
 
     def _mouth_m(self, branch: Road, across: Floats, side: float) -> Floats:
-        """Arc lengths along the side road at which lines beside it come 0.4 m close to the main road's edge."""
+        """Arc lengths along the side road at which lines parallel to it are 0.4 m inside the main road's edge."""
         along = np.arange(0.0, 60.0, 0.1)[:, None]
         _, t = self.road.places_m(branch.points(along, across))
         is_out = np.sign(side) * t > self.road.half_width_m - 0.4

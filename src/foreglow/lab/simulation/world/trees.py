@@ -16,15 +16,15 @@ GOLDEN_ANGLE_RAD = 2.39996
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """How finely a plant is made; the coarser, the fewer and the larger its leaves.
+    """Level of detail of a plant; with less detail, it has fewer and larger leaves.
 
     Attributes:
-        num_trunk_parts: Pieces of the trunk.
-        num_sides: Of the trunk; branches have fewer.
-        num_branches: That leave the trunk.
-        num_twigs: That leave the branches.
-        num_leaves: Of a tree in full leaf.
-        leaf_m: Half the length of a leaf, or of the tuft of leaves that one stands for.
+        num_trunk_parts: Number of pieces of the trunk.
+        num_sides: Number of sides of the trunk; branches have fewer.
+        num_branches: Number of branches on the trunk.
+        num_twigs: Number of twigs on the branches.
+        num_leaves: Number of leaves of a tree in full leaf.
+        leaf_m: Half the length of a leaf, or of the tuft of leaves that it stands for.
     """
 
     num_trunk_parts: int
@@ -40,7 +40,7 @@ BUSH_DETAILS = (Detail(0, 0, 26, 70, 420, 0.045), Detail(0, 0, 12, 10, 110, 0.09
 
 
 def tree(rng: np.random.Generator, height_m: float, leaves: float, detail: Detail) -> Mesh:
-    """A broad-leaved tree with its foot at the origin, `leaves` from 0 bare to 1 in full leaf.
+    """A broad-leaved tree with its foot at the origin; `leaves` from 0, bare, to 1, in full leaf.
 
     The crown begins between a fifth and a half of the height, as in a wood.
     """
@@ -48,7 +48,7 @@ def tree(rng: np.random.Generator, height_m: float, leaves: float, detail: Detai
     knots = np.linspace(0.0, 0.9 * height_m, detail.num_trunk_parts + 1)
     wander = np.cumsum(rng.normal(0, 0.09, (len(knots), 2)) * np.sqrt(height_m / len(knots)), 0)
     trunk = np.concatenate([wander - wander[0], knots[:, None]], 1)
-    trunk[0, 2] = -0.6  # roots: no tree floats on a slope
+    trunk[0, 2] = -0.6  # roots, so that no tree floats on a slope
     radii = height_m * rng.uniform(0.010, 0.017) * np.linspace(1.0, 0.18, len(knots))
     crown = rng.uniform(0.2, 0.5)
     share = np.sort(rng.uniform(crown, 0.98, detail.num_branches))
@@ -97,7 +97,7 @@ def bush(rng: np.random.Generator, height_m: float, leaves: float, detail: Detai
 
 
 def _branch_ends(rng: np.random.Generator, starts: Floats, azimuths: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """Where branches bend and where they end: they leave flat and turn upwards."""
+    """The bends and ends of branches, which begin flat and turn upwards."""
     num = len(starts)
     rise = rng.uniform(0.1, 0.8, num)
     out = np.stack([np.cos(azimuths), np.sin(azimuths), np.zeros(num)], -1)
@@ -109,7 +109,7 @@ def _branch_ends(rng: np.random.Generator, starts: Floats, azimuths: Floats, len
 
 
 def _twigs(rng: np.random.Generator, starts: Floats, ends: Floats, num: int, length_m: float) -> tuple[Floats, Floats]:
-    """Ends of `num` twigs that leave the branches to any side."""
+    """Starts and ends of `num` twigs that leave the branches in any direction."""
     branch = rng.integers(0, len(starts), num)
     along = (ends - starts)[branch]
     begin = starts[branch] + along * rng.uniform(0.0, 1.0, (num, 1))
@@ -124,10 +124,10 @@ def _anchors(rng: np.random.Generator, starts: Floats, ends: Floats, num: int) -
 
 
 def _leaves(rng: np.random.Generator, centres: Floats, half_length_m: float, outwards: Floats) -> Mesh:
-    """Leaves as rhombs of two triangles, turned at random.
+    """Leaves as rhombs of two triangles, randomly oriented.
 
-    Their shading normals lean half way out of the crown, as the mean of the many small leaves does that each stands
-    for; flat normals would sparkle from frame to frame.
+    Their shading normals are tilted out of the crown, like the mean normal of the many small leaves that each stands
+    for; the normals of the triangles would make them sparkle from frame to frame.
     """
     num = len(centres)
     along, random = rng.normal(size=(2, num, 3))

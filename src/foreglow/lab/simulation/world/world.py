@@ -1,4 +1,4 @@
-"""Everything that stands still in a scene, as triangles and lights."""
+"""The static part of a scene, as triangles and lights."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from foreglow.lab.simulation.world.terrain import Terrain
 __all__ = ["FixedLight", "World", "build_world"]
 
 TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM = 101, 102, 103, 104, 105
-"""Random streams, one for each part: a sign more moves no tree."""
+"""Random streams, one for each part, so that an additional sign does not move a tree."""
 
 GRASS_REACH_M = 45.0
-"""Distance ahead of us up to which single blades matter in an image 1280 columns wide."""
+"""Distance ahead of us up to which single blades matter in an image of 1280 columns."""
 
 SIGHT_M = 400.0
 """Distance ahead of us up to which plants are built."""
@@ -38,11 +38,11 @@ class World:
     """The static part of a scene.
 
     Attributes:
-        mesh: All triangles. On the ground `coordinates_m` are arc length and offset; on side road number n its own,
-            the offset shifted by (n + 1) * `terrain.BRANCH_T_M`.
+        mesh: All triangles. On the ground, `coordinates_m` are arc length and offset; on side road number n they are
+            its own, with the offset shifted by (n + 1) * `terrain.BRANCH_T_M`.
         road: The main road.
-        branches: The side roads, as `Scene.road.branches` has them.
-        lights: Street lamps that burn and lit windows.
+        branches: The side roads, in the order of `Scene.road.branches`.
+        lights: Street lamps that are on, and lit windows.
         terrain: The ground.
     """
 
@@ -58,7 +58,7 @@ class World:
 
 
 def build_world(scene: Scene) -> World:
-    """The world of `scene`; what we never come near to has less detail."""
+    """The world of `scene`; parts that we never come close to have less detail."""
 
     def stream(number: int) -> np.random.Generator:
         return np.random.default_rng([scene.seed, number])
@@ -90,6 +90,6 @@ def build_world(scene: Scene) -> World:
 
 
 def _driven_m(scene: Scene) -> Span:
-    """From where to where we drive."""
+    """Begin and end of our drive."""
     arc_lengths, _ = interpolated(scene.ego.timetable, np.linspace(0.0, scene.duration_s, 50))
     return float(arc_lengths.min()), float(arc_lengths.max())

@@ -1,1 +1,1 @@
-"""Data sets on disk: PVDN's layout, and the truth beside it."""
+"""Writing simulated drives as a data set: PVDN's format with the truth beside it, as `foreglow.datasets` reads it."""

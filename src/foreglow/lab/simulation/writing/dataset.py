@@ -1,4 +1,4 @@
-"""From scenes to a data set on disk: PVDN's layout with the truth beside it, in one go or in many.
+"""From scenes to a data set on disk: PVDN's layout with the truth beside it, in a single run or several.
 
 The split lies in `OUT/CYCLE/SPLIT`, such as `DATA/night/train`, as PVDN's own do: `foreglow run` and `evaluate` take
 that folder, or `DATA` while it is the only split in there; commands that learn take `DATA`. Beside `images` and
@@ -59,10 +59,10 @@ MAX_JITTER_NS = 1_000_000
 """Largest difference of a frame's time from its number over the frame rate, which is the time that readers will see."""
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
-"""Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of one."""
+"""Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of such."""
 
 Progress: TypeAlias = Callable[[int, int, int], None]
-"""Called with a scene's number, how many of its frames are done, and how many it has."""
+"""Called with a scene's number, the number of its frames that are done, and the number of its frames."""
 
 
 class DatasetConfig(FrozenModel):
@@ -250,7 +250,7 @@ def _short(value: Any) -> str:
 
 
 def _make_scene(root: Path, drive: DriveScene, file: SceneFile, parent: Parent) -> None:
-    """Drives one scene; its images and its truth appear together, or nothing does."""
+    """Drives a scene; its images and its truth appear together or not at all."""
     name = sequence_name(file.sequence)
     partial = root / "simulation" / f".{name}.partial"
     images, truth = root / "images" / name, sequence_folder(root, file.sequence)
@@ -284,7 +284,7 @@ def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent
         numbered = replace(known, image_id=image_id, street=street.message(known.ego_s_m))
         writer.add(numbered, known.camera, depth)
         num_done += 1
-        parent.tell(file.sequence, num_done, scene.num_frames)
+        parent.report_progress(file.sequence, num_done, scene.num_frames)
         if parent.is_stopped:
             raise KeyboardInterrupt
     if num_done != scene.num_frames:

@@ -1,4 +1,4 @@
-"""A sparse, noisy depth image such as a LiDAR beside the camera gives, from the exact one."""
+"""A sparse, noisy depth image such as a LiDAR beside the camera gives, made from an exact depth image."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ _Elevation = Annotated[float, Field(ge=-90, le=90)]
 
 
 class LidarConfig(FrozenModel):
-    """The scanner; it stands where the camera does and is level with the vehicle.
+    """The scanner; it is at the camera's position and level with the vehicle.
 
     Attributes:
         num_rings: Rings, evenly spread over the elevation.
         lowest_deg: Elevation of the lowest ring.
         highest_deg: Elevation of the highest ring.
-        azimuth_step_deg: Between two shots of a ring.
-        max_range_m: Nothing comes back from beyond; at most 255 m can be stored.
+        azimuth_step_deg: Step between two shots of a ring.
+        max_range_m: There are no echoes from beyond; at most 255 m can be stored.
         noise_m: Standard deviation of the range.
-        near_loss: Share of the shots that are lost right before the scanner.
-        far_loss: Share that is lost at `max_range_m`; in between it grows with the square of the range, as the echo
-            gets weaker.
+        near_loss: Share of the shots without an echo right before the scanner.
+        far_loss: The same at `max_range_m`; in between it grows with the square of the range, as echoes get weaker.
     """
 
     num_rings: Annotated[int, Field(ge=1, le=1024)] = 64
@@ -63,7 +62,7 @@ def lidar_depth(
     pixels = scan_pixels(camera, config)
     ranges_m = depth_m[pixels[:, 1], pixels[:, 0]].astype(np.float64)
     losses = config.near_loss + (config.far_loss - config.near_loss) * (ranges_m / config.max_range_m) ** 2
-    # Both are drawn for every shot, so that one that hits the sky does not change the others.
+    # Both are drawn for every shot, so that a shot into the sky does not change the others.
     measured_m = ranges_m + rng.normal(0.0, config.noise_m, len(ranges_m))
     is_echo = rng.random(len(ranges_m)) >= losses
     is_echo &= (ranges_m <= config.max_range_m) & (measured_m > 0)
@@ -74,7 +73,7 @@ def lidar_depth(
 
 
 def scan_pixels(camera: Camera, config: LidarConfig) -> NDArray[np.intp]:
-    """Pixels (column, row) that the shots fall into, ring by ring from below, shape (N, 2); only those in the image."""
+    """Pixels (column, row) of the shots inside the image, ring by ring from below, shape (N, 2)."""
     corners = camera.rays([[x, y] for x in (0, camera.width_px) for y in (0, camera.height_px)])
     reach_deg = float(np.degrees(np.arccos(corners[:, 0].min())))
     mount = camera.vehicle_from_camera.rotation

@@ -1,4 +1,4 @@
-"""PVDN's labels of a simulated drive, made from its truth: key points, image records, and the sequence's attributes."""
+"""PVDN's labels of a simulated drive, made from its truth: keypoints, image records, and the sequence's attributes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from foreglow.lab.simulation.world.road import Road, interpolated
 from foreglow.lab.simulation.writing.scene_files import scene_of
 
 BEND_PER_M = 1e-3
-"""A road bends where its radius is below 1 km."""
+"""A road bends if its radius is below 1 km."""
 
 BEND_RAD = 0.1
 LONG_BEND_M = 150.0
@@ -53,7 +53,7 @@ BRIGHT_CD_M2 = 10.0
 
 @dataclass(frozen=True, slots=True)
 class LabelCounts:
-    """What is labelled in a split.
+    """Numbers of images and labels in a split.
 
     Attributes:
         num_sequences: Drives.
@@ -61,7 +61,7 @@ class LabelCounts:
         num_empty_images: Images without any instance.
         num_direct: Instances that are lamps.
         num_indirect: Instances that are light of lamps on something else.
-        num_doubtful: Light that is neither labelled nor a fault to find.
+        num_doubtful: Light that counts neither as an instance nor as a false alarm.
     """
 
     num_sequences: int
@@ -73,16 +73,16 @@ class LabelCounts:
 
 
 def write_labels(root: Path, info: InfoFile) -> LabelCounts:
-    """Writes PVDN's label files of the split `root` from its truth; it is no split while they are written.
+    """Writes PVDN's label files of the split `root` from its truth; it is not a split while they are written.
 
     Raises:
         FileNotFoundError: If a file of the truth is missing.
-        ValueError: If one is broken.
+        ValueError: If a file of the truth is broken.
         OSError: If a label file cannot be written.
     """
     for name in ("sequences.json", "image_annotations.json"):
         (root / "labels" / name).unlink(missing_ok=True)
-    configuration = next(place for place, one in enumerate(CAMERA_CONFIGURATIONS) if one.cycle == info.cycle)
+    configuration = [configuration.cycle.value for configuration in CAMERA_CONFIGURATIONS].index(info.cycle)
     sequences: list[Sequence] = []
     images: list[ImageRecord] = []
     annotations: list[ImageAnnotation] = []
@@ -98,7 +98,7 @@ def write_labels(root: Path, info: InfoFile) -> LabelCounts:
                 annotations.append(ImageAnnotation(id=number, category=frame.category, image_id=frame.image_id))
             keypoints = keypoints_of(frame, truth.camera)
             write_json(root / "labels" / "keypoints" / f"{frame.image_id:06d}.json", keypoints)
-            instances += [one for vehicle in keypoints.annotations for one in vehicle.instances]
+            instances += [instance for vehicle in keypoints.annotations for instance in vehicle.instances]
             num_empty += not keypoints.annotations
             num_doubtful += len(keypoints.doubtful)
     images_file = ImageAnnotationsFile(
@@ -116,15 +116,15 @@ def write_labels(root: Path, info: InfoFile) -> LabelCounts:
         annotations=tuple(annotations),
     )
     write_label_files(root, images_file, SequencesFile(sequences=tuple(sequences)))
-    num_direct = sum(one.is_direct for one in instances)
+    num_direct = sum(instance.is_direct for instance in instances)
     return LabelCounts(*(len(sequences), len(images), num_empty, num_direct, len(instances) - num_direct, num_doubtful))
 
 
 def keypoints_of(frame: FrameTruth, camera: Camera) -> KeypointsFile:
-    """The key points of one image: every vehicle with at least one instance; doubtful light beside them.
+    """The keypoints of an image: every vehicle with at least one instance, and doubtful light.
 
-    A vehicle's position is the middle of its box, seen or not, as in PVDN, or its first instance's where the box's
-    middle is outside the image. It counts as direct where one of its lamps is seen.
+    A vehicle's position is the centre of its box, visible or not, as in PVDN, or the position of its first instance if
+    that centre is outside the image. It counts as direct if a lamp of the vehicle is seen.
     """
     camera_pose = frame.ego_pose @ camera.vehicle_from_camera
     vehicles = []
@@ -145,7 +145,7 @@ def keypoints_of(frame: FrameTruth, camera: Camera) -> KeypointsFile:
                 instances=tuple(_instance(artifact, camera) for artifact in sure),
             )
         )
-    if not doubtful:
+    if not doubtful:  # a field that is not given is not written
         return KeypointsFile(image_id=frame.image_id, annotations=tuple(vehicles))
     return KeypointsFile(image_id=frame.image_id, annotations=tuple(vehicles), doubtful=tuple(doubtful))
 
@@ -176,10 +176,9 @@ def sequence_of(truth: SequenceTruth) -> Sequence:
     )
 
 
-def street_style(road: Road, places_m: tuple[float, float]) -> StreetStyle:
-    """Which bends come between two arc lengths: the first two that turn by 6 degrees or more count."""
-    places = np.arange(*places_m, 2.0)
-    curvatures = road.curvature_per_m(places)
+def street_style(road: Road, driven_m: tuple[float, float]) -> StreetStyle:
+    """The bends between two arc lengths: the first two that turn by 6 degrees or more count."""
+    curvatures = road.curvature_per_m(np.arange(*driven_m, 2.0))
     signs = np.where(np.abs(curvatures) > BEND_PER_M, np.sign(curvatures), 0).astype(int).tolist()
     bends = []
     start = 0
@@ -198,9 +197,9 @@ def street_style(road: Road, places_m: tuple[float, float]) -> StreetStyle:
     return StreetStyle.LEFT_TURN if first > 0 else StreetStyle.RIGHT_TURN
 
 
-def is_crest(road: Road, places_m: tuple[float, float]) -> bool:
+def is_crest(road: Road, driven_m: tuple[float, float]) -> bool:
     """Whether the road leads over a crest between two arc lengths."""
-    starts = np.arange(*places_m, 5.0)
+    starts = np.arange(*driven_m, 5.0)
     return bool((road.slope(starts) - road.slope(starts + DOME_LENGTH_M)).max() >= DOME_SLOPE_CHANGE)
 
 
@@ -225,7 +224,7 @@ def lighting(scene: Scene) -> EnvironmentLighting:
 
 
 def _behaviour(scene: Scene, frames: tuple[FrameTruth, ...]) -> DriverBehaviour:
-    """High beam all the way is wrong as soon as somebody is in sight."""
+    """High beam all the way is wrong as soon as another vehicle is in sight."""
     is_anyone_in_sight = any(_is_in_sight(vehicle) for frame in frames for vehicle in frame.vehicles)
     return DriverBehaviour.INCORRECT if scene.ego.beam == "high" and is_anyone_in_sight else DriverBehaviour.CORRECT
 
@@ -235,7 +234,7 @@ def _is_in_sight(vehicle: VehicleTruth) -> bool:
 
 
 def _driven_m(scene: Scene) -> tuple[float, float]:
-    """From where we begin to 100 m beyond where we end."""
+    """Arc lengths from the start of our drive to 100 m beyond its end."""
     ends_m, _ = interpolated(scene.ego.timetable, [0.0, scene.duration_s])
     return float(ends_m.min()), float(ends_m.max()) + 100.0
 
@@ -254,7 +253,7 @@ def _instance(artifact: Artifact, camera: Camera) -> Instance:
 
 
 def _whole(position_px: tuple[float, float], camera: Camera) -> tuple[int, int]:
-    """The pixel that a position falls into; one beyond the border becomes the nearest."""
+    """The pixel of a position; of a position beyond the border, the nearest pixel."""
     x, y = position_px
     return (
         min(max(int(np.floor(x)), 0), camera.width_px - 1),

@@ -1,6 +1,6 @@
 """The specification of each scene beside its images: `scene.json`, `scenes.jsonl` and the road that follows from it.
 
-`foreglow.datasets.simulated` says which files there are; these are the ones that only the simulator understands.
+`foreglow.datasets.simulated` lists all files; those here are the files that only the simulator understands.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The road ahead of us as it is, and the street messages (`foreglow.street`) that a car on it would get.
+"""The true road ahead of us, and the street messages (`foreglow.street`) that a car on it would receive.
 
-Beside the quantisation, a message errs by a longitudinal offset that wanders slowly within its class: the car
-believes that it is further along the road, or less far, than it is. That is what PSD methods fail by.
+Beside the quantisation, a message has a longitudinal error that varies slowly within its class: the assumed position of
+the car is too far along the road, or not far enough. This error is what makes PSD methods fail.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from foreglow.street import (
 STREET_STREAM = 901
 """Random stream of a scene's map, `np.random.default_rng([scene.seed, STREET_STREAM])`."""
 
-# Within a segment the map's curvature may leave its chord, and the slope its mean, by this much: half a step of slope,
-# and a curvature that bends the road by 0.25 m in 50 m.
+# Within a segment the map's curvature may differ from its chord, and the slope from its mean, by this much: half a step
+# of slope, and a curvature that bends the road by 0.25 m in 50 m.
 _CURVATURE_TOLERANCE_PER_M = 2e-4
 _SLOPE_TOLERANCE = 0.005
 _MAP_MARGIN_M = 1000.0
@@ -44,8 +44,8 @@ class StreetDataError(FrozenModel):
     Attributes:
         longitudinal_class: Class of the longitudinal error; None draws one for the drive, by `class_shares`.
         class_shares: How often each class is drawn; need not sum to 1.
-        wander_m: Way along the road in which the error goes once from one side to the other and back.
-        horizon_m: How far ahead the message reaches, at least.
+        wander_m: Wavelength of the error along the road.
+        horizon_m: The message reaches at least this far ahead.
     """
 
     longitudinal_class: ErrorClass | None = None
@@ -64,17 +64,17 @@ class StreetDataError(FrozenModel):
 
 
 class StreetMap:
-    """The car's map of a road, with its own idea of where on it we are.
+    """The car's map of a road, with the car's own estimate of our position on it.
 
     The same road, error and generator give the same messages, in any order.
     """
 
     def __init__(self, road: Road, error: StreetDataError, rng: np.random.Generator) -> None:
-        """Cuts the road into segments and draws how the position will err.
+        """Cuts the road into segments and draws the error of the position.
 
         Args:
-            road: The road as it is.
-            error: How wrong the position is.
+            road: The true road.
+            error: Parameters of the position's error.
             rng: Used here only, such as `np.random.default_rng([scene.seed, STREET_STREAM])`.
         """
         self._error = error
@@ -87,7 +87,7 @@ class StreetMap:
         self._phases_rad = rng.uniform(0.0, 2 * np.pi, 2)
 
     def offset_m(self, ego_s_m: ArrayLike) -> Floats:
-        """How much further along the road the car believes to be than it is, at true arc lengths of any shape."""
+        """Assumed minus true arc length of the car, at true arc lengths of any shape."""
         turns = 2 * np.pi * np.asarray(ego_s_m, np.float64) / self._error.wander_m
         slow, fast = np.sin(turns + self._phases_rad[0]), np.sin(2.7 * turns + self._phases_rad[1])
         return np.asarray(self._amplitude_m * (0.75 * slow + 0.25 * fast))
@@ -101,7 +101,7 @@ class StreetMap:
         believed_m = float(ego_s_m + self.offset_m(ego_s_m))
         if not self._starts_m[0] <= believed_m < self._starts_m[-1]:
             raise ValueError(
-                f"ego_s_m: expected a place on the map, {self._starts_m[0]:g} to {self._starts_m[-1]:g} m, "
+                f"ego_s_m: expected an arc length on the map, {self._starts_m[0]:g} to {self._starts_m[-1]:g} m, "
                 f"got {ego_s_m:g}"
             )
         first = int(np.searchsorted(self._starts_m, believed_m, side="right")) - 1
@@ -114,21 +114,20 @@ class StreetMap:
 
 
 def road_ahead(road: Road, ego_s_m: float, ego_pose: Pose, length_m: float = 400.0, left_m: float = 0.0) -> Floats:
-    """The road as it is: a point each metre from beside our rear axle on, shape (N, 3), in our vehicle's frame.
+    """The true road ahead: a point each metre from beside our rear axle on, shape (N, 3), in our vehicle's frame.
 
     Args:
         road: The road that we drive along.
         ego_s_m: Arc length of our rear axle.
         ego_pose: world_from_vehicle.
-        length_m: How far; beyond the road's end it goes on straight.
-        left_m: Which line: metres to the left of the centre line.
+        length_m: Length; beyond the road's end the line continues straight.
+        left_m: Metres to the left of the centre line.
     """
-    places_m = ego_s_m + np.arange(0.0, length_m + 0.5)
-    return ego_pose.to_body(road.points(places_m, left_m))
+    return ego_pose.to_body(road.points(ego_s_m + np.arange(0.0, length_m + 0.5), left_m))
 
 
 def _segments(road: Road) -> tuple[Floats, tuple[StreetSegment, ...]]:
-    """Where the segments begin and the last one ends, shape (N + 1,), metres, and the N segments in order."""
+    """Arc lengths at which segments meet, with both ends, shape (N + 1,), metres, and the N segments in order."""
     nodes_m = np.arange(-_MAP_MARGIN_M, road.length_m + _MAP_MARGIN_M + LENGTH_STEP_M / 2, LENGTH_STEP_M)
     curvatures = road.curvature_per_m(nodes_m)
     curvatures[(nodes_m < 0) | (nodes_m > road.length_m)] = 0.0
@@ -151,7 +150,7 @@ def _segments(road: Road) -> tuple[Floats, tuple[StreetSegment, ...]]:
 
 
 def _cuts(curvatures: Floats, slopes: Floats) -> list[int]:
-    """Nodes at which segments meet: each is as long as a line through its curvatures and one slope allow.
+    """Nodes at which segments meet: each is as long as linear curvature and constant slope allow.
 
     Args:
         curvatures: At the nodes, shape (N,).

@@ -1,1 +1,1 @@
-"""What `foreglow demo` tells of a drive: when light was visible, detected, confirmed, and the car in sight."""
+"""What `foreglow demo` says about a drive: when light was visible, detected and confirmed, and the car in sight."""

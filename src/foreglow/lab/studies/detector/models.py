@@ -10,34 +10,32 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from foreglow.config import PipelineConfig, preset, read_config
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
+from foreglow.lab.studies.progress import Progress
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_run import RunProgress
     from foreglow.lab.learning.yolo import YoloRun
 
-Progress: TypeAlias = Callable[[str, int, int], None]
-"""Told what is counted, how many are done, and of how many."""
-
 PAPER_YOLO = "960 px and 300 epochs"
 
-_FORMAT = 1  # of a row's file; another one makes all rows anew
+_FORMAT = 1  # of a row's file; with another number all rows are made anew
 
 
 @dataclass(frozen=True, slots=True)
-class Workplace:
+class Workspace:
     """Where an experiment runs.
 
     Attributes:
         data: The data set.
         out: Everything that is made goes here.
         plan: What is asked for.
-        progress: Told how far it is; None for nobody.
-        training: Likewise, of trainings.
+        progress: Called as it goes on.
+        training: Likewise, while networks are trained.
     """
 
     data: Path
@@ -45,6 +43,10 @@ class Workplace:
     plan: DetectorPlan
     progress: Progress | None = None
     training: RunProgress | None = None
+
+    def progress_of(self, step: str) -> Callable[[int, int], None] | None:
+        """What to call as a step goes on, with how much is done and how much there is; None if nobody listens."""
+        return None if self.progress is None else functools.partial(self.progress, step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +82,15 @@ def missing_reason(name: str, plan: DetectorPlan) -> str | None:
     return None
 
 
-def row_key(name: str, place: Workplace) -> str:
+def row_key(name: str, workspace: Workspace) -> str:
     """Digest of what decides the figures of row `name`: a row with the same key need not be made again."""
-    spec, plan = ROWS[name], place.plan
-    parts: list[Any] = [_FORMAT, split_digest(split_folder(place.data, plan.split)), THRESHOLD]
+    spec, plan = ROWS[name], workspace.plan
+    parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
     parts.append(preset(spec.preset).proposals.model_dump(mode="json"))
     if name in plan.given:
         parts.append(file_digest(_model_file(plan.given[name], spec.kind)))
     else:
-        parts += [split_digest(split_folder(place.data, split)) for split in ("train", "val")]
+        parts += [split_digest(split_folder(workspace.data, split)) for split in ("train", "val")]
         if spec.kind == "yolo":
             parts.append([plan.yolo_epochs, plan.yolo_image_size_px, plan.seed, spec.size])
         else:
@@ -96,7 +98,7 @@ def row_key(name: str, place: Workplace) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def classifier_model(name: str, place: Workplace) -> ClassifierModel:
+def classifier_model(name: str, workspace: Workspace) -> ClassifierModel:
     """The classifier of row `name`, as given or trained now; an interrupted training goes on.
 
     Raises:
@@ -104,12 +106,12 @@ def classifier_model(name: str, place: Workplace) -> ClassifierModel:
         ValueError: If a given model was trained on another preset's boxes.
         ModuleNotFoundError: If training needs an extra that is not installed.
     """
-    spec, plan = ROWS[name], place.plan
+    spec, plan = ROWS[name], workspace.plan
     configured = preset(spec.preset)
     given = plan.given.get(name)
     if given is None:
-        folder = place.out / "models" / name
-        _train(name, place, folder)
+        folder = workspace.out / "models" / name
+        _train(name, workspace, folder)
     elif given.is_dir():
         folder = given
     else:
@@ -121,7 +123,7 @@ def classifier_model(name: str, place: Workplace) -> ClassifierModel:
     return ClassifierModel(_with_model(used, folder / "model.onnx"), _note(folder))
 
 
-def yolo_run(name: str, place: Workplace) -> YoloRun:
+def yolo_run(name: str, workspace: Workspace) -> YoloRun:
     """The YOLO of row `name`, as given or trained now; an interrupted training goes on.
 
     Raises:
@@ -131,7 +133,7 @@ def yolo_run(name: str, place: Workplace) -> YoloRun:
     """
     from foreglow.lab.learning.yolo import YoloConfig, read_yolo_run, train_yolo
 
-    spec, plan = ROWS[name], place.plan
+    spec, plan = ROWS[name], workspace.plan
     if name in plan.given:
         return read_yolo_run(plan.given[name])
     config = YoloConfig(
@@ -141,8 +143,9 @@ def yolo_run(name: str, place: Workplace) -> YoloRun:
         seed=plan.seed,
         device={"cuda": "0"}.get(plan.device, plan.device),
     )
-    told = None if place.progress is None else functools.partial(place.progress, f"{name}: images exported")
-    return train_yolo(place.data, place.out / "models" / name, config, preset_name=spec.preset, progress=told)
+    progress = workspace.progress_of(f"{name}: images exported")
+    folder = workspace.out / "models" / name
+    return train_yolo(workspace.data, folder, config, preset_name=spec.preset, progress=progress)
 
 
 def yolo_note(run: YoloRun) -> str:
@@ -162,7 +165,7 @@ def file_digest(path: Path) -> str:
 def split_digest(split: Path) -> str:
     """SHA-256 of what is in a split: its labels, and the names and sizes of its images."""
     digest = hashlib.sha256()
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     for path in sorted((dataset.root / "labels").rglob("*.json")):
         digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + path.read_bytes())
     for image_id in dataset.frame_ids:
@@ -171,18 +174,18 @@ def split_digest(split: Path) -> str:
     return digest.hexdigest()
 
 
-def _train(name: str, place: Workplace, folder: Path) -> None:
+def _train(name: str, workspace: Workspace, folder: Path) -> None:
     from foreglow.lab.learning.training_run import train_model
 
-    spec, plan = ROWS[name], place.plan
+    spec, plan = ROWS[name], workspace.plan
     train_model(
-        [place.data],
+        [workspace.data],
         _recipe(spec.recipe, plan),
         preset(spec.preset),
         folder,
         device=plan.device,
-        cache=place.out / "samples",
-        progress=place.training,
+        cache=workspace.out / "samples",
+        progress=workspace.training,
     )
 
 
@@ -205,7 +208,7 @@ def _with_model(config: PipelineConfig, model: Path) -> PipelineConfig:
 
 
 def _note(folder: Path) -> str:
-    """What the summary of a training says: epochs made of those allowed, the best one, the seed."""
+    """What the summary of a training says: epochs made of those allowed, the best epoch, the seed."""
     path = folder / "summary.json"
     try:
         summary = json.loads(path.read_bytes())

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foreglow.config import preset
-from foreglow.datasets import PVDN, split_folder
+from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import write_atomic
+from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import (
     Predictions,
     SplitLabels,
@@ -30,8 +29,7 @@ from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
 from foreglow.lab.studies.detector.models import (
-    Progress,
-    Workplace,
+    Workspace,
     classifier_model,
     missing_reason,
     row_key,
@@ -39,11 +37,11 @@ from foreglow.lab.studies.detector.models import (
     yolo_run,
 )
 from foreglow.lab.studies.detector.plan import COMPARISONS, ROWS, THRESHOLD, DetectorPlan
+from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import make_proposer
 from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
-from foreglow.types import Frame, FrameResult
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_run import RunProgress
@@ -64,8 +62,8 @@ class RowResult(Record):
         run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
         num_proposals: Mean boxes a frame, whatever their score.
         num_boxes: Mean boxes a frame with a score above the threshold.
-        ceiling: The metrics of the labelled boxes themselves, as `BoxQuality.to_json`.
-        examination: The metrics and all else, as `Examination.to_json`.
+        ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it.
+        examination: The metrics and all else, an `Examination` as `to_json` has it.
         made_with: Version, commit, processor.
     """
 
@@ -131,7 +129,7 @@ def run_experiment(
         data: A data set with the splits train, val and test.
         out: Folder for everything.
         plan: What to make.
-        progress: Told how far it is.
+        progress: Called as it goes on.
         training: Likewise, while networks are trained.
 
     Raises:
@@ -139,43 +137,44 @@ def run_experiment(
         ValueError: If one is broken, or does not fit.
         ModuleNotFoundError: If an extra that is needed is not installed.
     """
-    place = Workplace(data, out, plan, progress, training)
-    dataset = PVDN(split_folder(data, plan.split))
+    workspace = Workspace(data, out, plan, progress, training)
+    dataset = open_labelled(split_folder(data, plan.split))
     labels = read_split_labels(dataset)
     for name in ("rows", "predictions"):
         (out / name).mkdir(parents=True, exist_ok=True)
-    rows = tuple(_row(name, place, dataset, labels) for name in plan.rows)
+    rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
     predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}
     return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
 
 
-def _row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     """The row from its file where that has the same key, else made now."""
-    reason = missing_reason(name, place.plan)
+    reason = missing_reason(name, workspace.plan)
     if reason is not None:
         return RowResult(name=name, title=ROWS[name].title, reason=reason)
-    path = place.out / "rows" / f"{name}.json"
-    key = row_key(name, place)
-    if path.exists() and _predictions_file(place.out, name).exists():
+    path = workspace.out / "rows" / f"{name}.json"
+    key = row_key(name, workspace)
+    if path.exists() and _predictions_file(workspace.out, name).exists():
         known = read_json(path, RowResult)
         if known.key == key:
             return known
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
-    row = make(name, place, dataset, labels).model_copy(update={"key": key})
+    row = make(name, workspace, dataset, labels).model_copy(update={"key": key})
     write_atomic(path, (row.model_dump_json(indent=1) + "\n").encode())
     return read_json(path, RowResult)  # as a repeated call will: JSON knows no infinite threshold
 
 
-def _classifier_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.model_counts import count_model
 
-    model = classifier_model(name, place)
+    model = classifier_model(name, workspace)
     assert model.config.classifier.model is not None
     counts = count_model(model.config.classifier.model)
     pipeline = Pipeline(model.config.detector_only)
-    pipeline.step(dataset.read(dataset.frame_ids[0]))  # the first one also makes buffers
-    run = run_split(dataset, pipeline, _told(place, name, len(dataset)))
-    row = _measured(name, run.predictions, run.total_ms, place, labels)
+    pipeline.step(dataset.read(dataset.frame_ids[0]))  # buffers are made with the first frame
+    progress, done = workspace.progress_of(f"{name}: images"), itertools.count(1)
+    run = run_split(dataset, pipeline, progress and (lambda *_: progress(next(done), len(dataset))))
+    row = _measured(name, run.predictions, run.total_ms, workspace, labels)
     return row.model_copy(
         update={
             "note": model.note,
@@ -187,15 +186,14 @@ def _classifier_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLab
     )
 
 
-def _yolo_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -> RowResult:
+def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.yolo import predict_yolo
 
-    trained = yolo_run(name, place)
-    told = None if place.progress is None else functools.partial(place.progress, f"{name}: images")
-    found = predict_yolo(trained, dataset, num_threads=1, progress=told)
+    trained = yolo_run(name, workspace)
+    found = predict_yolo(trained, dataset, num_threads=1, progress=workspace.progress_of(f"{name}: images"))
     proposer = make_proposer(preset(ROWS[name].preset).proposals)
     proposed = {frame.frame: proposer.propose(frame.image).boxes_xyxy_px.astype(np.float64) for frame in dataset}
-    return _measured(name, found.predictions, found.frame_ms, place, labels).model_copy(
+    return _measured(name, found.predictions, found.frame_ms, workspace, labels).model_copy(
         update={
             "note": yolo_note(trained),
             "num_parameters": trained.num_parameters,
@@ -207,10 +205,10 @@ def _yolo_row(name: str, place: Workplace, dataset: PVDN, labels: SplitLabels) -
 
 
 def _measured(
-    name: str, predictions: Predictions, frame_ms: NDArray[np.float64], place: Workplace, labels: SplitLabels
+    name: str, predictions: Predictions, frame_ms: NDArray[np.float64], workspace: Workspace, labels: SplitLabels
 ) -> RowResult:
     """The row's figures, but for those of the model; keeps the predictions."""
-    write_predictions(_predictions_file(place.out, name), predictions)
+    write_predictions(_predictions_file(workspace.out, name), predictions)
     title = ROWS[name].title
     num_images = len(labels.lights)
     scores = np.concatenate([np.zeros(0), *predictions.scores.values()])
@@ -222,7 +220,7 @@ def _measured(
         run_time_ms={key: round(value, 4) for key, value in times.items()},
         num_proposals=len(scores) / num_images,
         num_boxes=int((scores > THRESHOLD).sum()) / num_images,
-        examination=examine(labels, predictions, THRESHOLD, title).to_json(),
+        examination=to_json(examine(labels, predictions, THRESHOLD, title)),
         made_with=provenance() | {"processor": processor_name()},
     )
 
@@ -232,26 +230,28 @@ def _ceiling(proposed: Predictions, labels: SplitLabels) -> dict[str, Any]:
 
     Source: the paper's table, in parentheses.
     """
-    positive = {}
     keypoints_px = labels.keypoints_px
-    for image_id, boxes in proposed.boxes_xyxy_px.items():
-        positive[image_id] = boxes[label_boxes(boxes, keypoints_px[image_id]) == POSITIVE]
-    return evaluate_boxes(keypoints_px, _unscored(positive)).to_json()
+    positive = {
+        image_id: boxes[label_boxes(boxes, keypoints_px[image_id]) == POSITIVE]
+        for image_id, boxes in proposed.boxes_xyxy_px.items()
+    }
+    quality: dict[str, Any] = to_json(evaluate_boxes(keypoints_px, _unscored(positive)))
+    return quality
 
 
 def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
-    ones = {image_id: np.ones(len(boxes)) for image_id, boxes in boxes_xyxy_px.items()}
-    return Predictions(boxes_xyxy_px, ones, is_scored=False)
+    scores = {image_id: np.ones(len(boxes)) for image_id, boxes in boxes_xyxy_px.items()}
+    return Predictions(boxes_xyxy_px, scores, is_scored=False)
 
 
 def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:
     """Paired bootstraps of F between the rows of `COMPARISONS` that were made."""
     counts = {
-        name: scene_counts(match_boxes(labels.keypoints_px, its), labels.sequence_of, THRESHOLD)
-        for name, its in predictions.items()
+        name: scene_counts(match_boxes(labels.keypoints_px, predicted), labels.sequence_of, THRESHOLD)
+        for name, predicted in predictions.items()
     }
     return tuple(
-        {"row": a, "other": b, **paired_bootstrap(counts[a], counts[b], f1, seed=seed).to_json()}
+        {"row": a, "other": b, **to_json(paired_bootstrap(counts[a], counts[b], f1, seed=seed))}
         for a, b in COMPARISONS
         if a in counts and b in counts
     )
@@ -259,12 +259,3 @@ def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed:
 
 def _predictions_file(out: Path, name: str) -> Path:
     return out / "predictions" / f"{name}.json"
-
-
-def _told(place: Workplace, name: str, num_frames: int) -> Callable[[Frame, FrameResult], None] | None:
-    """What `run_split` calls after each frame."""
-    progress = place.progress
-    if progress is None:
-        return None
-    done = itertools.count(1)
-    return lambda _frame, _result: progress(f"{name}: images", next(done), num_frames)

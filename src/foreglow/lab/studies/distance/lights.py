@@ -1,22 +1,21 @@
-"""The lights whose ranges are known, and the boxes that hold them: what ranges are measured on."""
+"""The labelled lights whose ranges are known, and the boxes around them: what ranges are measured on."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from foreglow.datasets.simulated import Artifact, SequenceTruth, VehicleTruth
+from foreglow.datasets.simulated import SequenceTruth
 from foreglow.geometry import Camera, Pose, rotation
 from foreglow.lab.evaluation.boxes.matching import smallest_box
 from foreglow.types import Boxes, Frame
 
 NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
-"""Why a light is left out."""
+"""Reasons to leave a light out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +25,14 @@ class RangedLight:
     Attributes:
         image_id: The image.
         sequence_id: Its drive.
-        instance_id: The same through the drive.
+        instance_id: Identifies the light throughout the drive.
         is_direct: Whether it is the lamp itself.
         kind: What it is seen on.
         truth_m: Its range along the viewing ray.
         vehicle_range_m: From the camera to the vehicle that causes it.
         scenario: Name of the drive's scene.
         error_class: Of the street message's longitudinal error.
-        place: Of the smallest proposal that holds its keypoint, among those of the image.
+        box: Index, among the proposals of the image, of the smallest one that holds its keypoint.
         box_xyxy_px: That proposal.
     """
 
@@ -46,7 +45,7 @@ class RangedLight:
     vehicle_range_m: float
     scenario: str
     error_class: int
-    place: int
+    box: int
     box_xyxy_px: tuple[int, int, int, int]
 
 
@@ -60,13 +59,13 @@ def ranged_lights(
     """
     known = truth.frame(image_id)
     lights = []
-    for vehicle, artifact in _artifacts(known.vehicles):
-        place = smallest_box(artifact.position_px, boxes_xyxy_px)
+    for vehicle, artifact in ((seen, artifact) for seen in known.vehicles for artifact in seen.artifacts):
+        box = smallest_box(artifact.position_px, boxes_xyxy_px)
         if artifact.is_doubtful:
             left_out[DOUBTFUL] += 1
         elif np.isnan(artifact.depth_m):
             left_out[NO_DEPTH] += 1
-        elif place is None:
+        elif box is None:
             left_out[NO_BOX] += 1
         else:
             lights.append(
@@ -80,15 +79,15 @@ def ranged_lights(
                     vehicle_range_m=vehicle.range_m,
                     scenario=truth.scenario,
                     error_class=known.street.error_class,
-                    place=place,
-                    box_xyxy_px=tuple(boxes_xyxy_px[place].tolist()),
+                    box=box,
+                    box_xyxy_px=tuple(boxes_xyxy_px[box].tolist()),
                 )
             )
     return tuple(lights)
 
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:
-    """`frame` with a calibration that claims the camera to look up by `pitch_rad` more than it does."""
+    """`frame` with a calibration whose pitch is wrong by `pitch_rad`, upwards."""
     assert frame.camera is not None
     return dataclasses.replace(frame, camera=_tilted_camera(frame.camera, pitch_rad))
 
@@ -98,9 +97,3 @@ def _tilted_camera(camera: Camera, pitch_rad: float) -> Camera:
     mount = camera.vehicle_from_camera
     claimed = Pose(mount.position_m, mount.rotation @ rotation(pitch_rad=pitch_rad))
     return dataclasses.replace(camera, vehicle_from_camera=claimed)
-
-
-def _artifacts(vehicles: tuple[VehicleTruth, ...]) -> Iterator[tuple[VehicleTruth, Artifact]]:
-    for vehicle in vehicles:
-        for artifact in vehicle.artifacts:
-            yield vehicle, artifact

@@ -1,20 +1,33 @@
-"""How wrong ranges are, and how honest their sigmas."""
+"""How wrong ranges are, and how honest their sigmas: by method, sort of light and group."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.files import fields_to_json
 from foreglow.geometry import Floats
-from foreglow.lab.evaluation.boxes.breakdown import RANGE_EDGES_M, plain
+from foreglow.lab.evaluation.bootstrap import resampled
+from foreglow.lab.evaluation.boxes.breakdown import range_bins
+from foreglow.lab.evaluation.ratios import median, percentiles, share
+from foreglow.lab.studies.distance.run import TILTS_DEG, DistanceResults, Method
+from foreglow.street import ERROR_BOUNDS_M
 
 NUM_RESAMPLES = 1000
+
+ALL = "all"
+
+REACH_M = 200.0
+"""Lights beyond are left out of the axis `reach`."""
+
+PAPERS_GP = {"direct": 0.12, "indirect": -0.32}
+"""Median relative error of GP. Source: Ewecker et al., arXiv 2107.11302."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +42,7 @@ class ErrorSummary:
         lower_quartile: 25th percentile.
         upper_quartile: 75th percentile.
         within_one_sigma: Share whose truth is at most one sigma from the estimate, of those with a finite sigma.
-        within_two_sigma: Likewise, two sigmas.
+        within_two_sigma: As `within_one_sigma`, for two sigmas.
         absolute_low: Lower end of the 95 % interval of `median_absolute`; NaN where it was not asked for.
         absolute_high: Upper end.
     """
@@ -44,10 +57,6 @@ class ErrorSummary:
     within_two_sigma: float
     absolute_low: float = math.nan
     absolute_high: float = math.nan
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
 
 
 def relative_errors(truth_m: Floats, ranges_m: Floats) -> Floats:
@@ -69,27 +78,21 @@ def summarise(truth_m: Floats, ranges_m: Floats, sigmas_m: Floats | None = None)
     """
     is_known = ~np.isnan(ranges_m)
     errors = relative_errors(truth_m, ranges_m)[is_known]
-    low, middle, high = np.percentile(errors, (25, 50, 75)).tolist() if len(errors) else (math.nan,) * 3
-    one, two = math.nan, math.nan
+    lower, middle, upper = percentiles(errors, (25, 50, 75))
+    sigmas_off = np.zeros(0)
     if sigmas_m is not None:
-        is_told = is_known & np.isfinite(sigmas_m)
-        off = np.abs(ranges_m - truth_m)[is_told] / sigmas_m[is_told]
-        one, two = (_share(off <= limit) for limit in (1.0, 2.0))
+        has_sigma = is_known & np.isfinite(sigmas_m)
+        sigmas_off = np.abs(ranges_m - truth_m)[has_sigma] / sigmas_m[has_sigma]
     return ErrorSummary(
         num=len(truth_m),
-        missing=_share(~is_known),
+        missing=share(~is_known),
         median=middle,
-        median_absolute=float(np.median(np.abs(errors))) if len(errors) else math.nan,
-        lower_quartile=low,
-        upper_quartile=high,
-        within_one_sigma=one,
-        within_two_sigma=two,
+        median_absolute=median(np.abs(errors)),
+        lower_quartile=lower,
+        upper_quartile=upper,
+        within_one_sigma=share(sigmas_off <= 1.0),
+        within_two_sigma=share(sigmas_off <= 2.0),
     )
-
-
-def range_bins(truth_m: Floats) -> dict[str, NDArray[np.bool_]]:
-    """For each bin of `RANGE_EDGES_M`, by its name such as `30-60 m`, which lights are in it; shape (N,) each."""
-    return {f"{low:g}-{high:g} m": (truth_m >= low) & (truth_m < high) for low, high in pairwise(RANGE_EDGES_M)}
 
 
 def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) -> tuple[float, float]:
@@ -104,20 +107,115 @@ def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) ->
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
     """
-    names, places = np.unique(drives, return_inverse=True)
     is_known = ~np.isnan(values)
     if not is_known.any():
         return math.nan, math.nan
+    names, drive_of = np.unique(drives, return_inverse=True)
     order = np.argsort(values[is_known], kind="stable")
-    ordered, its_drive = values[is_known][order], places[is_known][order]
-    rng = np.random.default_rng(seed)
-    weights = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), NUM_RESAMPLES)
-    cumulative = weights[:, its_drive].cumsum(axis=1)
-    cumulative = cumulative[cumulative[:, -1] > 0]  # a resample may draw drives without values only
-    middles = (2 * cumulative >= cumulative[:, -1:]).argmax(axis=1)
-    low, high = np.percentile(ordered[middles], (2.5, 97.5)).tolist()
+    ordered, drive_of_ordered = values[is_known][order], drive_of[is_known][order]
+
+    def medians(weights: Floats) -> Floats:
+        cumulative = weights[:, drive_of_ordered].cumsum(axis=1)
+        total = cumulative[:, -1:]
+        found = ordered[(2 * cumulative >= total).argmax(axis=1)]
+        return np.where(total[:, 0] > 0, found, math.nan)  # a resample may draw drives without values only
+
+    low, high = percentiles(resampled(medians, len(names), NUM_RESAMPLES, seed), (2.5, 97.5))
     return low, high
 
 
-def _share(is_so: NDArray[np.bool_]) -> float:
-    return float(is_so.mean()) if is_so.size else math.nan
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """How well a method does on some lights.
+
+    Attributes:
+        axis: What the groups differ in: `range`, `reach`, `series`, `tracks`, `pitch`, `localisation`, `terrain`,
+            `kind`, or `vehicle`, where the truth is the range of the vehicle and not that of the light.
+        method: The method.
+        light: `direct`, `indirect` or `all`.
+        group: Within the axis, such as `30-60 m`; `all` of it.
+        errors: The figures.
+    """
+
+    axis: str
+    method: Method
+    light: str
+    group: str
+    errors: ErrorSummary
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields on one level."""
+        keys = {"axis": self.axis, **fields_to_json(self.method), "light": self.light, "group": self.group}
+        return keys | fields_to_json(self.errors)
+
+
+def find(results: DistanceResults) -> tuple[Finding, ...]:
+    """All figures of the report."""
+    if not results.lights:
+        return ()
+    sorts = light_sorts(results)
+    return tuple(finding for light, is_light in sorts.items() for finding in _findings(results, light, is_light))
+
+
+def light_sorts(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
+    """Which of the lights are direct, indirect, and all of them; shape (N,) each."""
+    is_direct = results.column("is_direct").astype(np.bool_)
+    return {"direct": is_direct, "indirect": ~is_direct, ALL: np.ones_like(is_direct)}
+
+
+def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_]) -> Iterator[Finding]:
+    """All figures of one sort of light."""
+    truth_m, main_methods = results.column("truth_m"), results.main_methods
+
+    def errors(ranges_m: Floats, sigmas_m: Floats | None, truth_m: Floats = truth_m) -> ErrorSummary:
+        return summarise(truth_m[is_light], ranges_m[is_light], None if sigmas_m is None else sigmas_m[is_light])
+
+    def errors_of_group(method: Method, is_member: NDArray[np.bool_]) -> ErrorSummary:
+        chosen = is_light & is_member
+        return summarise(truth_m[chosen], results.ranges_m[method][chosen], results.sigmas_m[method][chosen])
+
+    drives = results.column("sequence_id")[is_light]
+    for method in results.methods:
+        absolute = np.abs(relative_errors(truth_m, results.ranges_m[method]))[is_light]
+        low, high = median_interval(absolute, drives, results.plan.seed)
+        whole = errors(results.ranges_m[method], results.sigmas_m[method])
+        yield Finding("range", method, light, ALL, dataclasses.replace(whole, absolute_low=low, absolute_high=high))
+        for group, is_member in range_bins(truth_m).items():
+            yield Finding("range", method, light, group, errors_of_group(method, is_member))
+    for method in main_methods:
+        for group, is_member in _reach_groups(results).items():
+            yield Finding("reach", method, light, group, errors_of_group(method, is_member))
+    for (name, method), ranges_m in results.series_m.items():
+        yield Finding("series", method, light, name, errors(ranges_m, None))
+    for (name, method), (ranges_m, sigmas_m) in results.tracked.items():
+        yield Finding("tracks", method, light, name, errors(ranges_m, sigmas_m))
+    for axis, groups in _groups(results).items():
+        for method in main_methods:
+            for group, is_member in groups.items():
+                if (is_light & is_member).any():
+                    yield Finding(axis, method, light, group, errors_of_group(method, is_member))
+    for method in main_methods:
+        to_vehicle = errors(results.ranges_m[method], None, results.column("vehicle_range_m"))
+        yield Finding("vehicle", method, light, ALL, to_vehicle)
+    for main in main_methods:
+        for tilt_deg in TILTS_DEG:
+            method = dataclasses.replace(main, tilt_deg=tilt_deg)
+            tilted = errors(results.ranges_m[method], results.sigmas_m[method])
+            yield Finding("pitch", method, light, f"{tilt_deg:+.1f}°", tilted)
+
+
+def _reach_groups(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
+    """Lights up to `REACH_M`: all, and those for which every estimator has a range, so that all answer the same."""
+    is_near = results.column("truth_m") < REACH_M
+    has_all = np.all([~np.isnan(results.ranges_m[method]) for method in results.main_methods], axis=0)
+    return {ALL: is_near, "with a range by all methods": is_near & has_all}
+
+
+def _groups(results: DistanceResults) -> Mapping[str, Mapping[str, NDArray[np.bool_]]]:
+    """By axis and group, which lights are in it."""
+    classes, scenarios, kinds = (results.column(name) for name in ("error_class", "scenario", "kind"))
+    return {
+        "localisation": {f"{bound:g} m": classes == number for number, bound in enumerate(ERROR_BOUNDS_M)},
+        "terrain": {str(name): scenarios == name for name in np.unique(scenarios)},
+        "kind": {str(name): kinds == name for name in np.unique(kinds)},
+    }

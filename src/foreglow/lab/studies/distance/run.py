@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -13,20 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
-from foreglow.datasets import PVDN, SplitName, split_in
-from foreglow.datasets.simulated import read_truth
+from foreglow.datasets import SplitName, open_labelled, split_in
+from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
 from foreglow.geometry import Floats
 from foreglow.lab.studies.distance.lights import RangedLight, ranged_lights, tilted
+from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.tracking import make_tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
 
-Progress: TypeAlias = Callable[[str, int, int], None]
-"""Told the step, how much of it is done, and of how much."""
+Estimates: TypeAlias = tuple[Floats, Floats]
+"""Ranges and sigmas of some lights, shape (N,) each; NaN and infinity without estimate."""
 
 TILTS_DEG = tuple(round(0.1 * step, 1) for step in range(-5, 6))
 """Added to the calibration, upwards."""
@@ -93,6 +95,11 @@ class Method:
         """Such as `gp, centre`."""
         return f"{self.estimator}, {self.heuristic}"
 
+    @property
+    def is_default(self) -> bool:
+        """Whether it goes by the default heuristic or by its own rule."""
+        return self.heuristic in (DEFAULT_HEURISTIC, OWN_RULE)
+
     def make(self, config: PipelineConfig) -> RangeEstimator:
         """The estimator, otherwise set as in `config`."""
         fields = {"estimator": self.estimator}
@@ -113,10 +120,10 @@ class DistanceResults:
         left_out: Labelled lights without a range to compare with or without a box, by reason.
         lights: The N others, in the order of sequence and image.
         ranges_m: By method, shape (N,); NaN without estimate.
-        sigmas_m: Likewise.
+        sigmas_m: By method, shape (N,); infinite without estimate.
         series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
-        tracked: By name of `TRACKERS`, or `box alone`, and method, ranges and sigmas, shape (N,) each, of the plausible
-            track that follows a light's box; NaN and infinity where none does.
+        tracked: By name of `TRACKERS`, or `box alone`, and method, the estimates of the plausible track that follows
+            a light's box; none where no track does.
     """
 
     name: str
@@ -128,7 +135,7 @@ class DistanceResults:
     ranges_m: Mapping[Method, Floats]
     sigmas_m: Mapping[Method, Floats]
     series_m: Mapping[tuple[str, Method], Floats]
-    tracked: Mapping[tuple[str, Method], tuple[Floats, Floats]]
+    tracked: Mapping[tuple[str, Method], Estimates]
 
     def column(self, name: str) -> NDArray[Any]:
         """Shape (N,): a field of the lights."""
@@ -142,12 +149,7 @@ class DistanceResults:
     @property
     def main_methods(self) -> tuple[Method, ...]:
         """One of each estimator: with the heuristic that is the default, or its own rule."""
-        return tuple(method for method in self.methods if is_main(method))
-
-
-def is_main(method: Method) -> bool:
-    """Whether it has the calibration as it is, and the default heuristic or its own rule."""
-    return not method.tilt_deg and method.heuristic in (DEFAULT_HEURISTIC, OWN_RULE)
+        return tuple(method for method in self.methods if method.is_default)
 
 
 def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
@@ -156,14 +158,14 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     Args:
         data: A data set with the split, or a split itself.
         plan: What to measure.
-        progress: Told how many images are done.
+        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or the set has no ranges, calibration and road beside its labels.
     """
-    dataset = PVDN(split_in(data, plan.split))
-    if not (dataset.root / "simulation" / "info.json").is_file():
+    dataset = open_labelled(split_in(data, plan.split))
+    if not has_truth(dataset.root):
         raise ValueError(
             f"{dataset.root}: expected the range of each light, a calibration and the road ahead beside the labels, "
             "as simulated drives have them in simulation/; found none"
@@ -171,46 +173,42 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
     truth = read_truth(dataset.root)
     detector = Pipeline(plan.config.detector_only)
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
+    main = [method for method in methods if method.is_default and not method.tilt_deg]
+    trackers = {(name, method): make_tracker(config) for method in main for name, config in TRACKERS.items()}
+    stages: list[Any] = [detector, *methods.values(), *trackers.values()]
     left_out: Counter[str] = Counter()
     lights: list[RangedLight] = []
-    found: dict[Method, list[tuple[Floats, Floats]]] = {method: [] for method in methods}
-    followers = {
-        (name, method): make_tracker(config)
-        for method in methods
-        if is_main(method)
-        for name, config in TRACKERS.items()
-    }
-    followed: dict[tuple[str, Method], list[tuple[Floats, Floats]]] = defaultdict(list)
-    num_done = 0
-    for sequence_id in (sequence.id for sequence in dataset.sequences):
-        drive = truth.sequence(sequence_id)
-        detector.reset()
-        for estimator in methods.values():
-            estimator.reset()
-        for tracker in followers.values():
-            tracker.reset()
+    found: dict[Method, list[Estimates]] = {method: [] for method in methods}
+    tracked: dict[tuple[str, Method], list[Estimates]] = defaultdict(list)
+    num_done = itertools.count(1)
+    for sequence in dataset.sequences:
+        drive = truth.sequence(sequence.id)
+        for stage in stages:
+            stage.reset()
         for image in drive.frames:
             frame = dataset.read(image.image_id)
             detections = _detections(detector, frame)
-            its_lights = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
-            lights += its_lights
-            places = np.array([light.place for light in its_lights], np.intp)
+            in_image = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
+            lights += in_image
+            boxes = np.array([light.box for light in in_image], np.intp)
             for method, ranges in _estimated(frame, detections, methods):
-                found[method].append((ranges.ranges_m[places], ranges.sigmas_m[places]))
-                for name in TRACKERS if is_main(method) else ():
-                    tracks = followers[name, method].update(frame, detections, ranges)
-                    rows = _following(tracks, places)
+                of_boxes = ranges.ranges_m[boxes], ranges.sigmas_m[boxes]
+                found[method].append(of_boxes)
+                if method not in main:
+                    continue
+                for name in TRACKERS:
+                    tracks = trackers[name, method].update(frame, detections, ranges)
+                    rows = _tracks_of(boxes, tracks)
                     # -1 as an index is what is put behind them.
-                    of_track = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
-                    followed[name, method].append(of_track)
-                if is_main(method):
-                    of_box = np.where(rows < 0, np.nan, ranges.ranges_m[places])
-                    followed[BOX_ALONE, method].append((of_box, np.where(rows < 0, np.inf, ranges.sigmas_m[places])))
-            num_done += 1
+                    of_tracks = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
+                    tracked[name, method].append(of_tracks)
+                is_tracked = rows >= 0  # by any of the trackers: they differ in the filter of the range alone
+                alone = np.where(is_tracked, of_boxes[0], np.nan), np.where(is_tracked, of_boxes[1], np.inf)
+                tracked[BOX_ALONE, method].append(alone)
             if progress is not None:
-                progress("images", num_done, len(dataset))
-    estimates = {method: _joined(pairs) for method, pairs in found.items()}
-    ranges_m = {method: one for method, (one, _) in estimates.items()}
+                progress("images", next(num_done), len(dataset))
+    estimates = {method: _joined(parts) for method, parts in found.items()}
+    ranges_m = {method: ranges_m for method, (ranges_m, _) in estimates.items()}
     return DistanceResults(
         name=dataset.name,
         plan=plan,
@@ -219,9 +217,9 @@ def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = N
         left_out=dict(left_out),
         lights=tuple(lights),
         ranges_m=ranges_m,
-        sigmas_m={method: one for method, (_, one) in estimates.items()},
+        sigmas_m={method: sigmas_m for method, (_, sigmas_m) in estimates.items()},
         series_m=dict(_series(lights, ranges_m)),
-        tracked={key: _joined(pairs) for key, pairs in followed.items()},
+        tracked={key: _joined(parts) for key, parts in tracked.items()},
     )
 
 
@@ -253,34 +251,30 @@ def _estimated(
         yield method, estimator.estimate(frames[method.tilt_deg], detections)
 
 
-def _following(tracks: Tracks, places: NDArray[np.intp]) -> NDArray[np.intp]:
-    """For each box in `places` the row of the plausible track that took it in this frame; -1 where none did."""
+def _tracks_of(boxes: NDArray[np.intp], tracks: Tracks) -> NDArray[np.intp]:
+    """For each box the row of the plausible track that took it in this frame; -1 where none did."""
     is_following = tracks.is_plausible & (tracks.detections >= 0)
     row_of = dict(zip(tracks.detections[is_following].tolist(), np.flatnonzero(is_following).tolist(), strict=True))
-    return np.array([row_of.get(place, -1) for place in places.tolist()], np.intp)
+    return np.array([row_of.get(box, -1) for box in boxes.tolist()], np.intp)
 
 
-def _joined(pairs: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+def _joined(parts: Sequence[Estimates]) -> Estimates:
     """Ranges and sigmas of all images, one after another."""
-    return (
-        np.concatenate([np.zeros(0), *(one for one, _ in pairs)]),
-        np.concatenate([np.zeros(0), *(one for _, one in pairs)]),
-    )
+    ranges_m, sigmas_m = zip((np.zeros(0), np.zeros(0)), *parts, strict=True)
+    return np.concatenate(ranges_m), np.concatenate(sigmas_m)
 
 
 def _series(
     lights: Sequence[RangedLight], ranges_m: Mapping[Method, Floats]
 ) -> Iterator[tuple[tuple[str, Method], Floats]]:
-    """The series of every main method, light by light; the labels' instances are the tracks."""
+    """The ranges of each light's latest five frames as one, by every method; the labels' instances are the tracks."""
     keys = np.array([(light.sequence_id, light.instance_id) for light in lights], np.int64).reshape(-1, 2)
     image_ids = np.array([light.image_id for light in lights], np.int64)
     _, track_of = np.unique(keys, axis=0, return_inverse=True)
     tracks = [np.flatnonzero(track_of == track) for track in range(int(track_of.max(initial=-1)) + 1)]
     for method, ranges in ranges_m.items():
-        if method.tilt_deg:
-            continue
-        for name, reduce in SERIES.items():
+        for name, reduce in () if method.tilt_deg else SERIES.items():
             series = np.full(len(lights), np.nan)
-            for places in tracks:
-                series[places] = over_frames(image_ids[places], ranges[places], reduce)
+            for track in tracks:
+                series[track] = over_frames(image_ids[track], ranges[track], reduce)
             yield (name, method), series

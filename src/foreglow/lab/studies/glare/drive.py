@@ -1,24 +1,42 @@
 """What a drive with headlamps was like: the light at other drivers' eyes and on the road, and what each policy shone.
 
 Light is linear in the levels of the LEDs. For each frame it is enough to know what the low beam gives, and what each
-LED gives at level 1, everything in between accounted for; the light of any levels follows.
+LED gives at level 1, everything in between accounted for; the light of any levels follows:
+
+    E = E_low + sum over the LEDs of level * E_LED        lux, level from 0 to 1
+
+A drive is stored as one .npz file: arrays by name, and all else as JSON in an array of bytes called `about`.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foreglow.datasets.images import NPY_ERRORS
+from foreglow.datasets.json_files import Record, parse_json
+from foreglow.files import open_atomic
 from foreglow.geometry import Floats
 
 AREAS = ("own lane", "verge")
 """What the light on the road is measured on, 40 to 120 m ahead: the order of the areas in `RoadLight`."""
+
+FORMAT = 1
+"""Of the files of drives; a higher number means that earlier files can no longer be read."""
+
+_EYE_ARRAYS = ("ranges_m", "azimuths_rad", "is_in_sight", "base_lx", "leds_lx")
+_ROAD_ARRAYS = ("base_lx", "leds_lx")
+_RUN_ARRAYS = ("levels", "gaps_rad", "num_gaps")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,11 +152,12 @@ class PolicyRun:
         levels = np.asarray(levels)
         if gaps_rad is None:
             gaps_rad = [()] * len(levels)
-        gaps = [np.asarray(one, np.float64).reshape(-1, 2) for one in gaps_rad]
-        padded = np.full((len(gaps), max((len(one) for one in gaps), default=0), 2), math.nan)
-        for row, one in zip(padded, gaps, strict=True):
-            row[: len(one)] = one
-        return cls(name, levels, padded, np.array([len(one) for one in gaps], np.int64))
+        gaps = [np.asarray(of_frame, np.float64).reshape(-1, 2) for of_frame in gaps_rad]
+        num_gaps = np.array([len(of_frame) for of_frame in gaps], np.int64)
+        padded = np.full((len(gaps), num_gaps.max(initial=0), 2), math.nan)
+        for row, of_frame in zip(padded, gaps, strict=True):
+            row[: len(of_frame)] = of_frame
+        return cls(name, levels, padded, num_gaps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +170,7 @@ class GlareDrive:
         rate_hz: Frames a second.
         times_s: Shape (T,), growing, from the first frame on.
         speeds_mps: Shape (T,), of our vehicle; NaN where unknown.
-        eyes: One an other driver, ids differ.
+        eyes: One for each other driver; their ids differ.
         road: The light on the road.
         runs: What was shone, by the policy's name.
         light_s: By vehicle id, when its first light is labelled, be it a reflection; without entry, never.
@@ -182,21 +201,21 @@ class GlareDrive:
             raise ValueError(f"GlareDrive.rate_hz: expected a positive number, got {self.rate_hz}")
         shape = (num_frames, 2, self.num_leds)
         parts = [("road", self.road.leds_lx[:, 0].shape)]
-        parts += [(f"eyes: vehicle {one.vehicle_id}", one.leds_lx.shape) for one in self.eyes]
-        parts += [(f"runs: {name}", one.levels.shape) for name, one in self.runs.items()]
-        for what, its_shape in parts:
-            if its_shape != shape:
-                raise ValueError(f"GlareDrive.{what}: expected frames, lamps and LEDs {shape}, got {its_shape}")
+        parts += [(f"eyes: vehicle {eye.vehicle_id}", eye.leds_lx.shape) for eye in self.eyes]
+        parts += [(f"runs: {name}", run.levels.shape) for name, run in self.runs.items()]
+        for what, found in parts:
+            if found != shape:
+                raise ValueError(f"GlareDrive.{what}: expected frames, lamps and LEDs {shape}, got {found}")
         if not np.isfinite(list(self.light_s.values())).all():
             raise ValueError("GlareDrive.light_s: expected finite times, no entry for a vehicle that is never seen")
-        ids = [one.vehicle_id for one in self.eyes]
+        ids = [eye.vehicle_id for eye in self.eyes]
         if len(set(ids)) < len(ids):
             raise ValueError(f"GlareDrive.eyes: expected each vehicle once, got {ids}")
         for name, run in self.runs.items():
             if run.name != name:
                 raise ValueError(f"GlareDrive.runs: expected {name!r} to be called that, its name is {run.name!r}")
-        for light in ("runs", "light_s", "pictures"):
-            object.__setattr__(self, light, MappingProxyType(dict(getattr(self, light))))
+        for name in ("runs", "light_s", "pictures"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         object.__setattr__(self, "eyes", tuple(self.eyes))
 
     @property
@@ -210,10 +229,122 @@ class GlareDrive:
         Raises:
             ValueError: If there is no such vehicle.
         """
-        for one in self.eyes:
-            if one.vehicle_id == vehicle_id:
-                return one
+        for eye in self.eyes:
+            if eye.vehicle_id == vehicle_id:
+                return eye
         raise ValueError(f"drive {self.name}: no eye of vehicle {vehicle_id}")
+
+
+class _Eye(Record):
+    vehicle_id: int
+    kind: str
+    is_oncoming: bool
+
+
+class _About(Record):
+    format: int
+    name: str
+    scenario: str
+    rate_hz: float
+    eyes: tuple[_Eye, ...]
+    runs: tuple[str, ...]
+    light_s: dict[str, float]
+    pictures: dict[str, str]
+
+
+def write_glare_drive(path: Path, drive: GlareDrive) -> None:
+    """Writes `drive` to `path`, whole or not at all; `read_glare_drive` reads it back equal.
+
+    Raises:
+        OSError: If it cannot be written; `path` is then as it was before.
+    """
+    about = {
+        "format": FORMAT,
+        "name": drive.name,
+        "scenario": drive.scenario,
+        "rate_hz": drive.rate_hz,
+        "eyes": [{name: getattr(eye, name) for name in _Eye.model_fields} for eye in drive.eyes],
+        "runs": list(drive.runs),
+        "light_s": {str(vehicle_id): float(time_s) for vehicle_id, time_s in drive.light_s.items()},
+        "pictures": dict(drive.pictures),
+    }
+    text = json.dumps(about, allow_nan=False).encode()
+    arrays: dict[str, NDArray[Any]] = {"about": np.frombuffer(text, np.uint8)}
+    arrays |= {"times_s": drive.times_s, "speeds_mps": drive.speeds_mps}
+    arrays |= {f"road.{name}": getattr(drive.road, name) for name in _ROAD_ARRAYS}
+    for index, eye in enumerate(drive.eyes):
+        arrays |= {f"eyes.{index}.{name}": getattr(eye, name) for name in _EYE_ARRAYS}
+    for index, run in enumerate(drive.runs.values()):
+        arrays |= {f"runs.{index}.{name}": getattr(run, name) for name in _RUN_ARRAYS}
+    with open_atomic(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def read_glare_drive(path: Path) -> GlareDrive:
+    """The drive in the file at `path`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a whole file of a drive; the message names the path, the field and what was expected.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    arrays = _arrays(path)
+    about = parse_json(_array(arrays, "about", path).tobytes(), _About, f"{path}: about")
+    if about.format != FORMAT:
+        raise ValueError(f"{path}: about.format: expected {FORMAT}, got {about.format}")
+
+    def part(prefix: str, names: tuple[str, ...]) -> dict[str, Any]:
+        return {name: _array(arrays, f"{prefix}.{name}", path) for name in names}
+
+    try:
+        eyes = (
+            DriverEye(eye.vehicle_id, eye.kind, eye.is_oncoming, **part(f"eyes.{index}", _EYE_ARRAYS))
+            for index, eye in enumerate(about.eyes)
+        )
+        return GlareDrive(
+            name=about.name,
+            scenario=about.scenario,
+            rate_hz=about.rate_hz,
+            times_s=_array(arrays, "times_s", path),
+            speeds_mps=_array(arrays, "speeds_mps", path),
+            eyes=tuple(eyes),
+            road=RoadLight(**part("road", _ROAD_ARRAYS)),
+            runs={name: PolicyRun(name, **part(f"runs.{index}", _RUN_ARRAYS)) for index, name in enumerate(about.runs)},
+            light_s={_vehicle_id(key): time_s for key, time_s in about.light_s.items()},
+            pictures=about.pictures,
+        )
+    except ValueError as error:
+        reason = str(error)
+        raise ValueError(reason if reason.startswith(str(path)) else f"{path}: {reason}") from None
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                raise ValueError("it holds one array, not an archive of arrays")
+            with loaded:
+                return {name: loaded[name] for name in loaded.files}
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, *NPY_ERRORS) as error:  # RuntimeError: an unknown compression
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{path}: expected a whole .npz file of a drive: {reason}") from error
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _array(arrays: dict[str, NDArray[Any]], name: str, path: Path) -> NDArray[Any]:
+    if name not in arrays:
+        raise ValueError(f"{path}: {name}: expected an array, there is none")
+    return arrays[name]
+
+
+def _vehicle_id(key: str) -> int:
+    try:
+        return int(key)
+    except ValueError:
+        raise ValueError(f"about.light_s: expected vehicle ids, got {key!r}") from None
 
 
 def _shone_lx(base_lx: Floats, leds_lx: NDArray[np.float32], levels: ArrayLike) -> Floats:
@@ -227,7 +358,7 @@ def _keep(owner: Any, name: str, dtype: type[np.generic], shape: tuple[int | Non
     array: NDArray[Any] = np.asarray(getattr(owner, name))
     label = f"{type(owner).__name__}.{name}"
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
-        words = ", ".join("any" if one is None else str(one) for one in shape)
+        words = ", ".join("any" if length is None else str(length) for length in shape)
         raise ValueError(f"{label}: expected shape ({words}), got {array.shape}")
     if array.dtype.kind not in ("b" if dtype is np.bool_ else "fiu"):
         raise ValueError(f"{label}: expected {np.dtype(dtype).name}, got {array.dtype}")

@@ -1,22 +1,22 @@
-"""The figures of the glare experiment."""
+"""The figures of the glare experiment. All of them raise ModuleNotFoundError if matplotlib is not installed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
-from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREY, INK, PALE, png, subplots
-from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.eyes import BINS
-from foreglow.lab.studies.glare.limits import LIMITS
-from foreglow.lab.studies.glare.results import DriveScore, GlareResults, SensitivityPoint
+from foreglow.lab.evaluation.ratios import ratio
+from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
+from foreglow.lab.studies.glare.drive import AREAS, DriverEye, GlareDrive, PolicyRun
+from foreglow.lab.studies.glare.metrics import BINS, LIMITS
+from foreglow.lab.studies.glare.scores import DriveScore, GlareResults, SensitivityPoint
 
-GREEN, PURPLE, LIT, DARK = "#2c9c4b", "#9a4c8f", "#fdf0c8", "#4a4f5c"
+PURPLE, RED, LIT, DARK = "#9a4c8f", "#e0403a", "#fdf0c8", "#4a4f5c"
 COLOURS = {"low": GREY, "high": "#e3c02f", "production": AMBER, "paper": BLUE, "foreglow": GREEN, "oracle": PURPLE}
 OTHERS = ("#b3651a", "#5f9ea0", "#c0587e", "#7a7a2c")
 WORDS = {
@@ -28,34 +28,25 @@ WORDS = {
     "oracle": "oracle",
 }
 FEWEST_LX = 0.01
-README_WIDTH_PX = 900
-TIGHT = {"handlelength": 1.6, "columnspacing": 1.3}
+README_WIDTH_IN = 900 / DPI
 
 
-def lux_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str]) -> bytes:
+def lux_figure(
+    drive: GlareDrive,
+    vehicle_id: int,
+    policies: Sequence[str],
+    width_in: float = 9.0,
+    height_in: float = 4.2,
+    font_size: float = 9.0,
+) -> bytes:
     """Light at one other driver's eye over time, each policy a line, limits dotted; shaded above the first.
 
     Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
         ValueError: If the drive has no such vehicle.
     """
-    figure, (axes,) = subplots(1, width_in=9.0, height_in=4.2)
+    figure, (axes,) = subplots(1, width_in, height_in)
     _draw_lux(axes, drive, drive.eye(vehicle_id), policies)
-    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + len(LIMITS), fontsize=9, **TIGHT)
-    return png(figure)
-
-
-def readme_figure(drive: GlareDrive, vehicle_id: int) -> bytes:
-    """The same for the README, 900 px wide: low beam, production, the paper's and our policy.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-        ValueError: If the drive has no such vehicle.
-    """
-    policies = [name for name in ("low", "production", "paper", "foreglow") if name in drive.runs]
-    figure, (axes,) = subplots(1, width_in=README_WIDTH_PX / DPI, height_in=3.5)
-    _draw_lux(axes, drive, drive.eye(vehicle_id), policies)
-    figure.legend(frameon=False, loc="outside upper center", ncols=len(policies) + len(LIMITS), fontsize=8, **TIGHT)
+    legend_above(figure, axes, fontsize=font_size, handlelength=1.6, columnspacing=1.3)
     return png(figure)
 
 
@@ -63,7 +54,6 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
     """The dark gaps over time beside the vehicle's azimuth, a panel for each policy.
 
     Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
         ValueError: If the drive has no such vehicle.
     """
     from matplotlib.collections import PolyCollection
@@ -72,98 +62,80 @@ def corridor_figure(drive: GlareDrive, vehicle_id: int, policies: Sequence[str])
     figure, panels = subplots(len(policies), width_in=max(2.6, 9.0 / max(len(policies), 1)), height_in=4.4)
     zero_s, (begin_s, end_s) = _zero_s(drive, eye), _shown_s(drive, eye)
     times_s = drive.times_s - zero_s
-    for panel, name in zip(panels, policies, strict=True):
-        panel.set_facecolor(LIT)
+    for axes, name in zip(panels, policies, strict=True):
+        axes.set_facecolor(LIT)
         dark = PolyCollection(
             _dark_areas(drive, drive.runs[name], zero_s), facecolor=DARK, edgecolor=DARK, linewidth=0.4
         )
-        panel.add_collection(dark)
+        axes.add_collection(dark)
         angles_deg = np.degrees(eye.azimuths_rad)
-        panel.plot(angles_deg, times_s, color="#e0403a", linewidth=1.0, linestyle=(0, (4, 3)))
-        panel.plot(np.where(eye.is_in_sight, angles_deg, math.nan), times_s, color="#e0403a", linewidth=3.0)
-        panel.set(title=_words(name), xlim=_angle_limits(eye), ylim=(end_s - zero_s, begin_s - zero_s))
-        panel.title.set_fontsize(10)
+        axes.plot(angles_deg, times_s, color=RED, linewidth=1.0, linestyle=(0, (4, 3)))
+        axes.plot(np.where(eye.is_in_sight, angles_deg, math.nan), times_s, color=RED, linewidth=3.0)
+        axes.set(title=_words(name), xlim=_angle_limits(eye), ylim=(end_s - zero_s, begin_s - zero_s))
+        axes.title.set_fontsize(10)
         for time_s, words in _events(drive, eye):
-            panel.axhline(time_s, color=INK, linewidth=0.8, linestyle=":")
-            if panel is panels[0]:
-                panel.text(0.02, time_s, words, transform=panel.get_yaxis_transform(), fontsize=8, va="bottom")
-        panel.set_xlabel("azimuth, degrees")
+            axes.axhline(time_s, color=INK, linewidth=0.8, linestyle=":")
+            if axes is panels[0]:
+                axes.text(0.02, time_s, words, transform=axes.get_yaxis_transform(), fontsize=8, va="bottom")
+        axes.set_xlabel("azimuth, degrees")
     panels[0].set_ylabel("seconds from first sight")
-    for panel in panels[1:]:
-        panel.tick_params(labelleft=False)
+    for axes in panels[1:]:
+        axes.tick_params(labelleft=False)
     return png(figure)
 
 
 def box_figure(results: GlareResults) -> bytes:
-    """Box plots by policy: dose, first glare moment and road light.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
-    values: dict[str, Callable[[DriveScore], Sequence[float]]] = {
-        "dose of oncoming drivers\nin a drive, lx s": lambda one: (
-            [one.dose_lxs(is_oncoming=True)] * bool(one.of_group(is_oncoming=True))
-        ),
-        "first glare moment of an\noncoming driver, s": lambda one: [
-            eye.first_glare_s for eye in one.of_group(is_oncoming=True)
-        ],
-        "own lane's light while a vehicle\nis present, share of full beam": lambda one: _shares(one, 0),
-        "verge's light while a vehicle\nis present, share of full beam": lambda one: _shares(one, 1),
-    }
-    names = [one.name for one in results.policies]
-    figure, panels = subplots(len(values), width_in=3.3, height_in=3.8)
-    for panel, (title, values_of) in zip(panels, values.items(), strict=True):
-        columns = []
-        for policy in results.policies:
-            found = np.array([value for drive in policy.drives for value in values_of(drive)], np.float64)
-            columns.append(found[~np.isnan(found)])
-        drawn = panel.boxplot(
-            columns, widths=0.55, whis=(5, 95), showfliers=False, patch_artist=True, medianprops={"color": INK}
-        )
-        for place, (patch, name, column) in enumerate(zip(drawn["boxes"], names, columns, strict=True), start=1):
-            patch.set(facecolor=_colour(name, names), alpha=0.45, linewidth=0.8)
-            spread = np.random.default_rng(place).uniform(-0.16, 0.16, len(column))
-            panel.scatter(place + spread, column, s=7, color=_colour(name, names), linewidths=0, alpha=0.8)
-        panel.set_title(title, fontsize=10)
-        panel.set_xticks(range(1, len(names) + 1), [_words(one) for one in names], rotation=35, ha="right")
+    """Box plots by policy: dose, first glare moment and road light."""
+    figure, panels = subplots(4, width_in=3.3, height_in=3.8)
+    titles = (
+        "dose of oncoming drivers\nin a drive, lx s",
+        "first glare moment of an\noncoming driver, s",
+        "own lane's light while a vehicle\nis present, share of full beam",
+        "verge's light while a vehicle\nis present, share of full beam",
+    )
+    names = [policy.name for policy in results.policies]
+    for index, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+        values = [[value for drive in policy.drives for value in _values(drive)[index]] for policy in results.policies]
+        columns = [np.array([value for value in column if not math.isnan(value)]) for column in values]
+        colours = [_colour(name, names) for name in names]
+        box_plot(axes, columns, colours, alpha=0.45, linewidth=0.8, widths=0.55, whis=(5, 95))
+        for position, (colour, column) in enumerate(zip(colours, columns, strict=True), start=1):
+            spread = np.random.default_rng(position).uniform(-0.16, 0.16, len(column))
+            axes.scatter(position + spread, column, s=7, color=colour, linewidths=0, alpha=0.8)
+        axes.set_title(title, fontsize=10)
+        axes.set_xticks(range(1, len(names) + 1), [_words(name) for name in names], rotation=35, ha="right")
     _dose_scale(panels[0])
-    for panel in panels[2:]:
-        panel.set_ylim(0.0, 1.04)
+    for axes in panels[2:]:
+        axes.set_ylim(0.0, 1.04)
     return png(figure)
 
 
-def _shares(drive: DriveScore, area: int) -> list[float]:
-    full_lxs = drive.present.full_lxs[area]
-    return [drive.present.kept_lxs[area] / full_lxs] if full_lxs > 0 else []
+def _values(drive: DriveScore) -> tuple[Sequence[float], ...]:
+    """Of the four panels of `box_figure`."""
+    met, light = drive.of_group(is_oncoming=True), drive.present
+    kept = [[ratio(light.kept_lxs[area], light.full_lxs[area])] for area in range(len(AREAS))]
+    return [drive.dose_lxs(is_oncoming=True)] if met else [], [eye.first_glare_s for eye in met], *kept
 
 
 def bin_figure(results: GlareResults) -> bytes:
-    """Dose by range of the eye: oncoming drivers, and preceding ones where there are any.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
-    groups = [("oncoming drivers", [one.oncoming for one in results.policies])]
+    """Dose by range of the eye: oncoming drivers, and preceding ones where there are any."""
+    groups = [("oncoming drivers", [policy.oncoming for policy in results.policies])]
     if results.policies[0].preceding.num_eyes:
-        groups.append(("preceding drivers", [one.preceding for one in results.policies]))
-    names = [one.name for one in results.policies]
+        groups.append(("preceding drivers", [policy.preceding for policy in results.policies]))
+    names = [policy.name for policy in results.policies]
     figure, panels = subplots(len(groups), width_in=6.5, height_in=3.8)
     width = 0.84 / len(names)
-    for panel, (title, policies) in zip(panels, groups, strict=True):
-        for place, (name, group) in enumerate(zip(names, policies, strict=True)):
-            bins = group.bins[:-1]
-            shift = (place - (len(names) - 1) / 2) * width
-            doses = [one.glare.dose_lxs for one in bins]
-            panel.bar(np.arange(len(bins)) + shift, doses, 0.92 * width, color=_colour(name, names), label=_words(name))
-        bins = policies[0].bins[:-1]
-        panel.set_xticks(
-            range(len(bins)), [f"{one.name}\n{one.glare.in_sight_s:.0f} s in sight" for one in bins], fontsize=9
-        )
-        _dose_scale(panel)
-        panel.set_title(f"{title} ({policies[0].num_eyes})", fontsize=10)
+    for axes, (title, of_policies) in zip(panels, groups, strict=True):
+        for index, (name, group) in enumerate(zip(names, of_policies, strict=True)):
+            doses = [part.glare.dose_lxs for part in group.bins[:-1]]
+            positions = np.arange(len(doses)) + (index - (len(names) - 1) / 2) * width
+            axes.bar(positions, doses, 0.92 * width, color=_colour(name, names), label=_words(name))
+        labels = [f"{part.name}\n{part.glare.in_sight_s:.0f} s in sight" for part in of_policies[0].bins[:-1]]
+        axes.set_xticks(range(len(labels)), labels, fontsize=9)
+        _dose_scale(axes)
+        axes.set_title(f"{title} ({of_policies[0].num_eyes})", fontsize=10)
     panels[0].set_ylabel("dose above the limit, lx s")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, frameon=False, loc="outside upper center", ncols=len(names))
+    legend_above(figure, panels[0])
     return png(figure)
 
 
@@ -172,34 +144,26 @@ def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
 
     Args:
         points: All of one parameter.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
     """
     figure, panels = subplots(3, width_in=3.6, height_in=3.2)
-    names = list(dict.fromkeys(one.policy for one in points))
+    names = list(dict.fromkeys(point.policy for point in points))
     titles = {
         "dose_vs_production": "dose of oncoming drivers,\nshare of production's",
         "road_kept": "own lane's light while a vehicle\nis present, share of full beam",
         "wrong_per_minute": "wrong dimming a minute\nin drives without any vehicle",
     }
-    for panel, (field, title) in zip(panels, titles.items(), strict=True):
+    unit = f", {points[0].unit}" if points[0].unit else ""
+    for axes, (field, title) in zip(panels, titles.items(), strict=True):
         for name in names:
-            ones = sorted((one for one in points if one.policy == name), key=lambda one: one.value)
-            values = [one.value for one in ones]
-            colour = _colour(name, names)
-            panel.plot(
-                values, [getattr(one, field) for one in ones], color=colour, marker="o", ms=4, label=_words(name)
-            )
-        unit = f", {points[0].unit}" if points[0].unit else ""
-        panel.set(xlabel=f"{points[0].parameter}{unit}")
-        panel.set_title(title, fontsize=10)
-        known = [getattr(one, field) for one in points if math.isfinite(getattr(one, field))]
-        panel.set_ylim(0.0, 1.1 * max(known, default=1.0) or 1.0)
-        panel.grid(axis="y", color=PALE, linewidth=0.6)
+            curve = sorted((point.value, getattr(point, field)) for point in points if point.policy == name)
+            axes.plot(*zip(*curve, strict=True), color=_colour(name, names), marker="o", ms=4, label=_words(name))
+        axes.set(xlabel=f"{points[0].parameter}{unit}")
+        axes.set_title(title, fontsize=10)
+        known = [getattr(point, field) for point in points if math.isfinite(getattr(point, field))]
+        axes.set_ylim(0.0, 1.1 * max(known, default=1.0) or 1.0)
+        axes.grid(axis="y", color=PALE, linewidth=0.6)
     panels[1].set_ylim(0.0, 1.04)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, frameon=False, loc="outside upper center", ncols=max(len(names), 1))
+    legend_above(figure, panels[0])
     return png(figure)
 
 
@@ -221,11 +185,11 @@ def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, policies: Sequence[s
         )  # fmt: skip
         if name not in ("low", "high"):
             axes.fill_between(times_s, lux, limit_lx, where=lux > limit_lx, color=colour, alpha=0.15, linewidth=0)
-    for one, colour, style in zip(LIMITS, (INK, GREY), ("steps-mid", "default"), strict=True):
-        limit_lx = one.at(eye)
+    for limits, colour, style in zip(LIMITS, (INK, GREY), ("steps-mid", "default"), strict=True):
+        limit_lx = limits.at(eye)
         axes.plot(
             times_s, np.where(np.isfinite(limit_lx), limit_lx, math.nan), color=colour, linewidth=1.4,
-            linestyle=(0, (1, 1.4)), drawstyle=style, label=one.name,
+            linestyle=(0, (1, 1.4)), drawstyle=style, label=limits.name,
         )  # fmt: skip
     axes.set_yscale("log")
     axes.set(xlim=(begin_s - zero_s, end_s - zero_s), ylim=(FEWEST_LX, max(10.0, 2.0 * highest)))
@@ -247,8 +211,8 @@ def _range_axis(axes: Any, drive: GlareDrive, eye: DriverEye, zero_s: float, is_
     ticks: dict[float, str] = {}
     for edge_m in BINS.edges_m:
         is_beyond = eye.ranges_m[frames] >= edge_m
-        for place in np.flatnonzero(is_beyond[:-1] != is_beyond[1:])[:1]:
-            ticks[float(drive.times_s[frames[place]]) - zero_s] = f"{edge_m:g} m"
+        for crossing in np.flatnonzero(is_beyond[:-1] != is_beyond[1:])[:1]:
+            ticks[float(drive.times_s[frames[crossing]]) - zero_s] = f"{edge_m:g} m"
     above = axes.twiny()
     above.set(xlim=axes.get_xlim())
     above.set_xticks(list(ticks), list(ticks.values()), fontsize=8, color=GREY)
@@ -320,5 +284,5 @@ def _words(name: str) -> str:
 
 def _colour(name: str, names: Sequence[str]) -> str:
     """That of a policy; the same one in all figures."""
-    others = [one for one in names if one not in COLOURS]
+    others = [other for other in names if other not in COLOURS]
     return COLOURS.get(name) or OTHERS[others.index(name) % len(OTHERS)]

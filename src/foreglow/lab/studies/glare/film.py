@@ -30,8 +30,8 @@ def write_film(
     """Writes the MP4 file `path`: what each car's lamps shone in each frame, beside each other.
 
     Args:
-        frames: Of each moment, one `Shone` a car.
-        titles: One a car.
+        frames: For each moment, one `Shone` for each car.
+        titles: One for each car.
         headlamps: What shines.
         rate_hz: Frames a second.
         path: Appears when the film is whole.
@@ -46,7 +46,9 @@ def write_film(
         for moment in frames:
             tone = tone or Tone.of(moment[0].known.frame.image)
             movie.add(
-                np.hstack([_picture(one, title, (view, pen, tone)) for one, title in zip(moment, titles, strict=True)])
+                np.hstack(
+                    [_picture(shone, title, (view, pen, tone)) for shone, title in zip(moment, titles, strict=True)]
+                )
             )
         movie.close()
         with naming(path, in_place_of=partial):

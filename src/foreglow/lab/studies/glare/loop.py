@@ -16,18 +16,18 @@ from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
 from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats
+from foreglow.lab.evaluation.occurrence import is_coming
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam
 from foreglow.lab.simulation.labels.production import ProductionSystem
-from foreglow.lab.studies.occurrence.run import is_coming
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
 from foreglow.pipeline import Pipeline
 from foreglow.types import BeamCommand, FrameResult
 
 EXACT_MARGIN_DEG = 0.5
-"""Around a vehicle whose place is known; the paper's and our own policy have `BeamConfig.margin_deg`."""
+"""Margin of the gap around a vehicle whose position is known exactly; other policies have `BeamConfig.margin_deg`."""
 
 BODY_MARGIN_M = 0.3
-"""Beyond either side of such a vehicle's body."""
+"""Further margin on either side of such a vehicle's body."""
 
 REAR_REACH_M = 150.0
 """The modelled production system knows of a vehicle ahead up to this range, while its rear lamps are in sight."""
@@ -117,7 +117,7 @@ class PaperCar:
 
     def lit(self, known: DriveFrame, levels: Floats) -> Floats:
         """As `Car.lit`."""
-        return both(*self._production.levels(known), levels)
+        return both(*self._production.reported_levels(known), levels)
 
 
 def both(production: Floats, is_reporting: bool, provident: Floats) -> Floats:
@@ -125,7 +125,21 @@ def both(production: Floats, is_reporting: bool, provident: Floats) -> Floats:
     return production if is_reporting else np.minimum(production, provident)
 
 
-class ProductionCar:
+class ExactCar:
+    """Exact gaps, in this very frame, around vehicles whose positions are known: what no car can do."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._writer = GapWriter(config, headlamps)
+        self.gaps_rad = np.zeros((0, 2))
+
+    def levels(self, known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> Floats:
+        """Shape (2, L), in this frame, with gaps for `vehicles`."""
+        command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, vehicles))
+        self.gaps_rad = command.gaps_rad
+        return command.levels
+
+
+class ProductionCar(ExactCar):
     """The modelled production system's beam: exact gaps for the vehicles that it reports, and they count at once.
 
     Its latency is in its reports (`ProductionConfig.latency_s`, from camera to beam). It also knows of vehicles ahead
@@ -133,35 +147,18 @@ class ProductionCar:
     """
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
-        self._writer = GapWriter(config, headlamps)
+        super().__init__(config, headlamps)
         self._system = ProductionSystem()
-        self.gaps_rad = np.zeros((0, 2))
 
-    def levels(self, known: DriveFrame) -> tuple[Floats, bool]:
+    def reported_levels(self, known: DriveFrame) -> tuple[Floats, bool]:
         """Shape (2, L), in this frame, and whether a vehicle is reported."""
         reported = self._system.update(known.frame.timestamp_ns, known.vehicles)
-        seen = [one for one in known.vehicles if one.vehicle_id in reported or _is_followed(known, one)]
-        command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, seen))
-        self.gaps_rad = command.gaps_rad
-        return command.levels, bool(seen)
-
-
-class OracleCar:
-    """Exact gaps, in this very frame, for all vehicles whose driver sees our lamps."""
-
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
-        self._writer = GapWriter(config, headlamps)
-        self.gaps_rad = np.zeros((0, 2))
-
-    def levels(self, known: DriveFrame, in_sight: Sequence[VehicleTruth]) -> Floats:
-        """Shape (2, L), in this frame."""
-        command = self._writer.command(known.frame.timestamp_ns, exact_gaps(known, in_sight))
-        self.gaps_rad = command.gaps_rad
-        return command.levels
+        seen = [met for met in known.vehicles if met.vehicle_id in reported or _is_followed(known, met)]
+        return self.levels(known, seen), bool(seen)
 
 
 def paper_config(config: PipelineConfig) -> PipelineConfig:
-    """The same detector, with the paper's tracker and ground plane, and no beam stage of its own."""
+    """`config` with the paper's tracker and ground plane and without a beam stage; the detector stays."""
     return config.model_copy(
         update={
             "distance": DistanceConfig(),
@@ -189,12 +186,14 @@ def exact_gaps(known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> list[Gap]
     return gaps
 
 
-def closed_loop(scene: Scene, car: Car, delays: Delays, quality: str) -> Iterator[Shone]:
+def closed_loop(
+    scene: Scene, car: Car, delays: Delays, quality: str, headlamps: Headlamps | None = None
+) -> Iterator[Shone]:
     """Drives `scene` with the commands of `car` at the lamps, frame by frame.
 
     Commands go over the bus as CAN frames, to the lamps' receiver, which starts in low beam as in a car.
     """
-    drive = Drive(with_beam(scene, "matrix"), quality)
+    drive = Drive(with_beam(scene, "matrix"), quality, headlamps)
     encoder, receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
     camera_ns, lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
     on_the_way: deque[tuple[int, BeamCommand]] = deque()

@@ -1,233 +1,399 @@
-"""What beam policies are worth: glare of other drivers, light kept on the road, and dimming for nobody."""
+"""What one policy does in one drive: glare of other drivers, light kept on our own road, and dimming for nobody.
+
+    E(t)     illuminance at another driver's eye, lx
+    L(t)     limit at the range of that eye, lx; infinite where there is none
+    dose     integral of max(0, E - L) over time, lx s
+
+Frames have the same length, so integrals are sums over frames divided by their rate. Everything here is a sum that adds
+up over range bins, eyes and drives; `scores` divides only after adding.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from foreglow.lab.evaluation.bootstrap import percentile_interval, ratio
-from foreglow.lab.studies.glare.drive import GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.eyes import BINS, Glare, score_eye
-from foreglow.lab.studies.glare.limits import FMVSS_108, Limits
-from foreglow.lab.studies.glare.results import (
-    BinGlare,
-    DriveScore,
-    GlareResults,
-    GroupGlare,
-    Interval,
-    Moments,
-    PolicyScore,
-    RoadKept,
-    Smoothness,
-    WrongDimming,
-)
-from foreglow.lab.studies.glare.road import (
-    RESTORE_S,
-    Dimming,
-    PhaseLight,
-    Switching,
-    phase_light,
-    phases,
-    switching,
-    wrong_dimming,
-)
+from foreglow.geometry import Floats
+from foreglow.lab.evaluation.ratios import ratios
+from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun
+from foreglow.photometry.limits import FMVSS_ONCOMING, FMVSS_PRECEDING, UN_R123, Towards
 
-POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")
-"""The order of the rows; other names come after, as they are found."""
+BINS = FMVSS_ONCOMING
+"""Bins of the range to an eye, whatever the limits are."""
 
-PRODUCTION = "production"
-"""The policy that glare is set beside."""
+MORE_THAN_LOW = 1.05
+"""Light counts as more than the low beam's above this many times it: less is not the policy's doing."""
 
-ALL_BINS = "all"
-NUM_RESAMPLES = 2000
+SETTLED_S = 0.5
+"""Time without glare, seconds, after which the first glare moment is over."""
 
+RESTORE_S = 2.0
+"""Time, seconds, that full light may take to return after a vehicle has passed."""
 
-def score_glare(
-    name: str,
-    drives: Iterable[GlareDrive],
-    limits: Limits = FMVSS_108,
-    *,
-    restore_s: float = RESTORE_S,
-    seed: int = 0,
-) -> GlareResults:
-    """The figures of all policies of `drives`, which are read once, one after the other.
+AHEAD_S = 3.0
+"""Time before a vehicle's first labelled light, seconds, in which dimming is not yet wrong."""
 
-    Args:
-        name: What to call the set.
-        drives: All with runs of the same policies.
-        limits: For light at other drivers' eyes.
-        restore_s: Time that light has to return after a vehicle has passed.
-        seed: Of the bootstrap.
+MIN_SPEED_MPS = 32.0 / 3.6
+"""Below this speed low beam is asked for, and lost light is nobody's fault."""
 
-    Raises:
-        ValueError: If there is no drive, or one has other policies than the first.
-    """
-    scores: dict[str, list[DriveScore]] = {}
-    seconds = 0.0
-    for drive in drives:
-        if not scores:
-            scores = {policy: [] for policy in _ordered(drive.runs)}
-        if drive.runs.keys() != scores.keys():
-            raise ValueError(f"drive {drive.name}: expected runs of {', '.join(scores)}, got {', '.join(drive.runs)}")
-        for policy, run in drive.runs.items():
-            scores[policy].append(score_drive(drive, run, limits, restore_s))
-        seconds += len(drive.times_s) / drive.rate_hz
-    if not scores:
-        raise ValueError(f"{name}: expected at least one drive with runs of policies, found none")
-    pool = _Pool(scores.get(PRODUCTION), seed)
-    policies = tuple(pool.policy(policy, ones) for policy, ones in scores.items())
-    return GlareResults(name, limits.name, restore_s, seconds, policies)
+FULL_LEVEL = 0.99
+"""A lamp shines full beam if no LED is below."""
 
-
-def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 0.75)) -> tuple[str, ...]:
-    """Drives to look at that nobody picked: those at `shares` of the way from the least to the largest dose.
-
-    The dose is that of `production` at oncoming drivers (else of the first policy), of drives with an occluded approach
-    of one, or with any oncoming driver where there is no such drive; none without.
-    """
-    names = [one.name for one in results.policies]
-    drives = results.policy(PRODUCTION if PRODUCTION in names else names[0]).drives
-    met = [one for one in drives if one.of_group(is_oncoming=True)]
-    occluded = [one for one in met if any(eye.is_occluded for eye in one.of_group(is_oncoming=True))]
-    ordered = sorted(occluded or met, key=lambda one: (one.dose_lxs(is_oncoming=True), one.drive))
-    places = [round(share * (len(ordered) - 1)) for share in shares] if ordered else []
-    return tuple(dict.fromkeys(ordered[place].drive for place in places))
-
-
-def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits, restore_s: float = RESTORE_S) -> DriveScore:
-    """What one policy did on one drive."""
-    its_phases = phases(drive, restore_s)
-    return DriveScore(
-        drive=drive.name,
-        scenario=drive.scenario,
-        is_empty=not drive.eyes and not drive.light_s,
-        eyes=tuple(score_eye(drive, eye, run.levels, limits) for eye in drive.eyes),
-        present=phase_light(drive, run, its_phases.is_present),
-        passed=phase_light(drive, run, its_phases.is_passed),
-        switching=switching(drive, run),
-        dimming=wrong_dimming(drive, run, its_phases.is_free),
-    )
+JUMP = 0.1
+"""A change of the road's light from one frame to the next that is seen, as a share of full beam."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Pool:
-    """Adds up drives, beside those of the production system."""
+class Limit:
+    """How much light may reach some drivers' eyes, by their range.
 
-    production: Sequence[DriveScore] | None
-    seed: int
+    Attributes:
+        at_lx: From ranges, metres, to the most light, lux; infinite where there is no limit, and for NaN.
+        reach_m: The ranges between which there is a limit.
+    """
 
-    def policy(self, name: str, drives: Sequence[DriveScore]) -> PolicyScore:
-        return PolicyScore(
-            name=name,
-            oncoming=self._group(drives, is_oncoming=True),
-            preceding=self._group(drives, is_oncoming=False),
-            present=self._road([one.present for one in drives]),
-            passed=self._road([one.passed for one in drives]),
-            smoothness=_smoothness([one.switching for one in drives]),
-            empty=self._dimming([one.dimming for one in drives if one.is_empty]),
-            between=self._dimming([one.dimming for one in drives if not one.is_empty]),
-            drives=tuple(drives),
-        )
-
-    def _group(self, drives: Sequence[DriveScore], *, is_oncoming: bool) -> GroupGlare:
-        eyes = [eye for drive in drives for eye in drive.of_group(is_oncoming)]
-        doses = np.array([_doses(drive, is_oncoming) for drive in drives])
-        produced = np.full_like(doses, math.nan)
-        if self.production is not None:
-            produced = np.array([_doses(drive, is_oncoming) for drive in self.production])
-        bins = []
-        for place, bin_name in enumerate(BINS.bin_names):
-            glare = _sum([eye.bins[place] for eye in eyes])
-            bins.append(_bin(bin_name, glare, float(produced[:, place, 0].sum())))
-        glare = _sum([one.glare for one in bins])
-        bins.append(_bin(ALL_BINS, glare, float(produced[:, :, 0].sum())))
-        own, low = doses.sum(axis=1).T
-        occluded = [eye for eye in eyes if eye.is_occluded]
-        return GroupGlare(
-            num_eyes=len(eyes),
-            bins=tuple(bins),
-            dose_vs_production=self._ratio(own, produced[:, :, 0].sum(axis=1)),
-            dose_vs_low=self._ratio(own, low),
-            first=Moments.of(eye.first_glare_s for eye in eyes),
-            first_occluded=Moments.of(eye.first_glare_s for eye in occluded),
-            first_anywhere=Moments.of(eye.first_glare_anywhere_s for eye in eyes),
-            first_anywhere_occluded=Moments.of(eye.first_glare_anywhere_s for eye in occluded),
-        )
-
-    def _road(self, drives: Sequence[PhaseLight]) -> RoadKept:
-        kept, full, low = (
-            np.array([getattr(one, name) for one in drives]).reshape(-1, 2)
-            for name in ("kept_lxs", "full_lxs", "low_lxs")
-        )
-        low_lane, low_verge = (_divided(*one) for one in zip(low.sum(axis=0), full.sum(axis=0), strict=True))
-        return RoadKept(
-            seconds=math.fsum(one.seconds for one in drives),
-            own_lane=self._ratio(kept[:, 0], full[:, 0]),
-            verge=self._ratio(kept[:, 1], full[:, 1]),
-            low_own_lane=low_lane,
-            low_verge=low_verge,
-        )
-
-    def _dimming(self, drives: Sequence[Dimming]) -> WrongDimming:
-        seconds = np.array([one.seconds for one in drives])
-        events = np.array([float(one.num_events) for one in drives])
-        dimmed_s = math.fsum(one.dimmed_s for one in drives)
-        return WrongDimming(
-            minutes=float(seconds.sum() / 60.0),
-            num_events=int(events.sum()),
-            events_per_minute=self._ratio(events, seconds / 60.0),
-            dimmed_share=_divided(dimmed_s, math.fsum(one.seconds for one in drives)),
-            area_dimmed=_divided(math.fsum(one.leds_off_s for one in drives), dimmed_s),
-            road_dimmed=_divided(math.fsum(one.road_lost_s for one in drives), dimmed_s),
-        )
-
-    def _ratio(self, parts: NDArray[np.float64], wholes: NDArray[np.float64]) -> Interval:
-        """Sum over sum, drive by drive, shape (S,) each."""
-        counts = np.stack([parts, wholes], axis=1)
-        low, high = percentile_interval(counts, ratio, num_resamples=NUM_RESAMPLES, seed=self.seed)
-        return Interval(_divided(float(parts.sum()), float(wholes.sum())), low, high)
+    at_lx: Callable[[Floats], Floats]
+    reach_m: tuple[float, float]
 
 
-def _doses(drive: DriveScore, is_oncoming: bool) -> NDArray[np.float64]:
-    """Shape (B, 2): by bin, the dose of the policy and of the low beam alone."""
-    doses = [[(one.dose_lxs, one.low_dose_lxs) for one in eye.bins] for eye in drive.of_group(is_oncoming)]
-    return np.asarray(np.array(doses, np.float64).reshape(-1, len(BINS.bin_names), 2).sum(axis=0))
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much light may reach other drivers' eyes.
+
+    Attributes:
+        name: What they are from.
+        oncoming: For drivers who come towards us.
+        preceding: For drivers whom we follow, at their mirrors.
+    """
+
+    name: str
+    oncoming: Limit
+    preceding: Limit
+
+    def at(self, eye: DriverEye) -> Floats:
+        """Shape (T,): the limit for `eye` at each frame; infinite where there is none."""
+        return self._of(eye).at_lx(eye.ranges_m)
+
+    def extended(self, eye: DriverEye) -> Floats:
+        """Shape (T,): the limit for `eye`; beyond its reach, that of the nearest range which has one."""
+        limit = self._of(eye)
+        return limit.at_lx(np.clip(eye.ranges_m, *limit.reach_m))
+
+    def _of(self, eye: DriverEye) -> Limit:
+        return self.oncoming if eye.is_oncoming else self.preceding
 
 
-def _bin(name: str, glare: Glare, production_lxs: float) -> BinGlare:
-    return BinGlare(
-        name=name,
-        glare=glare,
-        above_share=_divided(glare.above_s, glare.in_sight_s),
-        over_low_lxs=glare.dose_lxs - glare.low_dose_lxs,
-        vs_production=_divided(glare.dose_lxs, production_lxs),
+def _interpolated(towards: Towards) -> Limit:
+    """UN R123's limit of two lamps: linear between the distances that its table names.
+
+    Of two limits at one distance the lower is taken, since the notes do not say where each of them holds.
+    """
+    limits_lx: dict[float, float] = {}
+    for entry in UN_R123:
+        if entry.towards == towards:
+            limits_lx[entry.distance_m] = min(entry.illuminance_lx(), limits_lx.get(entry.distance_m, math.inf))
+    distances_m = sorted(limits_lx)
+    reach_m = distances_m[0], distances_m[-1]
+
+    def at_lx(ranges_m: Floats) -> Floats:
+        has_limit = (ranges_m >= reach_m[0]) & (ranges_m <= reach_m[1])
+        return np.where(has_limit, np.interp(ranges_m, distances_m, [limits_lx[m] for m in distances_m]), math.inf)
+
+    return Limit(at_lx, reach_m)
+
+
+FMVSS_108 = Limits(
+    "FMVSS 108",
+    *(Limit(steps.at, (steps.edges_m[0], steps.edges_m[-1])) for steps in (FMVSS_ONCOMING, FMVSS_PRECEDING)),
+)
+"""Steps by range. Beyond 220 m, for preceding drivers beyond 100 m, and nearer than 15 m there is no limit."""
+
+R123 = Limits("UN R123", _interpolated("oncoming"), _interpolated("preceding"))
+"""The table limits the intensity of a lamp towards drivers 50, 100 and 200 m away. Here it is the illuminance of two
+such lamps, wherever the driver is at these ranges, and linear in between: both are a reading of ours."""
+
+LIMITS = (FMVSS_108, R123)
+
+
+@dataclass(frozen=True, slots=True)
+class Glare:
+    """Glare while an eye is in one range bin. It adds up over bins, eyes and drives: each second weighs the same.
+
+    Attributes:
+        in_sight_s: Time in the bin with at least one of our lamps in sight, whatever is shone.
+        above_s: Time above the limit. Its share of `in_sight_s` says nothing about how far above.
+        dose_lxs: Integral of max(0, E - limit), lux-seconds. A short flash of full beam can weigh as much as a minute
+            slightly above: read it beside `above_s`.
+        added_lxs: Integral of what the LEDs add to the low beam, while the whole is above the limit. Where the low beam
+            alone is above, this is all that a policy can answer for.
+        low_dose_lxs: The dose of the low beam alone, which no policy can go below.
+    """
+
+    in_sight_s: float
+    above_s: float
+    dose_lxs: float
+    added_lxs: float
+    low_dose_lxs: float
+
+
+@dataclass(frozen=True, slots=True)
+class EyeScore:
+    """What one policy did to one other driver.
+
+    Attributes:
+        vehicle_id: The vehicle.
+        kind: What it is.
+        is_oncoming: Whether it comes towards us.
+        lead_s: From its first labelled light to the first sight of us; positive in an occluded approach, NaN without
+            either. Light is labelled in our camera's images, sight is from the eye to our lamps: on an open road they
+            may differ by a frame, so a lead of one frame says little.
+        bins: Glare by range, see `BINS`.
+        first_glare_s: First glare moment, see `first_glare_s`, from the first sight within the reach of the limits;
+            NaN without, or where the eye is in it from the drive's first frame: then the first sight was not seen.
+        first_glare_anywhere_s: The first glare moment from the first sight at any range, with the limits continued
+            beyond their reach (`Limits.extended`): otherwise, to come into sight far away would count as dark.
+    """
+
+    vehicle_id: int
+    kind: str
+    is_oncoming: bool
+    lead_s: float
+    bins: tuple[Glare, ...]
+    first_glare_s: float
+    first_glare_anywhere_s: float
+
+    @property
+    def is_occluded(self) -> bool:
+        """Whether its light was labelled before it could see us."""
+        return self.lead_s > 0
+
+    @property
+    def dose_lxs(self) -> float:
+        """The dose in all bins together."""
+        return sum(glare.dose_lxs for glare in self.bins)
+
+
+def score_eye(drive: GlareDrive, eye: DriverEye, levels: ArrayLike, limits: Limits) -> EyeScore:
+    """The glare of `eye` when the lamps shine `levels`, shape (T, 2, L)."""
+    lux, low_lx, limit_lx = eye.illuminance_lx(levels), eye.base_lx, limits.at(eye)
+    bin_of_frame = BINS.bins(eye.ranges_m)
+    bins = tuple(
+        _glare(lux, low_lx, limit_lx, eye, bin_of_frame == index, drive.rate_hz) for index in range(len(BINS.bin_names))
+    )
+    sights = np.flatnonzero(eye.is_in_sight)
+    sights_in_reach = np.flatnonzero(eye.is_in_sight & np.isfinite(limit_lx))
+    sight_s = drive.times_s[sights[0]] if len(sights) else math.nan
+    return EyeScore(
+        vehicle_id=eye.vehicle_id,
+        kind=eye.kind,
+        is_oncoming=eye.is_oncoming,
+        lead_s=float(sight_s - drive.light_s.get(eye.vehicle_id, math.nan)),
+        bins=bins,
+        first_glare_s=first_glare_s(lux, low_lx, limit_lx, sights_in_reach, drive.rate_hz),
+        first_glare_anywhere_s=first_glare_s(lux, low_lx, limits.extended(eye), sights, drive.rate_hz),
     )
 
 
-def _sum(glares: Sequence[Glare]) -> Glare:
-    return Glare(*(math.fsum(getattr(one, field.name) for one in glares) for field in dataclasses.fields(Glare)))
+def first_glare_s(lux: Floats, low_lx: Floats, limit_lx: Floats, sights: NDArray[np.intp], rate_hz: float) -> float:
+    """Time with glare from the first of `sights` on, until there is none for `SETTLED_S`; 0 where it starts dark.
+
+    Glare is light above the limit and above `MORE_THAN_LOW` times the low beam. That the first 0.5 s have to be dark,
+    not the first frame alone, is for eyes that see one lamp before the other, or a lamp's edge at first.
+
+    Args:
+        lux: Shape (T,), at the eye.
+        low_lx: Shape (T,), of the low beam alone.
+        limit_lx: Shape (T,).
+        sights: The frames in which the eye sees us.
+        rate_hz: Frames a second.
+
+    Returns:
+        Seconds; NaN where the eye never sees us, or does so in the first frame.
+
+    >>> lux = np.array([0.0, 2, 2, 0, 0, 0, 2])
+    >>> first_glare_s(lux, 0 * lux, 0 * lux + 1, np.array([1, 2, 6]), rate_hz=4.0)
+    0.5
+    """
+    if not len(sights) or sights[0] == 0:
+        return math.nan
+    is_glare = ((lux > limit_lx) & (lux > MORE_THAN_LOW * low_lx))[sights[0] :]
+    glaring = np.flatnonzero(is_glare)
+    # Dark frames before each glaring one, from the first sight on.
+    pauses = np.diff(glaring, prepend=-1) - 1
+    longest = max(1, round(SETTLED_S * rate_hz))
+    ends = np.flatnonzero(pauses >= longest)
+    return float((ends[0] if len(ends) else len(glaring)) / rate_hz)
 
 
-def _smoothness(drives: Sequence[Switching]) -> Smoothness:
-    seconds = math.fsum(one.seconds for one in drives)
-    return Smoothness(
-        change_per_s=_divided(math.fsum(one.change for one in drives), seconds),
-        falls_per_minute=_divided(sum(one.num_falls for one in drives), seconds / 60.0),
-        rises_per_minute=_divided(sum(one.num_rises for one in drives), seconds / 60.0),
-        level_change_per_s=_divided(math.fsum(one.level_change for one in drives), seconds),
+def _glare(
+    lux: Floats, low_lx: Floats, limit_lx: Floats, eye: DriverEye, is_in_bin: NDArray[np.bool_], rate_hz: float
+) -> Glare:
+    is_above = is_in_bin & (lux > limit_lx)
+    sums = (
+        (is_in_bin & eye.is_in_sight).sum(),
+        is_above.sum(),
+        (lux - limit_lx)[is_above].sum(),
+        (lux - low_lx)[is_above].sum(),
+        np.maximum(0.0, low_lx - limit_lx)[is_in_bin].sum(),
+    )
+    return Glare(*(float(total) / rate_hz for total in sums))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phases:
+    """When other vehicles matter to us. Frames slower than `MIN_SPEED_MPS` are in none.
+
+    A vehicle is there from its first labelled light, or the first frame in which it sees us, to the last frame with a
+    range; where that is the drive's last frame, or a range was never known, to the end.
+
+    Attributes:
+        is_present: Shape (T,), whether a vehicle is there.
+        is_passed: Shape (T,), whether none is there, and all that were passed more than `restore_s` ago; at least one.
+        is_free: Shape (T,), whether none is there, none was within `restore_s`, none will be within `AHEAD_S`.
+    """
+
+    is_present: NDArray[np.bool_]
+    is_passed: NDArray[np.bool_]
+    is_free: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseLight:
+    """Light on the road in one phase of a drive; it adds up over drives. By area, as `AREAS`, lux-seconds.
+
+    Attributes:
+        seconds: Duration.
+        kept_lxs: What the policy shines.
+        full_lxs: What the full high beam would.
+        low_lxs: What the low beam alone would.
+    """
+
+    seconds: float
+    kept_lxs: tuple[float, float]
+    full_lxs: tuple[float, float]
+    low_lxs: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Switching:
+    """How much the light changes in a drive; it adds up over drives.
+
+    Attributes:
+        seconds: From the first to the last frame.
+        change: Sum of the changes of the road's light, both areas together, as a share of full beam at each frame, so
+            that the road's own ups and downs do not count.
+        num_falls: Jumps of more than `JUMP` down from one frame to the next. To dim at once is wanted.
+        num_rises: Jumps up. These disturb: light should come back slowly. Both depend on the rate of frames.
+        level_change: Total variation of the levels, mean of all LEDs.
+    """
+
+    seconds: float
+    change: float
+    num_falls: int
+    num_rises: int
+    level_change: float
+
+
+@dataclass(frozen=True, slots=True)
+class Dimming:
+    """Light that was dimmed for nobody; it adds up over drives.
+
+    Attributes:
+        seconds: Time without anybody.
+        num_events: Times that full beam went below full in any LED. A policy that never shines full beam has no event:
+            read it beside `dimmed_s`.
+        dimmed_s: Time below full.
+        leds_off_s: Integral of the share of all LEDs' light that was missing.
+        road_lost_s: Integral of the share of the road's light, both areas together, that was missing.
+    """
+
+    seconds: float
+    num_events: int
+    dimmed_s: float
+    leds_off_s: float
+    road_lost_s: float
+
+
+def phases(drive: GlareDrive, restore_s: float = RESTORE_S) -> Phases:
+    """When other vehicles matter in `drive`."""
+    times_s = drive.times_s
+    num_frames = len(times_s)
+    is_present, is_near, is_shadowed, is_after = np.zeros((4, num_frames), np.bool_)
+    for begin_s, end_s in _visits(drive):
+        is_present |= (times_s >= begin_s) & (times_s <= end_s)
+        is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + restore_s)
+        is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + restore_s)
+        is_after |= times_s > end_s + restore_s
+    is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS)
+    return Phases(is_present & is_fast, is_after & ~is_shadowed & is_fast, ~is_near & is_fast)
+
+
+def _visits(drive: GlareDrive) -> list[tuple[float, float]]:
+    """From when to when each vehicle is there, seconds; see `Phases`."""
+    eyes = {eye.vehicle_id: eye for eye in drive.eyes}
+    visits = []
+    for vehicle_id in sorted(eyes.keys() | drive.light_s.keys()):
+        begin_s, end_s = drive.light_s.get(vehicle_id, math.inf), math.inf
+        if vehicle_id in eyes:
+            sights = np.flatnonzero(eyes[vehicle_id].is_in_sight)
+            ranged = np.flatnonzero(~np.isnan(eyes[vehicle_id].ranges_m))
+            begin_s = min(begin_s, drive.times_s[sights[0]]) if len(sights) else begin_s
+            if len(ranged) and ranged[-1] < len(drive.times_s) - 1:
+                end_s = max(begin_s, drive.times_s[ranged[-1]])
+        if begin_s < math.inf:
+            visits.append((float(begin_s), float(end_s)))
+    return visits
+
+
+def phase_light(drive: GlareDrive, run: PolicyRun, is_in_phase: NDArray[np.bool_]) -> PhaseLight:
+    """The light that `run` keeps on the road in a phase."""
+
+    def total_lxs(lux: Floats) -> tuple[float, float]:
+        own_lane, verge = (lux[is_in_phase].sum(axis=0) / drive.rate_hz).tolist()
+        return own_lane, verge
+
+    return PhaseLight(
+        seconds=float(is_in_phase.sum() / drive.rate_hz),
+        kept_lxs=total_lxs(drive.road.illuminance_lx(run.levels)),
+        full_lxs=total_lxs(drive.road.illuminance_lx(1.0)),
+        low_lxs=total_lxs(drive.road.base_lx),
     )
 
 
-def _ordered(names: Iterable[str]) -> list[str]:
-    found = list(names)
-    return [name for name in POLICIES if name in found] + [name for name in found if name not in POLICIES]
+def road_share(drive: GlareDrive, run: PolicyRun) -> Floats:
+    """Shape (T,): light on both areas together over that of full beam; 1 where there is none to keep."""
+    kept, full = (drive.road.illuminance_lx(levels).sum(axis=1) for levels in (run.levels, 1.0))
+    return np.where(full > 0, ratios(kept, full), 1.0)
 
 
-def _divided(part: float, whole: float) -> float:
-    """Their ratio; NaN unless the whole is positive."""
-    return float(part / whole) if whole > 0 else math.nan
+def switching(drive: GlareDrive, run: PolicyRun) -> Switching:
+    """How much the light of `run` changes."""
+    changes = np.diff(road_share(drive, run))
+    levels = np.diff(run.levels.astype(np.float64), axis=0)
+    return Switching(
+        seconds=float(drive.times_s[-1] - drive.times_s[0]),
+        change=float(np.abs(changes).sum()),
+        num_falls=int((changes < -JUMP).sum()),
+        num_rises=int((changes > JUMP).sum()),
+        level_change=float(np.abs(levels).mean(axis=(1, 2)).sum()),
+    )
+
+
+def wrong_dimming(drive: GlareDrive, run: PolicyRun, is_free: NDArray[np.bool_]) -> Dimming:
+    """What `run` dims while nobody is there, shape (T,)."""
+    is_full = np.asarray((run.levels >= FULL_LEVEL).all(axis=(1, 2)))
+    is_event = is_full[:-1] & ~is_full[1:] & is_free[:-1] & is_free[1:]
+    is_dimmed = is_free & ~is_full
+    leds_off = 1.0 - run.levels.mean(axis=(1, 2), dtype=np.float64)
+    road_lost = 1.0 - road_share(drive, run)
+    return Dimming(
+        seconds=float(is_free.sum() / drive.rate_hz),
+        num_events=int(is_event.sum()),
+        dimmed_s=float(is_dimmed.sum() / drive.rate_hz),
+        leds_off_s=float(leds_off[is_dimmed].sum() / drive.rate_hz),
+        road_lost_s=float(road_lost[is_dimmed].sum() / drive.rate_hz),
+    )

@@ -2,45 +2,52 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import html
-import io
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
-from foreglow.files import write_atomic, write_json_results
-from foreglow.lab.reports.html import STYLE, html_figure, html_table
+from foreglow.files import to_json
+from foreglow.lab.evaluation.occurrence import LeadScore
+from foreglow.lab.evaluation.ratios import ratio
 from foreglow.lab.reports.numbers import number, percent, signed
-from foreglow.lab.studies.detector.tables import Table
+from foreglow.lab.reports.occurrence import REMARK, occurrence_table
+from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive
-from foreglow.lab.studies.glare.eyes import MORE_THAN_LOW, SETTLED_S
 from foreglow.lab.studies.glare.figures import (
+    README_WIDTH_IN,
     bin_figure,
     box_figure,
     corridor_figure,
     lux_figure,
-    readme_figure,
     sensitivity_figure,
 )
-from foreglow.lab.studies.glare.metrics import PRODUCTION, typical_drives
-from foreglow.lab.studies.glare.results import GlareResults
-from foreglow.lab.studies.glare.road import AHEAD_S, FULL_LEVEL
+from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
 from foreglow.lab.studies.glare.run import GlareExperiment
-from foreglow.lab.studies.glare.tables import (
-    DRIVE_COLUMNS,
-    UNGUIDED,
-    drive_table,
-    glare_tables,
-    interval,
-    occurrence_table,
+from foreglow.lab.studies.glare.scores import (
+    POLICIES,
+    PRODUCTION,
+    BinGlare,
+    DriveScore,
+    GlareResults,
+    GroupGlare,
+    Interval,
+    Moments,
+    PolicyScore,
+    WrongDimming,
+    typical_drives,
 )
-from foreglow.lab.studies.occurrence.metrics import LeadScore
-from foreglow.provenance import provenance
 
-VIDEOS = (".mp4", ".webm")
+Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
+"""By head, what stands in a policy's cell."""
+
+UNGUIDED = ("low", "high")
+"""Policies that see nothing; they have no gaps, and no column in the table of drives."""
+
+IN_README = ("low", "production", "paper", "foreglow")
+"""Policies of the figure for the README."""
 
 
 def write_report(
@@ -58,39 +65,41 @@ def write_report(
             an eye, becomes `readme.png`.
         folder: Is made where it is not there.
         others: The same drives by other limits.
-        leads: How well the occurrence of hidden vehicles was told.
+        leads: How well it was predicted where hidden vehicles appear.
 
     Raises:
         OSError: If a file cannot be written.
         ModuleNotFoundError: If matplotlib is not installed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    plots = {"boxes.png": box_figure(results), "bins.png": bin_figure(results)}
-    for name in dict.fromkeys(one.parameter for one in results.sensitivity):
-        points = [one for one in results.sensitivity if one.parameter == name]
-        plots[_file_name("sensitivity", name)] = sensitivity_figure(points)
-    met = [drive for drive in shown if drive.eyes]
-    drive_plots = {drive.name: _drive_plots(drive, results) for drive in met}
-    files = plots | {name: plot for one in drive_plots.values() for name, plot in one.items()}
-    if met:
-        one = next((drive for drive in met if drive.pictures), met[len(met) // 2])
-        files["readme.png"] = readme_figure(one, eye_to_show(one).vehicle_id)
-    record = results.to_json() | {
-        "others": [one.to_json() for one in others],
-        "occurrence": [one.to_json() for one in leads],
-    }
-    write_json_results(folder / "results.json", {"made_with": provenance()} | record)
-    write_atomic(folder / "drives.csv", drives_csv(results).encode())
-    for name, plot in files.items():
-        write_atomic(folder / name, plot)
-    report = folder / "report.html"
-    write_atomic(
-        report,
-        "\n".join(
-            _lines(results, (*glare_tables(results, others), *occurrence_table(leads)), plots, shown, drive_plots)
-        ).encode(),
+    page = Page(f"Glare on {results.name}")
+    page.text(_preamble(results))
+    names = [policy.name for policy in results.policies]
+    if own_policy(results) in names:
+        page.items(summary_lines(results))
+    for heading, remark, table in (*_tables(results, others), *_occurrence(leads)):
+        page.section(heading, remark)
+        page.table(table)
+    page.section("All drives")
+    for figure in _figures(results):
+        page.figure(figure)
+    for drive in shown:
+        page.section(f"{drive.name} ({drive.scenario})")
+        for figure in _drive_figures(drive, names) if drive.eyes else ():
+            page.figure(figure)
+        for caption, path in drive.pictures.items():
+            page.media(path, caption)
+    page.section(
+        "Drive by drive",
+        "Dose of oncoming drivers, lx s; longest first glare moment of one of them, s; own lane's light while a "
+        "vehicle is present, share of full beam.",
     )
-    return report
+    page.table(_drive_table(results))
+    page.section("What the figures are")
+    page.items(_notes(results))
+    record = {**to_json(results), "others": others, "occurrence": leads}
+    files: dict[str, bytes | str] = {"drives.csv": drives_csv(results)}
+    files |= _readme_figure([drive for drive in shown if drive.eyes])
+    return page.write(folder / "report.html", results=record, files=files)
 
 
 def write_experiment(experiment: GlareExperiment) -> Path:
@@ -102,16 +111,23 @@ def write_experiment(experiment: GlareExperiment) -> Path:
     """
     folder = experiment.folder
     films = {file.stem.removeprefix("film_"): file.name for file in sorted(folder.glob("film_*.mp4"))}
-    names = dict.fromkeys([*typical_drives(experiment.results), *films])
+    names = list(dict.fromkeys([*typical_drives(experiment.results), *films]))
+    drives = experiment.drives(names)
     shown = [
         dataclasses.replace(drive, pictures={"Paper and ours": films[drive.name]}) if drive.name in films else drive
-        for drive in experiment.drives(list(names))
+        for drive in drives
     ]
     return write_report(experiment.results, shown, folder, experiment.others, experiment.leads)
 
 
-def summary_lines(results: GlareResults, name: str = "foreglow") -> list[str]:
-    """What the command says of one policy, a fact a line."""
+def own_policy(results: GlareResults) -> str:
+    """The row of our pipeline: `foreglow`, or the one that a user has chosen in its place."""
+    return next((policy.name for policy in results.policies if policy.name not in POLICIES), "foreglow")
+
+
+def summary_lines(results: GlareResults) -> list[str]:
+    """What the command says of the policy that the experiment is about, a fact a line."""
+    name = own_policy(results)
     score = results.policy(name)
     oncoming, present, empty = score.oncoming, score.present, score.empty
     moments = oncoming.first_occluded
@@ -145,67 +161,57 @@ def eye_to_show(drive: GlareDrive) -> DriverEye:
 
 def drives_csv(results: GlareResults) -> str:
     """A row for each policy and drive; empty for what is not defined."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["policy", "drive", "scenario", *DRIVE_COLUMNS])
+    rows = []
     for policy in results.policies:
         for drive in policy.drives:
-            cells = [values(drive) for values in DRIVE_COLUMNS.values()]
-            plain = ["" if math.isnan(value) else f"{value:.6g}" for value in cells]
-            writer.writerow([policy.name, drive.drive, drive.scenario, *plain])
-    return text.getvalue()
+            values = [value_of(drive) for value_of in DRIVE_COLUMNS.values()]
+            cells = ["" if math.isnan(value) else f"{value:.6g}" for value in values]
+            rows.append([policy.name, drive.drive, drive.scenario, *cells])
+    return Table(["policy", "drive", "scenario", *DRIVE_COLUMNS], rows).csv()
 
 
-def _drive_plots(drive: GlareDrive, results: GlareResults) -> dict[str, bytes]:
+def _figures(results: GlareResults) -> Iterator[Figure]:
+    """Those of all drives together."""
+    words = "Drives (points), their quartiles and 5th and 95th percentile"
+    yield Figure(box_figure(results), words, "boxes.png")
+    words = "Dose above the limit by range, all drives together; linear up to 0.1 lx s, logarithmic above"
+    yield Figure(bin_figure(results), words, "bins.png")
+    for name in dict.fromkeys(point.parameter for point in results.sensitivity):
+        points = [point for point in results.sensitivity if point.parameter == name]
+        words = "How the figures move with one parameter, all else as it is"
+        yield Figure(sensitivity_figure(points), words, _file_name("sensitivity", name))
+
+
+def _drive_figures(drive: GlareDrive, policies: Sequence[str]) -> Iterator[Figure]:
     vehicle_id = eye_to_show(drive).vehicle_id
-    policies = [one.name for one in results.policies]
-    dark = [name for name in policies if name not in UNGUIDED]
-    plots = {_file_name("lux", drive.name): lux_figure(drive, vehicle_id, policies)}
-    if dark:
-        plots[_file_name("corridor", drive.name)] = corridor_figure(drive, vehicle_id, dark)
-    return plots
+    words = "Light at the other driver's eye; shaded where it is above the limit, the range above"
+    yield Figure(lux_figure(drive, vehicle_id, policies), words, _file_name("lux", drive.name))
+    guided = [name for name in policies if name not in UNGUIDED]
+    if guided:
+        words = "Dark gaps over time, and where the vehicle is: dashed while it cannot see us, then solid"
+        yield Figure(corridor_figure(drive, vehicle_id, guided), words, _file_name("corridor", drive.name))
 
 
-def _lines(
-    results: GlareResults,
-    tables: Sequence[tuple[str, str, Table]],
-    plots: Mapping[str, bytes],
-    shown: Sequence[GlareDrive],
-    drive_plots: Mapping[str, Mapping[str, bytes]],
-) -> Iterator[str]:
-    title = html.escape(f"Glare on {results.name}")
-    yield "<!doctype html>"
-    yield f'<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-    yield f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
-    yield f"<h1>{title}</h1><p>{html.escape(_preamble(results))}</p>"
-    names = [one.name for one in results.policies]
-    if "foreglow" in names:
-        yield "<ul>"
-        yield from (f"<li>{html.escape(line)}</li>" for line in summary_lines(results))
-        yield "</ul>"
-    for heading, remark, table in tables:
-        yield f"<h2>{html.escape(heading)}</h2><p>{html.escape(remark)}</p>"
-        yield from html_table(table)
-    yield "<h2>All drives</h2>"
-    yield from (html_figure(plot, _caption(name)) for name, plot in plots.items())
-    for drive in shown:
-        yield f"<h2>{html.escape(f'{drive.name} ({drive.scenario})')}</h2>"
-        yield from (html_figure(plot, _caption(name)) for name, plot in drive_plots.get(drive.name, {}).items())
-        yield from (_picture(caption, path) for caption, path in drive.pictures.items())
-    yield "<h2>Drive by drive</h2><p>Dose of oncoming drivers, lx s; longest first glare moment of one of them, s; "
-    yield "own lane's light while a vehicle is present, share of full beam.</p>"
-    yield from html_table(drive_table(results))
-    yield "<h2>What the figures are</h2><ul>"
-    yield from (f"<li>{html.escape(note)}</li>" for note in _notes(results))
-    yield "</ul></body></html>"
+def _readme_figure(drives: Sequence[GlareDrive]) -> dict[str, bytes]:
+    """By its file name; nothing without drives."""
+    if not drives:
+        return {}
+    drive = next((drive for drive in drives if drive.pictures), drives[len(drives) // 2])
+    policies = [name for name in IN_README if name in drive.runs]
+    vehicle_id = eye_to_show(drive).vehicle_id
+    return {"readme.png": lux_figure(drive, vehicle_id, policies, README_WIDTH_IN, height_in=3.5, font_size=8.0)}
+
+
+def _file_name(kind: str, name: str) -> str:
+    """Of a figure: names of scenes and parameters may hold spaces and slashes."""
+    return f"{kind}_{re.sub(r'[^A-Za-z0-9.-]+', '_', name)}.png"
 
 
 def _preamble(results: GlareResults) -> str:
-    drives = results.policies[0].drives
-    empty = sum(one.is_empty for one in drives)
     first = results.policies[0]
+    empty = sum(drive.is_empty for drive in first.drives)
     return (
-        f"{len(drives)} drives, {results.seconds / 60:.1f} minutes, {empty} of them without any other driver; "
+        f"{len(first.drives)} drives, {results.seconds / 60:.1f} minutes, {empty} of them without any other driver; "
         f"{first.oncoming.num_eyes} oncoming and {first.preceding.num_eyes} preceding drivers. Light is computed at "
         f"their eyes, with all that is in between. Limits: {results.limits}."
     )
@@ -243,31 +249,178 @@ def _notes(results: GlareResults) -> Iterator[str]:
     yield "The drives that are shown lie at the quartiles of production's dose; nobody picked them."
 
 
-def _picture(caption: str, path: str) -> str:
-    source, words = html.escape(path), html.escape(caption)
-    if path.endswith(VIDEOS):
-        shown = f'<video controls style="max-width: 100%" src="{source}"></video>'
-    else:
-        shown = f'<img style="width: auto; max-width: 100%" alt="{words}" src="{source}">'
-    return f'<figure style="margin: 1.5rem 0">{shown}<figcaption>{words}</figcaption></figure>'
+def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[tuple[str, str, Table]]:
+    """Heading, remark and table of every section."""
+    policies = results.policies
+    yield (
+        "Policies",
+        "Dose: light above the limit at oncoming drivers' eyes, over time. In brackets: 95 % interval over drives. "
+        "First glare moment of drivers whose light was there before: median, mean, and share that has none. Light "
+        "kept: share of the full high beam's while a vehicle is present, and after. Wrong: dimming for nobody.",
+        _table(_MAIN, policies),
+    )
+    groups: dict[str, Callable[[PolicyScore], GroupGlare]] = {"Oncoming drivers": lambda policy: policy.oncoming}
+    if policies[0].preceding.num_eyes:
+        groups["Preceding drivers"] = lambda policy: policy.preceding
+    for heading, of in groups.items():
+        yield (
+            heading,
+            "Dose in lx s by range (share of the time in sight above the limit); seconds in sight in the head. Added: "
+            "what the LEDs add to the low beam while the whole is above the limit.",
+            _table(_glare_columns(of, of(policies[0]).bins), policies),
+        )
+        yield (
+            heading + ", first glare moment",
+            "Seconds: median, mean, 90th percentile; share that is dark from the beginning (number of drivers).",
+            _table(_moment_columns(of), policies),
+        )
+    for other in others:
+        heading = f"Against other limits: {other.limits}"
+        yield heading, "As the first table.", _table(_GLARE, other.policies)
+    yield (
+        "Light on the road",
+        "Share of the full high beam's, 40 to 120 m ahead, while a vehicle is present; what the low beam alone gives "
+        f"is what no light above it means. After: from {results.restore_s:g} s after the vehicle has passed.",
+        _table(_ROAD, policies),
+    )
+    yield (
+        "Wrong dimming",
+        "In drives without any other driver.",
+        _table(_dimming_columns(lambda policy: policy.empty), policies),
+    )
+    yield (
+        "Wrong dimming in other drives",
+        "While nobody is there yet, or any more.",
+        _table(_dimming_columns(lambda policy: policy.between), policies),
+    )
+    yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
 
 
-def _file_name(kind: str, name: str) -> str:
-    """Of a figure: names of scenes and parameters may hold spaces and slashes."""
-    return f"{kind}_{re.sub(r'[^A-Za-z0-9.-]+', '_', name)}.png"
+def _occurrence(leads: Sequence[LeadScore]) -> Iterator[tuple[str, str, Table]]:
+    if leads:
+        yield "Occurrence point", REMARK, occurrence_table(leads)
 
 
-def _caption(name: str) -> str:
-    for start, words in _CAPTIONS.items():
-        if name.startswith(start):
-            return words
-    raise AssertionError(name)
+def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:
+    return Table.of({"policy": lambda policy: policy.name, **columns}, policies)
 
 
-_CAPTIONS = {
-    "boxes": "Drives (points), their quartiles and 5th and 95th percentile",
-    "bins": "Dose above the limit by range, all drives together; linear up to 0.1 lx s, logarithmic above",
-    "sensitivity": "How the figures move with one parameter, all else as it is",
-    "lux": "Light at the other driver's eye; shaded where it is above the limit, the range above",
-    "corridor": "Dark gaps over time, and where the vehicle is: dashed while it cannot see us, then solid",
+_GLARE: Columns = {
+    "dose, lx s": lambda policy: number(policy.oncoming.all_bins.glare.dose_lxs),
+    "of production's": lambda policy: interval(policy.oncoming.dose_vs_production, percent),
+    "over low beam's": lambda policy: signed(policy.oncoming.all_bins.over_low_lxs),
+    "first glare, s": lambda policy: number(policy.oncoming.first_occluded.median),
+    "mean, s": lambda policy: number(policy.oncoming.first_occluded.mean),
+    "none": lambda policy: percent(policy.oncoming.first_occluded.dark_share),
 }
+
+_MAIN: Columns = {
+    **_GLARE,
+    "own lane kept": lambda policy: interval(policy.present.own_lane, percent),
+    "verge kept": lambda policy: percent(policy.present.verge.value),
+    "own lane after": lambda policy: percent(policy.passed.own_lane.value),
+    "wrong a minute": lambda policy: number(policy.empty.events_per_minute.value),
+}
+
+_ROAD: Columns = {
+    "own lane": lambda policy: interval(policy.present.own_lane, percent),
+    "low beam alone, own lane": lambda policy: percent(policy.present.low_own_lane),
+    "verge": lambda policy: interval(policy.present.verge, percent),
+    "low beam alone, verge": lambda policy: percent(policy.present.low_verge),
+    "seconds": lambda policy: number(policy.present.seconds, 0),
+    "own lane after": lambda policy: percent(policy.passed.own_lane.value),
+    "verge after": lambda policy: percent(policy.passed.verge.value),
+    "seconds after": lambda policy: number(policy.passed.seconds, 0),
+}
+
+_SWITCHING: Columns = {
+    "change a second": lambda policy: percent(policy.smoothness.change_per_s),
+    f"falls > {JUMP:.0%} a minute": lambda policy: number(policy.smoothness.falls_per_minute, 1),
+    f"rises > {JUMP:.0%} a minute": lambda policy: number(policy.smoothness.rises_per_minute, 1),
+    "variation of levels a second": lambda policy: number(policy.smoothness.level_change_per_s, 3),
+}
+
+
+def _dimming_columns(of: Callable[[PolicyScore], WrongDimming]) -> Columns:
+    return {
+        "minutes": lambda policy: number(of(policy).minutes, 1),
+        "events": lambda policy: str(of(policy).num_events),
+        "a minute": lambda policy: interval(of(policy).events_per_minute, number),
+        "time dimmed": lambda policy: percent(of(policy).dimmed_share),
+        "area dimmed": lambda policy: percent(of(policy).area_dimmed),
+        "road light lost while dimmed": lambda policy: percent(of(policy).road_dimmed),
+    }
+
+
+def _moment_columns(of: Callable[[PolicyScore], GroupGlare]) -> Columns:
+    return {
+        "occluded, within the limits' reach": lambda policy: _moments(of(policy).first_occluded),
+        "occluded, at any range": lambda policy: _moments(of(policy).first_anywhere_occluded),
+        "all, within reach": lambda policy: _moments(of(policy).first),
+        "all, at any range": lambda policy: _moments(of(policy).first_anywhere),
+    }
+
+
+def _glare_columns(of: Callable[[PolicyScore], GroupGlare], bins: Sequence[BinGlare]) -> Columns:
+    """Dose by range, and of all ranges beside others'."""
+
+    def dose(index: int) -> Callable[[PolicyScore], str]:
+        return lambda policy: (
+            f"{number(of(policy).bins[index].glare.dose_lxs)} ({percent(of(policy).bins[index].above_share)})"
+        )
+
+    return {
+        **{f"{part.name} ({part.glare.in_sight_s:.0f} s)": dose(index) for index, part in enumerate(bins)},
+        "of production's": lambda policy: interval(of(policy).dose_vs_production, percent),
+        "of low beam's": lambda policy: interval(of(policy).dose_vs_low, number),
+        "added, lx s": lambda policy: number(of(policy).all_bins.glare.added_lxs),
+    }
+
+
+def _dose_lxs(drive: DriveScore, is_oncoming: bool) -> float:
+    return drive.dose_lxs(is_oncoming) if drive.of_group(is_oncoming) else math.nan
+
+
+def _longest_first_glare_s(drive: DriveScore) -> float:
+    times_s = (eye.first_glare_s for eye in drive.of_group(is_oncoming=True))
+    return max((time_s for time_s in times_s if not math.isnan(time_s)), default=math.nan)
+
+
+DRIVE_COLUMNS: Mapping[str, Callable[[DriveScore], float]] = {
+    "oncoming_dose_lxs": lambda drive: _dose_lxs(drive, is_oncoming=True),
+    "preceding_dose_lxs": lambda drive: _dose_lxs(drive, is_oncoming=False),
+    "first_glare_s": _longest_first_glare_s,
+    "own_lane_kept": lambda drive: ratio(drive.present.kept_lxs[0], drive.present.full_lxs[0]),
+    "verge_kept": lambda drive: ratio(drive.present.kept_lxs[1], drive.present.full_lxs[1]),
+    "wrong_dimmings": lambda drive: float(drive.dimming.num_events),
+    "minutes_without_vehicle": lambda drive: drive.dimming.seconds / 60.0,
+}
+"""The figures of each drive by name."""
+
+
+def _drive_table(results: GlareResults) -> Table:
+    """A row a drive; a column a policy for each of three figures."""
+    columns = {
+        "dose": ("oncoming_dose_lxs", number),
+        "first": ("first_glare_s", number),
+        "lane": ("own_lane_kept", percent),
+    }
+    policies = [policy for policy in results.policies if policy.name not in UNGUIDED] or results.policies
+    head = ["drive", "scenario", *(f"{what}: {policy.name}" for what in columns for policy in policies)]
+    rows = []
+    for drives in zip(*(policy.drives for policy in policies), strict=True):
+        cells = [words(DRIVE_COLUMNS[name](drive)) for name, words in columns.values() for drive in drives]
+        rows.append([drives[0].drive, drives[0].scenario, *cells])
+    return Table(head, rows)
+
+
+def interval(figure: Interval, words: Callable[[float], str]) -> str:
+    """A figure and, in brackets, its interval."""
+    if math.isnan(figure.low):
+        return words(figure.value)
+    return f"{words(figure.value)} [{words(figure.low)}, {words(figure.high)}]"
+
+
+def _moments(moments: Moments) -> str:
+    times_s = ", ".join(map(number, (moments.median, moments.mean, moments.p90)))
+    return f"{times_s}; {percent(moments.dark_share)} ({moments.num})"

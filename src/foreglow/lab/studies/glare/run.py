@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,15 @@ from typing import Any
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_text, write_atomic, write_json_results
+from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, without_traffic
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
-from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.drive_file import read_glare_drive, write_glare_drive
-from foreglow.lab.studies.glare.driving import Drives, settings_of
-from foreglow.lab.studies.glare.limits import FMVSS_108, R123
-from foreglow.lab.studies.glare.loop import Delays
-from foreglow.lab.studies.glare.metrics import score_glare
-from foreglow.lab.studies.glare.results import GlareResults, SensitivityPoint
-from foreglow.lab.studies.occurrence.metrics import LeadScore, Sighting, lead_scores
+from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
+from foreglow.lab.studies.glare.loop import Delays, Shone
+from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
+from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
+from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 
@@ -36,8 +34,8 @@ class GlarePlan(FrozenModel):
     """What is driven, and how.
 
     Attributes:
-        num_scenes: The first so many of the scenes; None for all.
-        num_empty: The first so many are also driven without traffic, for dimming that nobody asks for.
+        num_scenes: How many of the scenes, from the first on; None for all.
+        num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
         delays: From camera to beam.
         quality: Of the renderer: `fast`, `training` or `fine`.
         seed: Of the intervals.
@@ -60,12 +58,12 @@ class NamedScene:
 
 @dataclass(frozen=True, slots=True)
 class GlareExperiment:
-    """What came of it.
+    """The results of the experiment.
 
     Attributes:
         results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
-        others: By other limits.
-        leads: How well it was told where hidden vehicles would appear, over all scenes.
+        others: The results by other limits.
+        leads: How well it was predicted where hidden vehicles would appear, over all scenes.
         folder: Where everything is.
     """
 
@@ -75,7 +73,7 @@ class GlareExperiment:
     folder: Path
 
     def drives(self, names: Sequence[str]) -> tuple[GlareDrive, ...]:
-        """Some of the drives."""
+        """The drives called `names`."""
         return tuple(read_glare_drive(_drive_file(self.folder, name)) for name in names)
 
 
@@ -96,7 +94,7 @@ def run_experiment(
         plan: What is driven, and how.
         folder: Where everything goes; made if need be. An interrupted experiment in it goes on.
         workers: Who drives; None drives in this process.
-        progress: Told of every frame.
+        progress: Called after each frame.
 
     Raises:
         FileNotFoundError: If there are no scenes.
@@ -116,7 +114,7 @@ def run_experiment(
     work = functools.partial(_drive, folder, config, plan)
     for _ in (workers or Local()).each(work, todo, progress, paths=(folder,)):
         pass
-    return _scored(folder, wanted, plan)
+    return _scored(folder, wanted, plan, own_name(config))
 
 
 def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
@@ -128,12 +126,12 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
     """
     found = read_scenes(path / "scenes.jsonl" if path.is_dir() else path)[: plan.num_scenes]
     named = [NamedScene(sequence_name(number), scene) for number, scene in found]
-    empty = [NamedScene(f"{one.name}-empty", without_traffic(one.scene)) for one in named[: plan.num_empty]]
+    empty = [NamedScene(f"{whole.name}-empty", without_traffic(whole.scene)) for whole in named[: plan.num_empty]]
     return named + empty
 
 
 def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
-    """Writes down what is done here; checks that an earlier run did the same."""
+    """Writes the plan to the folder, or checks that the plan that is there is the same."""
     about = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
     file = folder / "plan.json"
     if file.exists():
@@ -145,7 +143,7 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
 
 
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
-    """Of all that decides what a finished scene holds; more scenes may be added later."""
+    """Digest of everything that decides what a finished scene holds; more scenes may be added later."""
     parts: list[Any] = [config.model_dump(mode="json"), plan.delays.model_dump(mode="json"), plan.quality]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -155,16 +153,16 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
     number, named = item
     drives = Drives(config, plan.delays, plan.quality)
 
-    def told() -> Any:
-        for place, pair in enumerate(drives.pairs(named.scene), start=1):
+    def pairs() -> Iterator[tuple[Shone, Shone]]:
+        for num_done, pair in enumerate(drives.pairs(named.scene), start=1):
             yield pair
-            parent.tell(number, place, named.scene.num_frames)
+            parent.report_progress(number, num_done, named.scene.num_frames)
             if parent.is_stopped:
                 raise KeyboardInterrupt
 
-    driven = drives.driven(named.scene, named.name, told())
+    driven = drives.driven(named.scene, named.name, pairs())
     write_glare_drive(_drive_file(folder, named.name), driven.drive)
-    write_json_results(_sightings_file(folder, named.name), [one.to_json() for one in driven.sightings])
+    write_json_results(_sightings_file(folder, named.name), driven.sightings)
 
 
 def _drive_file(folder: Path, name: str) -> Path:
@@ -175,22 +173,22 @@ def _sightings_file(folder: Path, name: str) -> Path:
     return folder / DRIVES / f"{name}.json"
 
 
-def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan) -> GlareExperiment:
-    files = [_drive_file(folder, named.name) for named in wanted]
-    results = score_glare(folder.name, (read_glare_drive(file) for file in files), FMVSS_108, seed=plan.seed)
-    r123 = score_glare(folder.name, (read_glare_drive(file) for file in files), R123, seed=plan.seed)
-    settings = {one.name: one for one in settings_of(plan.delays)}
+def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
+    settings = settings_of(plan.delays)
+    names = {setting.name for setting in settings}
+    scored = []
+    for limits in (FMVSS_108, R123):
+        drives = (read_glare_drive(_drive_file(folder, named.name)) for named in wanted)
+        scored.append(score_glare(folder.name, drives, limits, seed=plan.seed))
     points = tuple(
-        dataclasses.replace(
-            SensitivityPoint.of(one.parameter, one.unit, one.value, results.policy(name)), policy="foreglow"
-        )
-        for name, one in settings.items()
+        SensitivityPoint.of(setting.parameter, setting.unit, setting.value, scored[0].policy(setting.name), own)
+        for setting in settings
     )
     results, r123 = (
         dataclasses.replace(
-            one, policies=tuple(policy for policy in one.policies if policy.name not in settings), sensitivity=points
+            found, policies=tuple(policy for policy in found.policies if policy.name not in names), sensitivity=points
         )
-        for one in (results, r123)
+        for found in scored
     )
     sightings = [
         Sighting.from_json(row)

@@ -9,18 +9,18 @@ import multiprocessing
 import os
 import random
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import PVDN
-from foreglow.geometry import Floats
+from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.lab.studies.progress import Progress
+from foreglow.lab.studies.runtime.metrics import COMPLETE, NetworkTimes
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
 from foreglow.runtime.can_output import CanBus
@@ -29,53 +29,14 @@ from foreglow.runtime.live import BeamOutput, LiveLoop, Paced
 from foreglow.runtime.memory import settled_memory
 from foreglow.types import Frame, FrameResult
 
-Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with the step, how much of it is done, and how much there is."""
-
-COMPLETE = "CP"
-PARTS = {
-    COMPLETE: "complete pipeline",
-    "PG": "proposal generation",
-    "PC": "classification",
-    "DE": "distance",
-    "OT": "tracker",
-    "BC": "beam command",
-}
-"""The paper's boxes, and the beam's. Source: Ewecker et al., arXiv 2107.11302, figure on run-times."""
-
 STAGES = {"PG": "proposals", "PC": "classifier", "DE": "distance", "OT": "tracking", "BC": "beam"}
 
 NUM_WARM_UP = 20
-"""Frames before the first that counts: a car's pipeline has run before it matters."""
+"""Frames that are run before the first that counts: in a car, too, the pipeline has run before it matters."""
 
 IN_PROCESS, LIVE, ONE_NODE, NETWORK = "in process", "live", "ROS 2, one node", "ROS 2, five processes"
 KINDS = {"process": IN_PROCESS, "live": LIVE, "node": ONE_NODE, "ros2": NETWORK}
 """What can be measured, by the name of the option."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NetworkTimes:
-    """Run-times of one way to run the pipeline.
-
-    Attributes:
-        name: The way.
-        parts_ms: By part, shape (F,), milliseconds, NaN for a frame that was lost; of `PARTS` and other names of what
-            comes between. The complete pipeline is from the array to the beam command in process, and from exposure
-            until the command was sent elsewhere.
-        num_proposals: Shape (F,), of each frame; -1 where unknown.
-        num_dropped: Frames that were given, and of which nothing came.
-    """
-
-    name: str
-    parts_ms: Mapping[str, Floats]
-    num_proposals: NDArray[np.int64]
-    num_dropped: int
-
-    def share_within(self, limit_s: float) -> float:
-        """Share of all frames, dropped ones too, whose command was there in time."""
-        complete = self.parts_ms[COMPLETE]
-        num_all = int(np.isfinite(complete).sum()) + self.num_dropped
-        return float((complete <= 1e3 * limit_s).sum()) / num_all if num_all else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +66,7 @@ def run_experiment(
     """Measures each of `kinds` on the sequences of `split`, one after the other, with one thread for computing.
 
     In process all frames are run, from memory; elsewhere, where they come at their own rate, the first `num_paced`.
-    A network of ROS 2 that is not installed is left out, and said so.
+    A ROS 2 network that is not installed is left out, and the results say why.
 
     Raises:
         FileNotFoundError: If there is no such split.
@@ -115,7 +76,7 @@ def run_experiment(
     if unknown:
         raise ValueError(f"--on: expected some of {', '.join(KINDS)}, got {unknown[0]!r}")
     config = config.commanding()
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     networks: list[NetworkTimes] = []
     missing: dict[str, str] = {}
     for kind in kinds:
@@ -128,14 +89,14 @@ def run_experiment(
         elif kind == "live":
             networks.append(live(dataset, config, num_paced))
         else:
-            networks.append(apart(over_ros2, split, config, num_paced, kind == "node"))
+            networks.append(in_fresh_process(over_ros2, split, config, num_paced, kind == "node"))
         progress(KINDS[kind], 1, 1)
     return RuntimeResults(
         dataset.name, 1.0 / (dataset.rate_hz or 18.0), config, processor_name(), tuple(networks), missing
     )
 
 
-def in_process(dataset: PVDN, config: PipelineConfig, progress: Progress) -> NetworkTimes:
+def in_process(dataset: LabelledSource, config: PipelineConfig, progress: Progress) -> NetworkTimes:
     """The pipeline on every frame, from the array to the beam command; frames are decoded before."""
     pipeline = Pipeline(config)
     rows: list[dict[str, float]] = []
@@ -143,21 +104,20 @@ def in_process(dataset: PVDN, config: PipelineConfig, progress: Progress) -> Net
     for sequence, group in itertools.groupby(dataset, key=lambda frame: frame.sequence):
         frames = list(group)
         with settled_memory():
-            for frame in [*frames[:NUM_WARM_UP], *frames] if not rows else frames:
-                if frame is frames[0]:
-                    pipeline.reset()
+            for frame in () if rows else frames[:NUM_WARM_UP]:
+                pipeline.step(frame)
+            pipeline.reset()
+            for frame in frames:
                 before_ns = time.perf_counter_ns()
                 result = pipeline.step(frame)
                 taken_ms = (time.perf_counter_ns() - before_ns) / 1e6
                 rows.append({COMPLETE: taken_ms, **_stages(result.stage_ms)})
                 counts.append(len(result.proposals))
-        if len(rows) == len(frames) + min(NUM_WARM_UP, len(frames)):  # the first sequence
-            del rows[: len(rows) - len(frames)], counts[: len(counts) - len(frames)]
         progress(f"{IN_PROCESS}, {sequence}", len(rows), dataset.num_frames)
     return _times(IN_PROCESS, rows, counts, 0)
 
 
-class Kept:
+class TimesSink:
     """A live sink that keeps run-times and numbers of proposals."""
 
     def __init__(self) -> None:
@@ -165,7 +125,7 @@ class Kept:
         self.counts: list[int] = []
 
     def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
-        """Keeps those of a frame."""
+        """Keeps the run-times of a frame."""
         between = {name: value for name, value in result.stage_ms.items() if name not in STAGES.values()}
         self.rows.append({COMPLETE: sum(result.stage_ms.values()), **_stages(result.stage_ms), **between})
         self.counts.append(len(result.proposals))
@@ -180,15 +140,15 @@ class Kept:
         """Nothing is open."""
 
 
-def live(dataset: PVDN, config: PipelineConfig, num_frames: int) -> NetworkTimes:
+def live(dataset: LabelledSource, config: PipelineConfig, num_frames: int) -> NetworkTimes:
     """The live loop on frames at their own rate, from exposure until the command is on a CAN bus."""
-    kept = Kept()
+    sink = TimesSink()
     outputs: list[BeamOutput] = []
     if importlib.util.find_spec("can") is not None:
         outputs.append(CanBus("virtual:foreglow-runtime"))
-    loop = LiveLoop(Paced(dataset), lambda: Pipeline(config), config, outputs=outputs, sinks=[kept])
+    loop = LiveLoop(Paced(dataset), lambda: Pipeline(config), config, outputs=outputs, sinks=[sink])
     summary = loop.run(num_frames + NUM_WARM_UP)
-    return _times(LIVE, kept.rows[NUM_WARM_UP:], kept.counts[NUM_WARM_UP:], summary.num_dropped)
+    return _times(LIVE, sink.rows[NUM_WARM_UP:], sink.counts[NUM_WARM_UP:], summary.num_dropped)
 
 
 def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bool) -> NetworkTimes:
@@ -203,7 +163,7 @@ def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bo
     from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Network
 
     nodes = WHOLE if is_whole else FIVE
-    frames = list(itertools.islice(PVDN(split), num_frames))
+    frames = list(itertools.islice(open_labelled(split), num_frames))
     with Network(config, nodes, keeps_results=False) as network, settled_memory():
         network.warm_up(frames[0], NUM_WARM_UP)
         answers = network.run(frames)
@@ -218,7 +178,7 @@ def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bo
     return _times(ONE_NODE if is_whole else NETWORK, rows, [-1] * len(rows), num_lost)
 
 
-def apart(call: Callable[..., NetworkTimes], *arguments: Any) -> NetworkTimes:
+def in_fresh_process(call: Callable[..., NetworkTimes], *arguments: Any) -> NetworkTimes:
     """The result of a call in a fresh process."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(call, *arguments).result()
@@ -233,15 +193,3 @@ def _times(name: str, rows: Sequence[Mapping[str, float]], counts: Sequence[int]
     names = dict.fromkeys(part for row in rows for part in row)
     parts_ms = {part: np.array([row.get(part, math.nan) for row in rows]) for part in names}
     return NetworkTimes(name, parts_ms, np.array(counts, np.int64), num_dropped)
-
-
-def frames_by_proposals(times: NetworkTimes, edges: Sequence[int]) -> Iterator[tuple[str, Floats]]:
-    """Complete run-times of the frames with at least so many proposals and fewer than the next edge says."""
-    for least, beyond in itertools.pairwise([*edges, None]):
-        assert least is not None
-        is_in = times.num_proposals >= least
-        if beyond is not None:
-            is_in &= times.num_proposals < beyond
-        words = f"{least} and more" if beyond is None else f"{least} to {beyond - 1}"
-        complete = times.parts_ms[COMPLETE][is_in]
-        yield words, complete[np.isfinite(complete)]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import PVDN, read_image, to_grey
+from foreglow.datasets import LabelledSource, open_labelled, read_image, to_grey
 from foreglow.datasets.simulated import SequenceTruth, read_truth
 from foreglow.lab.evaluation.label_statistics import (
     Comparison,
@@ -23,9 +22,17 @@ from foreglow.lab.evaluation.label_statistics import (
 from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
 from foreglow.lab.simulation.labels.categories import is_oncoming
 from foreglow.lab.simulation.writing.scene_files import scene_of
-from foreglow.lab.studies.simulator.image_statistics import ImageStatistics, PixelComparison, image_statistics
-from foreglow.lab.studies.simulator.image_statistics import compare as compare_images
-from foreglow.lab.studies.simulator.perceivability import FACTORS, PeaksOfFrame, RuleEffect, first_times, rule_effects
+from foreglow.lab.studies.simulator.metrics import (
+    FACTORS,
+    ImageStatistics,
+    PeaksOfFrame,
+    PixelComparison,
+    RuleEffect,
+    compare_images,
+    first_times,
+    image_statistics,
+    rule_effects,
+)
 
 NUM_IMAGES = 24
 """Images whose pixels are measured: those with a lamp in sight, evenly spread over the set."""
@@ -38,12 +45,13 @@ class SimulatorResults:
     Attributes:
         name: The data set.
         labels: Statistics of its labels.
-        label_rows: The same beside those of real labels; None without any.
+        label_rows: These statistics beside those of real labels; None without real labels.
         pixels: Statistics of images with a lamp in sight.
-        pixel_rows: The same beside those of a real image; None without any.
+        pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
-        leads_s: First lamp minus first indirect light, one number a drive that has both; negative if the lamp leads.
-        production_delays_s: First report of the modelled production system minus first indirect light, likewise.
+        leads_s: First lamp minus first indirect light, for each drive that has both; negative if the lamp comes first.
+        production_delays_s: First report of the modelled production system minus first indirect light, for each drive
+            that has both.
     """
 
     name: str
@@ -54,19 +62,6 @@ class SimulatorResults:
     effects: tuple[RuleEffect, ...]
     leads_s: tuple[float, ...]
     production_delays_s: tuple[float, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """All figures by name, for JSON: null instead of NaN."""
-        return {
-            "name": self.name,
-            "labels": self.labels.to_json(),
-            "label_rows": None if self.label_rows is None else [row.to_json() for row in self.label_rows],
-            "pixels": self.pixels.to_json(),
-            "pixel_rows": None if self.pixel_rows is None else [row.to_json() for row in self.pixel_rows],
-            "effects": [effect.to_json() for effect in self.effects],
-            "leads_s": list(self.leads_s),
-            "production_delays_s": list(self.production_delays_s),
-        }
 
 
 def examine(split: Path, real_labels: Path | None = None, real_image: Path | None = None) -> SimulatorResults:
@@ -81,7 +76,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
         FileNotFoundError: If a file is missing.
         ValueError: If one is broken, or no image has a lamp in sight.
     """
-    dataset = PVDN(split)
+    dataset = open_labelled(split)
     truth = read_truth(dataset.root)
     own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
     own_pixels = image_statistics(_images_with_lamp(dataset, truth))
@@ -114,9 +109,9 @@ def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
     for frame in drive.frames:
         vehicles = [vehicle for vehicle in frame.vehicles if vehicle.vehicle_id in oncoming]
         has_direct = any(
-            one.is_direct and not one.is_rear and not one.is_doubtful
+            artifact.is_direct and not artifact.is_rear and not artifact.is_doubtful
             for vehicle in vehicles
-            for one in vehicle.artifacts
+            for artifact in vehicle.artifacts
         )
         candidates = tuple(vehicle.candidates for vehicle in vehicles)
         frames.append(PeaksOfFrame(frame.timestamp_ns / 1e9, has_direct, candidates))
@@ -130,17 +125,17 @@ def _first_report_s(drive: SequenceTruth) -> float:
 
 def _real_statistics(path: Path) -> LabelStatistics:
     if path.is_dir():
-        return label_statistics(labels_of_split(PVDN(path)))
+        return label_statistics(labels_of_split(open_labelled(path)))
     return label_statistics(read_label_digest(path))
 
 
-def _images_with_lamp(dataset: PVDN, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
+def _images_with_lamp(dataset: LabelledSource, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
     """Some images that show a lamp, as the one real image does; any where none does."""
     shown = [
         frame.image_id
         for drive in truth
         for frame in drive.frames
-        if any(one.is_direct for vehicle in frame.vehicles for one in vehicle.artifacts)
-    ] or list(dataset.labels.images)
-    places = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
-    return [np.asarray(dataset.read(shown[place]).image, np.uint8) for place in places]
+        if any(artifact.is_direct for vehicle in frame.vehicles for artifact in vehicle.artifacts)
+    ] or list(dataset.frame_ids)
+    chosen = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
+    return [np.asarray(dataset.read(shown[index]).image, np.uint8) for index in chosen]

@@ -1,4 +1,4 @@
-"""The paper's time benefit: when the first vehicle of each sequence is detected, beside others who report it.
+"""The paper's time benefit: how much earlier than a production system or a human a method detects a vehicle.
 
 A method detects a vehicle with the first box that contains one of its key points.
 
@@ -7,7 +7,6 @@ Source: Ewecker et al., arXiv 2107.11302, the experiment on the time benefit.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.evaluation.boxes.breakdown import plain
+from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.first_found import FirstFound
 from foreglow.lab.evaluation.label_statistics import Spread
+from foreglow.lab.evaluation.ratios import mean, ratio, share
 from foreglow.lab.evaluation.tracks.encounters import Encounter
+from foreglow.lab.evaluation.tracks.track_quality import SequenceTracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,19 +31,14 @@ class MeanAndSpread(Spread):
 
     @classmethod
     def of(cls, values: Iterable[float]) -> MeanAndSpread:
-        """Of those of `values` that are not NaN.
+        """The spread and the mean of those of `values` that are not NaN.
 
         >>> MeanAndSpread.of([1.0, 2.0, math.nan, 6.0])
         MeanAndSpread(num=3, lower_quartile=1.5, median=2.0, upper_quartile=4.0, mean=3.0)
         """
         known = [float(value) for value in values if not math.isnan(value)]
         spread = Spread.of(known)
-        mean = float(np.mean(known)) if known else math.nan
-        return cls(spread.num, spread.lower_quartile, spread.median, spread.upper_quartile, mean)
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        return {name: plain(value) for name, value in dataclasses.asdict(self).items()}
+        return cls(spread.num, spread.lower_quartile, spread.median, spread.upper_quartile, mean(known))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +49,10 @@ class TimeBenefit:
         name: The method.
         detected_s: One time an encounter, in their order; NaN for never.
         delays_s: From the first annotated artifact.
-        before_production_s: By how much it is before the production system; of sequences where both detect.
-        occluded_before_production_s: The same of occluded vehicles alone.
-        before_human_s: By how much it is before a human.
-        before_sight_s: By how much it is before the first annotated lamp; of occluded vehicles.
+        before_production_s: How much earlier than the production system; of the sequences in which both detect.
+        occluded_before_production_s: `before_production_s` of occluded vehicles alone.
+        before_human_s: How much earlier than a human.
+        before_sight_s: How much earlier than the first annotated lamp; of occluded vehicles.
         provident_share: Share of the occluded vehicles that are detected before their first annotated lamp; those that
             are never detected count against it. NaN without any.
         num_missed: Vehicles that are never detected.
@@ -72,30 +68,89 @@ class TimeBenefit:
     provident_share: float
     num_missed: int
 
+
+@dataclass(frozen=True, slots=True)
+class FalseTracks:
+    """Confirmed tracks that never held any light of a vehicle, not even doubtful light.
+
+    Attributes:
+        num: Number of false tracks.
+        num_plausible: Number of all confirmed tracks.
+        minutes: Duration of the sequences.
+        km: Distance driven in them; NaN where the speed is unknown.
+        num_empty: False tracks that came up in an image without any vehicle's light.
+        empty_minutes: Duration of such images.
+    """
+
+    num: int
+    num_plausible: int
+    minutes: float
+    km: float
+    num_empty: int
+    empty_minutes: float
+
+    @classmethod
+    def of(cls, sequences: Sequence[SequenceTracks], km: float) -> FalseTracks:
+        """Of all sequences together."""
+        return cls(
+            num=sum(sequence.num_false for sequence in sequences),
+            num_plausible=sum(sequence.num_plausible for sequence in sequences),
+            minutes=sum(sequence.duration_s for sequence in sequences) / 60.0,
+            km=km,
+            num_empty=sum(sequence.num_false_empty for sequence in sequences),
+            empty_minutes=sum(sequence.empty_s for sequence in sequences) / 60.0,
+        )
+
+    @property
+    def per_minute(self) -> float:
+        """False tracks per minute; NaN without any time."""
+        return ratio(self.num, self.minutes)
+
+    @property
+    def per_km(self) -> float:
+        """False tracks per kilometre; NaN where the distance is unknown or 0."""
+        return ratio(self.num, self.km)
+
+    @property
+    def per_empty_minute(self) -> float:
+        """False tracks per minute of images without any vehicle's light; NaN without such images."""
+        return ratio(self.num_empty, self.empty_minutes)
+
     def to_json(self) -> dict[str, Any]:
-        """All fields by name, for JSON: null instead of NaN."""
-        spreads = (
-            "delays_s", "before_production_s", "occluded_before_production_s", "before_human_s", "before_sight_s",
-        )  # fmt: skip
-        return {
-            "name": self.name,
-            "detected_s": [plain(value) for value in self.detected_s],
-            **{name: getattr(self, name).to_json() for name in spreads},
-            "provident_share": plain(self.provident_share),
-            "num_missed": self.num_missed,
-        }
+        """All fields and rates by name."""
+        return fields_to_json(self, "per_minute", "per_km", "per_empty_minute")
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One row of the table.
+
+    Attributes:
+        benefit: How early it detects.
+        false: Its false confirmed tracks; None for what is no tracker.
+        delay_s: Mean time from the first annotated artifact, where a vehicle that is not detected before the production
+            system reports it, or the sequence ends, counts as detected then: missing a vehicle makes no rule quick.
+    """
+
+    benefit: TimeBenefit
+    false: FalseTracks | None
+    delay_s: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, those of the benefit on the same level."""
+        return fields_to_json(self.benefit) | {"false": self.false, "delay_s": self.delay_s}
 
 
 def detection_times_s(encounters: Sequence[Encounter], found: Iterable[FirstFound]) -> tuple[float, ...]:
     """When each encounter's vehicle is found, by the vehicles of `first_found`; NaN for never."""
-    times = {(one.sequence_id, one.vehicle_id): one.found_s for one in found}
-    return tuple(times.get((one.sequence_id, one.vehicle_id), math.nan) for one in encounters)
+    times_s = {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in found}
+    return tuple(times_s.get((met.sequence_id, met.vehicle_id), math.nan) for met in encounters)
 
 
 def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequence[float]) -> TimeBenefit:
     """The figures of a method that detects the encounters' vehicles at `detected_s`."""
     detected = np.array(detected_s, np.float64)
-    is_occluded = np.array([one.is_occluded for one in encounters], np.bool_)
+    is_occluded = np.array([met.is_occluded for met in encounters], np.bool_)
     light_s, sight_s, production_s, human_s = _columns(encounters)
     # A vehicle that never comes into sight is detected before it does, whenever that is.
     is_provident = (detected < sight_s) | (~np.isnan(detected) & np.isnan(sight_s))
@@ -107,12 +162,31 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
         occluded_before_production_s=MeanAndSpread.of((production_s - detected)[is_occluded]),
         before_human_s=MeanAndSpread.of(human_s - detected),
         before_sight_s=MeanAndSpread.of((sight_s - detected)[is_occluded]),
-        provident_share=float(is_provident[is_occluded].mean()) if is_occluded.any() else math.nan,
+        provident_share=share(is_provident[is_occluded]),
         num_missed=int(np.isnan(detected).sum()),
+    )
+
+
+def mean_delay_s(encounters: Sequence[Encounter], detected_s: Sequence[float]) -> float:
+    """See `Method.delay_s`."""
+    light_s, _, production_s, _ = _columns(encounters)
+    latest_s = np.fmax(light_s, np.where(np.isnan(production_s), [met.duration_s for met in encounters], production_s))
+    return float((np.fmin(detected_s, latest_s) - light_s).mean())
+
+
+def least_delay_s(curve: Sequence[Method], max_false_per_minute: float) -> float:
+    """The least mean delay of those settings of a rule that keep to the limit; NaN if none does."""
+    return min(
+        (
+            method.delay_s
+            for method in curve
+            if method.false is not None and method.false.per_minute <= max_false_per_minute
+        ),
+        default=math.nan,
     )
 
 
 def _columns(encounters: Sequence[Encounter]) -> NDArray[np.float64]:
     """First light, first lamp, production system and human, shape (4, E)."""
-    rows = [(one.light_s, one.sight_s, one.production_s, one.human_s) for one in encounters]
+    rows = [(met.light_s, met.sight_s, met.production_s, met.human_s) for met in encounters]
     return np.array(rows, np.float64).reshape(-1, 4).T

@@ -1,0 +1,158 @@
+"""`beam`: from frames or tracks to the light of the headlamps."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from foreglow.cli.app import app
+from foreglow.cli.offline import finish, open_frames, run_frames
+from foreglow.cli.sinks import beam_sink, recorded_lux, viewer_sinks
+from foreglow.options import (
+    BeamOptions,
+    OutOption,
+    PipelineOptions,
+    SourceOptions,
+    VehicleOptions,
+    ViewOptions,
+    argument,
+    flag,
+    option,
+    with_options,
+)
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import FrameSource
+    from foreglow.photometry import Headlamps
+    from foreglow.runtime import OutputFolder, ResultSink, Stepper
+    from foreglow.runtime.can_output import CanBus
+    from foreglow.runtime.replay import Replay
+
+
+@app.command()
+@with_options
+def beam(
+    source: Annotated[
+        Path, argument("RUN|SOURCE", "Folder of a `run`, whose tracks are used, or a source as for `run`.")
+    ],
+    out: OutOption,
+    lamps: BeamOptions,
+    pipeline: PipelineOptions,
+    reading: SourceOptions,
+    vehicle: VehicleOptions,
+    viewer: ViewOptions,
+    can: Annotated[str | None, option("asc|blf|log", "Also write a CAN log of this format; log is candump's.")] = None,
+    compact: Annotated[
+        bool, flag("--compact", "Write only the gaps to the CAN log, for cars that accept these.")
+    ] = False,
+    video: Annotated[bool, flag("--video", "Also write pictures of the beam: MP4, or PNG of a single image.")] = False,
+) -> None:
+    """Compute the beam for each frame: the level of each LED, dark gaps, and reasons for low beam."""
+    from foreglow.photometry import read_headlamps
+    from foreglow.pipeline import Pipeline
+
+    is_run = (source / "frames.jsonl").is_file()
+    configuration = lamps.commanding(
+        _configuration_of_run(source, out, pipeline) if is_run else pipeline.configuration()
+    )
+    headlamps = read_headlamps(configuration.beam.headlamps)
+    _check_can(can, headlamps, is_compact=compact)
+    stepper: Stepper
+    if is_run:
+        stepper, images, num_frames = _replay(source, configuration)
+        limit = min(num_frames, reading.limit or num_frames)
+        reading = dataclasses.replace(reading, limit=limit, on_error="skip")
+    else:
+        stepper, images = Pipeline(configuration), source
+    frames = open_frames(images, reading, vehicle)
+    _check_equipment(frames, images, configuration, has_log=vehicle.can_log is not None)
+
+    def make_sinks(results: OutputFolder) -> list[ResultSink]:
+        sinks: list[ResultSink] = [*viewer_sinks(viewer, configuration, recorded_lux(frames))]
+        if video:
+            sinks.append(beam_sink(frames, results, headlamps))
+        if can is not None:
+            sinks.append(_can_sink(results, can, configuration.beam.restore_s, is_compact=compact))
+        return sinks
+
+    finish(run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)
+
+
+def _configuration_of_run(run: Path, out: Path, options: PipelineOptions) -> PipelineConfig:
+    """The configuration of an earlier run, overridden by the fields of the file."""
+    from foreglow.config import read_config
+
+    if options.preset is not None or options.model is not None:
+        raise ValueError(f"{run}: expected neither --preset nor --model with a run: its tracks are taken as they are")
+    if run.resolve() == out.resolve():
+        raise ValueError(f"{out}: expected another folder for the results than that of the run")
+    configuration = read_config(run / "config.toml")
+    if configuration.classifier.model is None or configuration.tracker.method == "none":
+        raise ValueError(f"{run}: expected the folder of a run with tracks: it had no model or no tracker")
+    return configuration if options.config is None else read_config(options.config, configuration)
+
+
+def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
+    """The bus to the headlamps, which need as many LEDs as its messages have."""
+    from foreglow.photometry import NUM_LEDS, read_headlamps
+    from foreglow.runtime.can_output import CanBus
+
+    headlamps = read_headlamps(configuration.beam.headlamps)
+    if headlamps.num_leds != NUM_LEDS:
+        raise ValueError(f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each")
+    return CanBus(channel, ramp_s=configuration.beam.restore_s)
+
+
+def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
+    """The results of an earlier run, the path of its frames, and their number."""
+    from foreglow.runs.frames_file import read_results
+    from foreglow.runs.recorded_run import source_of_run
+    from foreglow.runtime.replay import Replay
+
+    results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)
+    return Replay(configuration, results, str(run)), source_of_run(run), len(results)
+
+
+def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> None:
+    """Checks that the CAN log can be written, before any work is done."""
+    if kind is None:
+        if is_compact:
+            raise ValueError("--compact: expected --can beside it: it is about the CAN log")
+        return
+    from foreglow.photometry import NUM_LEDS
+    from foreglow.runtime.can_output import LOG_SUFFIXES
+
+    importlib.import_module("can")
+    if f".{kind}" not in LOG_SUFFIXES:
+        raise ValueError(f"--can: expected one of {', '.join(suffix[1:] for suffix in LOG_SUFFIXES)}, got {kind!r}")
+    if headlamps.num_leds != NUM_LEDS and not is_compact:
+        raise ValueError(
+            f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each; "
+            "--compact writes their gaps alone"
+        )
+
+
+def _can_sink(results: OutputFolder, kind: str, restore_s: float, *, is_compact: bool) -> ResultSink:
+    """The sink for the CAN log; in cars that accept gaps alone, light returns as slowly as in our LEDs if they can."""
+    from foreglow.beam.messages import RAMPS_S
+    from foreglow.runtime.can_output import CanLogSink
+
+    path, ramp_s = results.partial(f"beam.{kind}"), min(restore_s, RAMPS_S[-1])
+    return CanLogSink(path, suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
+
+
+def _check_equipment(frames: FrameSource, source: Path, configuration: PipelineConfig, *, has_log: bool) -> None:
+    """Checks that the first frame has what a high beam needs; the guard checks every frame."""
+    first = next(iter(frames), None)
+    if first is None:
+        return
+    if first.camera is None:
+        raise ValueError(f"{source}: the beam needs the camera's calibration: expected --calibration FILE")
+    if first.motion is None and not has_log and configuration.guard.needs_speed:
+        raise ValueError(
+            f"{source}: the beam needs our speed: expected --can-log FILE, or needs_speed = false under [guard] in "
+            "--config FILE"
+        )

@@ -1,0 +1,68 @@
+"""`calibrate`: checks calibration files, and converts those of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.options import argument, flag, option, output_file, size_from, with_options
+
+calibrate = typer.Typer(no_args_is_help=True, help="Check a calibration file on an image, or convert one.")
+app.add_typer(calibrate, name="calibrate")
+
+
+@calibrate.command()
+@with_options
+def check(
+    camera: Annotated[Path, argument("CAMERA", "Calibration (TOML).")],
+    image: Annotated[Path, argument("IMAGE", "An image that the camera took.")],
+    out: Annotated[Path, output_file("PNG file to write.")],
+) -> None:
+    """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and print the calibration in words."""
+    from foreglow.calibration import read_calibration
+    from foreglow.datasets import read_image
+    from foreglow.display.calibration_check import check_lines, write_check
+
+    calibrated = read_calibration(camera)
+    write_check(out, calibrated, read_image(image), str(image))
+    typer.echo("\n".join([*check_lines(calibrated), f"picture        {out}"]))
+
+
+@calibrate.command()
+@with_options
+def convert(
+    source: Annotated[Path, argument("FILE", "Calibration in the format of KITTI (.txt) or ROS (.yaml), or TOML.")],
+    out: Annotated[Path, output_file("TOML file to write.")],
+    mount_forward: Annotated[
+        float, option("M", "Position of the camera: metres in front of the rear axle.", min=-20.0, max=20.0)
+    ],
+    mount_height: Annotated[float, option("M", "Position of the camera: metres above the road.", min=0.1, max=10.0)],
+    mount_left: Annotated[
+        float, option("M", "Position of the camera: metres left of the car's centre line.", min=-5.0, max=5.0)
+    ] = 0.0,
+    pitch_deg: Annotated[float, option("DEG", "Angle by which the camera points upwards.", min=-45.0, max=45.0)] = 0.0,
+    yaw_deg: Annotated[
+        float, option("DEG", "Angle by which the camera points to the left.", min=-180.0, max=180.0)
+    ] = 0.0,
+    roll_deg: Annotated[
+        float, option("DEG", "Angle by which the camera is rolled to the right.", min=-180.0, max=180.0)
+    ] = 0.0,
+    camera: Annotated[int, option("N", "Number of the camera in a KITTI file.", min=0, max=99)] = 0,
+    rectified: Annotated[bool, flag("--rectified", "The images are rectified.")] = False,
+    size: Annotated[str | None, option("WxH", "Size of the images, if FILE does not say it.")] = None,
+) -> None:
+    """Convert the calibration of another program to TOML, with the position of the camera in the car."""
+    from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_intrinsics
+    from foreglow.config import validated
+    from foreglow.files import write_atomic
+
+    position_m = (mount_forward, mount_left, mount_height)
+    angles = {"yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
+    mount = validated(Mount, {"position_m": position_m, **angles}, "mount")
+    size_px = None if size is None else size_from(size)
+    choice = validated(ImageChoice, {"camera": camera, "is_rectified": rectified, "size_px": size_px}, "images")
+    write_atomic(out, calibration_to_toml(read_intrinsics(source, choice).camera(mount)).encode())
+    typer.echo(f"calibration in {out}; look at it with: foreglow calibrate check {out} IMAGE --out FILE.png")

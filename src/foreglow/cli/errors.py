@@ -1,0 +1,205 @@
+"""Errors of a command: one line on stderr, and an exit code.
+
+Bad input and wrong usage end with 2, an interrupt with 130, and a fault of this program with 70 and a report in a file
+(the codes of sysexits.h and of shells).
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+EXTRAS = {
+    **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
+    **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
+    **dict.fromkeys(("cantools", "can"), "can"),
+    **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
+    **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
+    **dict.fromkeys(("dask", "distributed"), "scale"),
+    "rerun": "view",
+    "matplotlib": "plots",
+    "ultralytics": "ultralytics",
+    "trackeval": "mot",
+}
+"""Optional modules, and the extra that installs each."""
+
+INTERNAL_ERROR = 70
+"""EX_SOFTWARE of sysexits.h."""
+
+READERS = (
+    "calibration",
+    "classifier",
+    "config",
+    "datasets",
+    "files",
+    "lab.simulation.scenes",
+    "lab.simulation.writing",
+    "maps",
+    "photometry",
+    "runs",
+    "street",
+)
+"""Where files of the user are read."""
+
+OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
+"""What follows them on a command line is no input."""
+
+MAX_LENGTH = 1000
+"""Characters of a message; a longer one, such as of a file that is one long line, is cut."""
+
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
+_ClickException: type[Any] = typer.BadParameter.__mro__[2]
+
+
+class Commands(TyperGroup):
+    """The commands, with their errors turned into one line on stderr."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Runs the command line; where stderr is no terminal, an error of usage is one line, too, and not a box."""
+        if not extra.get("standalone_mode", True) or sys.stderr.isatty():
+            return super().main(*args, **extra)
+        try:
+            code = super().main(*args, **(extra | {"standalone_mode": False}))
+        except _ClickException as error:
+            if type(error).__name__ == "NoArgsIsHelpError":
+                error.show()
+            else:
+                context = getattr(error, "ctx", None)
+                hint = f" (see {context.command_path} --help)" if context is not None else ""
+                typer.echo(f"foreglow: {shortened(error.format_message())}{hint}", err=True)
+            sys.exit(error.exit_code)
+        except typer.Abort:
+            typer.echo("foreglow: interrupted", err=True)
+            sys.exit(130)
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command.
+
+        Raises:
+            typer.Exit: With the exit code. With `--debug` the error itself is raised.
+        """
+        is_debug = ctx.params["debug"]
+        if not is_debug:  # what libraries have to say beside their errors
+            logging.lastResort = None
+            warnings.simplefilter("ignore")
+        inputs = _inputs([*ctx._protected_args, *ctx.args])
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            line, code = "interrupted", 130
+        except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
+            raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
+        except Exception as error:
+            if is_debug:
+                raise
+            line, code = one_line(error, inputs)
+        typer.echo(f"foreglow: {line}", err=True)
+        raise typer.Exit(code)
+
+
+def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
+    """The error as one line, and the exit code; of an unforeseen error a report is written.
+
+    Args:
+        error: What was raised.
+        inputs: Files and folders that the command line names.
+    """
+    if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
+        return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
+    if isinstance(error, OSError) and error.filename is not None:
+        return shortened(f"{error.filename}: {error.strerror}"), 2
+    if isinstance(error, (ValueError, OSError)):
+        return shortened(str(error) or type(error).__name__), 2
+    words = shortened(f"{type(error).__name__}: {error}", 200)
+    path = _input_read(error, inputs)
+    if path is not None:
+        return shortened(f"{path}: cannot be read: {words}"), 2
+    if isinstance(error, (OverflowError, RecursionError, MemoryError)) and inputs:
+        return shortened(f"{', '.join(map(str, inputs))}: expected values that can be worked with: {words}"), 2
+    if isinstance(error, MemoryError):
+        return "not enough memory", 2
+    return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
+
+
+def _inputs(arguments: Sequence[str]) -> list[Path]:
+    """The files and folders among the arguments of a command, without those that it writes to."""
+    paths = []
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        name, _, value = argument.partition("=")
+        text = value if argument.startswith("-") else argument
+        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and _exists(Path(text)):
+            paths.append(Path(text))
+    return paths
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that is too long, or has a zero byte
+        return False
+
+
+def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
+    """The input that was being read when the error was raised: the path that the innermost reader had in hand."""
+    found, is_reading = None, False
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        module = str(frame.f_globals.get("__name__", ""))
+        if not module.startswith("foreglow."):
+            continue
+        is_reading = module.removeprefix("foreglow.").startswith(READERS)
+        if is_reading:
+            values = (*frame.f_locals.values(), getattr(frame.f_locals.get("self"), "path", None))
+            paths = [value for value in values if isinstance(value, Path)]
+            found = next((path for path in paths if _is_part_of(path, inputs)), found)
+    if not is_reading:  # what the readers made of it is worked with already
+        return None
+    return found or (inputs[0] if len(inputs) == 1 else None)
+
+
+def _is_part_of(path: Path, inputs: Sequence[Path]) -> bool:
+    return any(path == entry or entry in path.parents for entry in inputs)
+
+
+def shortened(text: str, length: int = MAX_LENGTH) -> str:
+    r"""`text` on one line, cut in the middle if it is too long.
+
+    >>> shortened("a  file\nof two lines")
+    'a file of two lines'
+    >>> shortened("abcdefgh", 5)
+    'ab…gh'
+    """
+    line = " ".join(text[: 100 * length].split())
+    line = line.encode("utf-8", "replace").decode()  # names that are not UTF-8
+    half = (length - 1) // 2
+    return line if len(line) <= length else f"{line[:half]}…{line[-half:]}"
+
+
+def _report(error: Exception) -> str:
+    """Writes what a developer needs to a file, and returns its path."""
+    from importlib import metadata
+
+    try:
+        lines = [
+            f"foreglow {metadata.version('foreglow')}, Python {platform.python_version()}, {platform.platform()}",
+            f"command: {' '.join(sys.argv)[:10_000]}",
+            "".join(traceback.format_exception(error, limit=-60))[-100_000:],
+        ]
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="foreglow-error-", suffix=".txt", delete=False, encoding="utf-8", errors="replace"
+        ) as file:
+            file.write("\n".join(lines))
+        return str(Path(file.name))
+    except OSError as failure:
+        return f"none, it cannot be written: {failure}"

@@ -1,0 +1,179 @@
+"""`evaluate`: how good a model or predictions are on a split."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.cli.offline import run_in_parallel
+from foreglow.options import (
+    PipelineOptions,
+    WorkerOptions,
+    argument,
+    file,
+    flag,
+    folder,
+    option,
+    output_file,
+    with_options,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from foreglow.config import PipelineConfig
+    from foreglow.lab.evaluation import BoxQuality, Examination
+    from foreglow.parallel import Workers
+
+
+@app.command()
+@with_options
+def evaluate(
+    split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
+    pipeline: PipelineOptions,
+    work: WorkerOptions,
+    predictions: Annotated[
+        Path | None, file("Boxes to evaluate instead of running a model: frames.jsonl of a run, or PVDN's JSON.")
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        option("SCORE", "Count boxes with a score above this (default: that of the run).", min=0.0, max=1.0),
+    ] = None,
+    out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
+    json_file: Annotated[Path | None, output_file("Also write the paper's metrics as JSON.", "--json")] = None,
+    robustness: Annotated[
+        bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
+    ] = False,
+    seed: Annotated[int, option("N", "Seed of the disturbances.", min=0)] = 0,
+) -> None:
+    """Compare the boxes of a model, or of --predictions, with the key points of a split."""
+    if robustness and predictions is not None:
+        raise ValueError("evaluate: expected --model with --robustness, which runs on disturbed images")
+
+    import rich
+
+    from foreglow.files import write_json_results
+    from foreglow.lab.reports.evaluation_page import examination_lines, write_report
+
+    workers = work.workers()
+    configuration = _configuration(pipeline, predictions, threshold)
+    if out is not None:
+        from foreglow.lab.reports.figures import require_matplotlib
+
+        require_matplotlib()
+    if predictions is not None:
+        examination = _examined_file(split, predictions, _threshold_of(predictions) if threshold is None else threshold)
+    else:
+        examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
+    if json_file is not None:
+        write_json_results(json_file, examination.quality, indent=2)
+    rich.print(_table(examination.quality, str(split)))
+    typer.echo("\n".join(examination_lines(examination)))
+    if out is not None:
+        paths = {"split": split, "predictions": predictions, "model": pipeline.model}
+        options = paths | {"preset": pipeline.preset, "config": pipeline.config}
+        given = {name: None if value is None else str(value) for name, value in options.items()}
+        typer.echo(f"look in {write_report(examination, out, given | {'seed': seed})}")
+
+
+def _configuration(options: PipelineOptions, predictions: Path | None, threshold: float | None) -> PipelineConfig:
+    """What `evaluate` runs on the split, unless it is given predictions."""
+    if predictions is not None:
+        for name, value in dataclasses.asdict(options).items():
+            if value is not None:
+                raise ValueError(f"evaluate: expected --predictions or --{name}, got both")
+    configuration = options.configuration().detector_only
+    if configuration.classifier.model is None and predictions is None:
+        raise ValueError("evaluate: expected --predictions FILE or --model FILE, got neither")
+    if threshold is None:
+        return configuration
+    from foreglow.config import ClassifierConfig
+
+    classifier = ClassifierConfig(**(configuration.classifier.model_dump() | {"score_threshold": threshold}))
+    return configuration.model_copy(update={"classifier": classifier})
+
+
+def _threshold_of(predictions: Path) -> float:
+    """The threshold that the run accepted its boxes with; 0.5, as the paper's, for predictions that no run wrote."""
+    from foreglow.config import read_config
+
+    path = predictions.with_name("config.toml")
+    if predictions.name != "frames.jsonl" or not path.is_file():
+        return 0.5
+    return read_config(path).classifier.score_threshold
+
+
+def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
+    """All figures of the predictions in a file."""
+    from foreglow.datasets import open_labelled
+    from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
+    from foreglow.runs.frames_file import has_tracks, read_tracks
+
+    dataset = open_labelled(split)
+    found, labels = read_predictions(predictions), read_split_labels(dataset)
+    examination = examine(labels, found, threshold, str(predictions))
+    if not has_tracks(predictions):
+        return examination
+    of_tracks = directness(labels, found, threshold, read_tracks(predictions), read_cameras(dataset))
+    return dataclasses.replace(examination, directness=of_tracks)
+
+
+def _examined_model(
+    split: Path, configuration: PipelineConfig, out: Path | None, seed: int | None, workers: Workers
+) -> Examination:
+    """All figures of a pipeline that is run on the split; with a `seed`, on disturbed images, too."""
+    from foreglow.datasets import open_labelled
+    from foreglow.display.progress import ProgressSink
+    from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.lab.evaluation.boxes.robustness import robustness
+    from foreglow.runtime import Opening
+
+    dataset = open_labelled(split)
+    labels = read_split_labels(dataset)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = out or Path(temporary)
+        summary = run_in_parallel(Opening(open_labelled, (split,)), str(split), folder, configuration, workers)
+        if not summary.is_complete:
+            raise KeyboardInterrupt
+        found = read_predictions(folder / "frames.jsonl")
+    classifier = configuration.classifier
+    examination = examine(labels, found, classifier.score_threshold, str(classifier.model), summary.run_time_ms)
+    if seed is None:
+        return examination
+    with ProgressSink(dataset.num_frames) as progress:
+        rows = robustness(dataset, labels, configuration, seed=seed, progress=progress.write)
+    return dataclasses.replace(examination, robustness=rows)
+
+
+def _table(quality: BoxQuality, title: str) -> Table:
+    """The numbers of `quality`, with a dash for undefined ones, and the counts behind them."""
+    from rich.table import Table
+
+    from foreglow.display.summary_lines import counted
+    from foreglow.lab.reports.numbers import number
+
+    condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
+    caption = f"{counted(quality.num_images, 'image')}, {condition}"
+    if quality.num_missing:
+        caption += f"\n{counted(quality.num_missing, 'image')} without predictions, counted as without boxes"
+    if quality.num_unknown:
+        caption += f"\npredictions for {counted(quality.num_unknown, 'unknown image')} ignored"
+    table = Table("", "", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
+    table.columns[1].justify = "right"
+    for name, value in (("precision", quality.precision), ("recall", quality.recall), ("F", quality.f1)):
+        table.add_row(name, number(value, 4))
+    table.add_section()
+    table.add_row("q", number(quality.q, 4))
+    table.add_row("q_K", number(quality.q_k, 4), f"± {number(quality.q_k_std, 4)}")
+    table.add_row("q_B", number(quality.q_b, 4), f"± {number(quality.q_b_std, 4)}")
+    table.add_section()
+    table.add_row("TP (key points in a box)", str(quality.tp))
+    table.add_row("FN (key points in none)", str(quality.fn))
+    table.add_row("FP (boxes without key point)", str(quality.fp))
+    return table

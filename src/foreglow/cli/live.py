@@ -1,0 +1,153 @@
+"""`live`: from a camera, or what stands in for one, to commands in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.cli.beam import lamp_bus
+from foreglow.cli.sinks import recording_sinks, viewer_sinks
+from foreglow.options import (
+    BeamOptions,
+    CaptureOptions,
+    LimitOption,
+    PipelineOptions,
+    QualityOption,
+    RecordOption,
+    TopicOption,
+    VehicleOptions,
+    ViewOptions,
+    argument,
+    folder,
+    option,
+    with_options,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import VehicleData
+    from foreglow.runtime.health import LiveSink
+    from foreglow.runtime.live import BeamOutput, LiveSource, LiveSummary
+
+SOURCE_HELP = (
+    "A camera (camera:0, camera:/dev/video0 or gstreamer:PIPELINE), an address such as rtsp://..., a simulated drive "
+    "in closed loop (simulate:curve or simulate:FILE.toml), or a source as for `run`, played at its own rate."
+)
+
+
+@app.command()
+@with_options
+def live(
+    source: Annotated[str, argument("SOURCE", SOURCE_HELP)],
+    capture: CaptureOptions,
+    pipeline: PipelineOptions,
+    lamps: BeamOptions,
+    vehicle: VehicleOptions,
+    viewer: ViewOptions,
+    can: Annotated[
+        str | None, option("CHANNEL", "CAN bus of the headlamps: can0, or python-can's INTERFACE:CHANNEL.")
+    ] = None,
+    can_in: Annotated[
+        str | None, option("CHANNEL", "With a camera: CAN bus with the motion of the car and the road.")
+    ] = None,
+    out: Annotated[Path | None, folder("Also write results, summary and faults to this folder.")] = None,
+    record: RecordOption = None,
+    topic: TopicOption = None,
+    limit: LimitOption = None,
+    speed: Annotated[
+        float,
+        option("X", "Replay X times as fast; 0 is as fast as possible, without dropping a frame.", min=0.0, max=1000.0),
+    ] = 1.0,
+    camera_delay: Annotated[
+        float, option("S", "Time from the exposure until the frame arrives.", min=0.0, max=1.0)
+    ] = 0.0,
+    seed: Annotated[int, option("N", "Seed of a simulated drive.", min=0)] = 0,
+    quality: QualityOption = "training",
+) -> None:
+    """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
+    from foreglow.runtime.live import ClosedLoop
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_live
+
+    configuration = lamps.commanding(pipeline.configuration())
+    with contextlib.ExitStack() as closing:
+        data = vehicle.read() if can_in is None else _bus_data(vehicle, can_in, closing)
+        options = CameraOptions(
+            size_px=capture.size_px,
+            rate_hz=capture.rate,
+            delay_s=camera_delay,
+            data=data,
+            seed=seed,
+            quality=quality,
+        )
+        opened = open_live(source, options, speed=speed or float("inf"), topic=topic)
+        outputs: list[BeamOutput] = [opened] if isinstance(opened, ClosedLoop) else []
+        if can is not None:
+            outputs.append(lamp_bus(can, configuration))
+        named = None if record is None else Path(time.strftime(str(record)))
+        sinks = recording_sinks(named, Path(source), configuration)
+        sinks += viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
+        summary = _run(opened, configuration, out, outputs, sinks, limit)
+    _finish(summary, out)
+
+
+def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
+    """What the car's bus and the calibration say about each frame."""
+    from foreglow.calibration import read_calibration
+    from foreglow.datasets.vehicle_logs import VehicleFiles
+    from foreglow.runtime.live.vehicle_bus import VehicleBus
+
+    if any(path is not None for path in (vehicle.can_log, vehicle.road_map, vehicle.poses)):
+        raise ValueError("--can-in: expected neither --can-log nor --map with it: motion and road come from the bus")
+    camera = None if vehicle.calibration is None else read_calibration(vehicle.calibration)
+    bus = closing.enter_context(contextlib.closing(VehicleBus(channel, vehicle.dbc, vehicle.mapping)))
+    return VehicleFiles(camera=camera, log=bus.log, names=(str(vehicle.calibration), channel, ""))
+
+
+def _run(
+    source: LiveSource,
+    configuration: PipelineConfig,
+    out: Path | None,
+    outputs: Sequence[BeamOutput],
+    sinks: Sequence[LiveSink],
+    limit: int | None,
+) -> LiveSummary:
+    """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen."""
+    from foreglow.display.live_status import LiveStatus
+    from foreglow.pipeline import Pipeline
+    from foreglow.runtime import OutputFolder
+    from foreglow.runtime.health import ResultsOnly
+    from foreglow.runtime.live import LiveLoop
+    from foreglow.runtime.live.notify import ServiceNotifier
+
+    all_sinks: list[LiveSink] = [LiveStatus(), *sinks]
+    notifier = ServiceNotifier()
+    with contextlib.nullcontext() if out is None else OutputFolder(out) as results:
+        if results is not None:
+            all_sinks += [ResultsOnly(sink) for sink in results.line_sinks()]
+        loop = LiveLoop(
+            source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=all_sinks, beat=notifier.beat
+        )
+        summary = loop.run(limit)
+        notifier.stop()
+        if results is not None:
+            results.publish(configuration, summary)
+    return summary
+
+
+def _finish(summary: LiveSummary, out: Path | None) -> None:
+    """Prints what came of the run; exits with 130 if it was interrupted, and with 2 if a sink failed."""
+    from foreglow.display.live_status import live_lines
+
+    typer.echo("\n".join([*live_lines(summary), *([] if out is None else [f"look in {out}"])]))
+    if summary.sink_errors:
+        raise typer.Exit(2)
+    if not summary.run.is_complete:
+        raise typer.Exit(130)

@@ -1,0 +1,23 @@
+"""`report`: a run as a page to read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.options import argument, output_file, with_options
+
+
+@app.command()
+@with_options
+def report(
+    run: Annotated[Path, argument("RUN", "Folder of `run`, `beam` or `live`.")],
+    out: Annotated[Path | None, output_file("File to write (default: RUN/report.html).", metavar="FILE.html")] = None,
+) -> None:
+    """Write an HTML page about RUN: tracks, ranges, beam and faults over time, key moments, run-times."""
+    from foreglow.lab.reports.run_page import write_report
+
+    typer.echo(f"look in {write_report(run, out)}")

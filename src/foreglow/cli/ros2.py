@@ -1,0 +1,206 @@
+"""`ros2`: the pipeline as a network of nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.cli.beam import lamp_bus
+from foreglow.options import (
+    CalibrationOption,
+    CaptureOptions,
+    LimitOption,
+    PipelineOptions,
+    SourceOptions,
+    VehicleOptions,
+    argument,
+    flag,
+    option,
+    with_options,
+)
+
+ros2 = typer.Typer(no_args_is_help=True, help="Run the pipeline as ROS 2 nodes, each in a process of its own.")
+app.add_typer(ros2, name="ros2")
+
+PASSING = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""Settings of a command that passes arguments from --ros-args on to ROS 2."""
+
+SourceArgument = Annotated[
+    str, argument("SOURCE", "A source as for `run`, played at its own rate, or a camera as for `live`.")
+]
+SpeedOption = Annotated[float, option("X", "Play X times as fast as it was recorded.", min=0.01, max=1000.0)]
+LoopOption = Annotated[bool, flag("--loop", "Start again at the end.")]
+NetworkOption = Annotated[bool, flag("--network", "Let nodes on other machines take part.")]
+ParentOption = Annotated[int | None, typer.Option(hidden=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """Node."""
+
+    calibration: CalibrationOption = None
+    is_networked: NetworkOption = False
+    parent: ParentOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """Beam commands."""
+
+    can: Annotated[str | None, option("CHANNEL", "CAN bus for the commands: can0, or INTERFACE:CHANNEL.")] = None
+    deadline: Annotated[
+        float | None, option("S", "Command low beam after S seconds without input.", min=0.01, max=10.0)
+    ] = None
+
+
+@ros2.command(context_settings=PASSING)
+@with_options
+def source(
+    context: typer.Context,
+    frames: SourceArgument,
+    reading: SourceOptions,
+    vehicle: VehicleOptions,
+    capture: CaptureOptions,
+    speed: SpeedOption = 1.0,
+    loop: LoopOption = False,
+    wait: Annotated[bool, flag("--wait", "Start once the other nodes listen.")] = False,
+    is_networked: NetworkOption = False,
+    parent: ParentOption = None,
+) -> None:
+    """Publish the frames of SOURCE at their own rate, with what the car knew about them."""
+    from foreglow.datasets.vehicle_logs import open_vehicle_data
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_camera
+    from foreglow.runtime.run import InterruptFlag
+
+    data = None if vehicle.calibration is None else open_vehicle_data(vehicle.calibration)
+    camera = open_camera(frames, CameraOptions(size_px=capture.size_px, rate_hz=capture.rate, data=data))
+    if camera is None:
+        played = vehicle.equip(reading.open(frames))
+    ros_arguments = _prepare(context, is_networked)
+    from foreglow.runtime.ros2.source import Player, repeated
+
+    with InterruptFlag() as interrupt:
+        player = Player(_stop(lambda: interrupt.is_set, parent), ros_arguments)
+        if wait:
+            player.wait()
+        if camera is not None:
+            player.stream(camera, limit=reading.limit)
+        else:
+            player.play(repeated(played, reading.limit, is_endless=loop), speed=speed)
+
+
+def _add_stage(name: str, text: str) -> None:
+    """Adds the command of a node that runs one stage."""
+
+    @ros2.command(name, help=text, context_settings=PASSING)
+    @with_options
+    def stage(context: typer.Context, pipeline: PipelineOptions, node: NodeOptions) -> None:
+        _run_node(name, context, pipeline, node, OutputOptions())
+
+
+def _add_output(name: str, text: str) -> None:
+    """Adds the command of a node that commands the beam."""
+
+    @ros2.command(name, help=text, context_settings=PASSING)
+    @with_options
+    def output(context: typer.Context, pipeline: PipelineOptions, node: NodeOptions, output: OutputOptions) -> None:
+        _run_node(name, context, pipeline, node, output)
+
+
+_add_stage("detector", "Find boxes that may hold light, and score them: image to detections.")
+_add_stage("distance", "Estimate how far away the light in each box is: detections to ranges.")
+_add_stage("tracking", "Follow light over time: ranges to tracks.")
+_add_output("beam", "Command the headlamps, checked by the guard: tracks to beam, as a topic and on the CAN bus.")
+_add_output("pipeline", "Run all four in one node: image to beam.")
+
+
+@ros2.command("all", context_settings=PASSING)
+@with_options
+def everything(
+    context: typer.Context,
+    frames: SourceArgument,
+    pipeline: PipelineOptions,
+    output: OutputOptions,
+    capture: CaptureOptions,
+    calibration: CalibrationOption = None,
+    speed: SpeedOption = 1.0,
+    loop: LoopOption = False,
+    limit: LimitOption = None,
+    is_networked: NetworkOption = False,
+) -> None:
+    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again."""
+    from foreglow.datasets import open_source
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_camera
+    from foreglow.runtime.run import InterruptFlag
+
+    ros_arguments = _prepare(context, is_networked)
+    from foreglow.runtime.ros2.supervisor import supervise
+
+    if open_camera(frames, CameraOptions()) is None:
+        open_source(frames)
+    pipeline.configuration().commanding()
+    ending = [*(["--network"] if is_networked else []), *ros_arguments]
+    shared = _arguments(calibration=calibration, **dataclasses.asdict(pipeline))
+    nodes = {name: [name, *shared, *ending] for name in ("detector", "distance", "tracking")}
+    nodes["beam"] = ["beam", *shared, *_arguments(**dataclasses.asdict(output)), *ending]
+    played = _arguments(speed=speed, limit=limit, calibration=calibration, **dataclasses.asdict(capture))
+    player = ["source", frames, *played, *(["--loop"] if loop else []), "--wait", *ending]
+    with InterruptFlag() as interrupt:
+        code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True))
+    raise typer.Exit(code)
+
+
+@ros2.command("launch-file")
+@with_options
+def launch_file() -> None:
+    """Print the path of the launch file, for `ros2 launch`."""
+    from importlib.resources import files
+
+    typer.echo(files("foreglow") / "runtime" / "ros2" / "foreglow_launch.py")
+
+
+def _arguments(**options: object) -> list[str]:
+    """Options as on the command line, without those that are None."""
+    return [text for name, value in options.items() if value is not None for text in (f"--{name}", str(value))]
+
+
+def _prepare(context: typer.Context, is_networked: bool) -> list[str]:
+    """Sets up what ROS 2 reads from the environment; returns the arguments meant for ROS 2."""
+    if context.args and context.args[0] != "--ros-args":
+        raise ValueError(f"{context.args[0]}: no such option; what is meant for ROS 2 follows --ros-args")
+    from foreglow.runtime.ros2.environment import prepare
+
+    prepare(is_networked=is_networked)
+    importlib.import_module("rclpy")
+    return list(context.args)
+
+
+def _run_node(
+    name: str, context: typer.Context, pipeline: PipelineOptions, node: NodeOptions, output: OutputOptions
+) -> None:
+    """Runs a compute node until it is stopped."""
+    ros_arguments = _prepare(context, node.is_networked)
+    from foreglow.calibration import read_calibration
+    from foreglow.runtime.ros2.stages import NODES, Setting
+    from foreglow.runtime.run import InterruptFlag
+
+    config = pipeline.configuration().commanding()
+    bus = None if output.can is None else lamp_bus(output.can, config)
+    camera = None if node.calibration is None else read_calibration(node.calibration)
+    setting = Setting(config, camera, bus, output.deadline, ros_arguments)
+    with InterruptFlag() as interrupt:
+        NODES[name](setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+
+
+def _stop(is_interrupted: Callable[[], bool], parent: int | None) -> Callable[[], bool]:
+    """Whether to stop: after an interrupt, or when the process that started this one is gone."""
+    return lambda: is_interrupted() or (parent is not None and os.getppid() != parent)

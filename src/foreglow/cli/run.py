@@ -1,0 +1,62 @@
+"""`run`: frames in, results out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from foreglow.cli.app import app
+from foreglow.cli.offline import finish, open_frames, run_frames, run_in_parallel
+from foreglow.cli.sinks import picture_sink, recorded_lux, recording_sinks, viewer_sinks
+from foreglow.options import (
+    OutOption,
+    PipelineOptions,
+    RecordOption,
+    SourceArgument,
+    SourceOptions,
+    VehicleOptions,
+    ViewOptions,
+    WorkerOptions,
+    flag,
+    with_options,
+)
+
+if TYPE_CHECKING:
+    from foreglow.runtime import OutputFolder, ResultSink
+
+
+@app.command()
+@with_options
+def run(
+    source: SourceArgument,
+    out: OutOption,
+    pipeline: PipelineOptions,
+    reading: SourceOptions,
+    vehicle: VehicleOptions,
+    viewer: ViewOptions,
+    work: WorkerOptions,
+    video: Annotated[bool, flag("--video", "Also write annotated pictures: MP4, or PNG of a single image.")] = False,
+    record: RecordOption = None,
+) -> None:
+    """Find the light artifacts in SOURCE, track them, and write the results to a folder."""
+    from foreglow.pipeline import Pipeline
+    from foreglow.runtime import Opening
+
+    workers, configuration = work.workers(), pipeline.configuration()
+    opening = Opening(open_frames, (source, reading, vehicle))
+    if work.is_parallel:
+        if video or viewer.view or any(value is not None for value in (reading.limit, record, viewer.save)):
+            raise ValueError(
+                "run: expected --video, --record, --view, --save and --limit without --jobs and --cluster: they go "
+                "frame by frame"
+            )
+        finish(run_in_parallel(opening, str(source), out, configuration, workers), out)
+        return
+    frames = opening()
+
+    def make_sinks(results: OutputFolder) -> list[ResultSink]:
+        sinks: list[ResultSink] = [*recording_sinks(record, source, configuration)]
+        sinks += viewer_sinks(viewer, configuration, recorded_lux(frames))
+        return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
+
+    stepper = Pipeline(configuration)
+    finish(run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)

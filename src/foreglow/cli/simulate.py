@@ -1,0 +1,131 @@
+"""`simulate`: night drives."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, option, size_from, with_options
+
+if TYPE_CHECKING:
+    from foreglow.lab import simulation
+    from foreglow.lab.simulation import DatasetSummary, Scene
+    from foreglow.parallel import Workers
+
+
+@app.command()
+@with_options
+def simulate(
+    work: WorkerOptions,
+    out: Annotated[Path | None, folder("Folder for the data set, or for the preview.")] = None,
+    num_scenes: Annotated[int, option("N", "Number of drives to draw.", "--scenes", min=1)] = 40,
+    seed: Annotated[int, option("N", "Seed of everything random; the same seed gives the same bytes.", min=0)] = 7,
+    split: Annotated[str, option("train|val|test", "Split to draw; no two splits share a drive.")] = "train",
+    scene: Annotated[
+        list[Path] | None, file("TOML file of a scene of your own, instead of drawn ones; repeatable.")
+    ] = None,
+    preview: Annotated[str | None, option("NAME", "Only show one drive of this scenario.")] = None,
+    print_scene: Annotated[
+        str | None, option("NAME", "Only draw a scene of this scenario, and print it as TOML.", "--print")
+    ] = None,
+    size: Annotated[str | None, option("WxH", "Size of the images (default: 1280x960; 640x480 for --preview).")] = None,
+    cycle: Annotated[str, option("day|night", "PVDN's short or long exposure of the night.")] = "day",
+    ego_beam: Annotated[
+        str | None, option("low|high|matrix", "Beam of the car with the camera (default: low).")
+    ] = None,
+    empty: Annotated[bool, flag("--empty", "Leave out all vehicles that have their lamps on.")] = False,
+    fps: Annotated[float, option("HZ", "Frames per second.", min=0.1, max=1000.0)] = 18.0,
+    quality: QualityOption = "training",
+) -> None:
+    """Simulate night drives: a data set in PVDN's format with its ground truth, or a preview of one drive.
+
+    The renderer uses all cores: up to four of them, a single process is quickest.
+    """
+    from foreglow.lab import simulation
+
+    workers = work.workers()
+    if print_scene is not None:
+        drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
+        typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
+    elif preview is not None:
+        drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
+        scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
+        _preview(scenes[0], out or Path("preview_output") / preview, quality)
+    else:
+        drawn = _own_scenes(scene) or simulation.draw_scenes(num_scenes, seed, cast("simulation.Split", split))
+        drawn = _changed(drawn, ego_beam, empty)
+        _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), workers, quality)
+
+
+def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
+    """The scenes in the given files."""
+    from foreglow.lab.simulation import read_scene
+
+    return tuple(read_scene(file) for file in files or ())
+
+
+def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) -> tuple[Scene, ...]:
+    """The scenes with the beam asked for, and without traffic if asked for."""
+    from foreglow.lab.simulation import EGO_BEAMS, with_beam, without_traffic
+
+    if ego_beam is not None:
+        if ego_beam not in EGO_BEAMS:
+            raise ValueError(f"--ego-beam: expected one of {', '.join(EGO_BEAMS)}, got {ego_beam!r}")
+        scenes = tuple(with_beam(scene, ego_beam) for scene in scenes)
+    return tuple(without_traffic(scene) for scene in scenes) if is_empty else scenes
+
+
+def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tuple[Scene, ...]:
+    """The scenes with the image size, frame rate and exposure asked for."""
+    from foreglow.lab.simulation import adapted
+
+    size_px = size_from(size)
+    return tuple(adapted(scene, size_px, fps, cycle) for scene in scenes)
+
+
+def _preview(scene: Scene, out: Path, quality: str) -> None:
+    """Renders one drive with its labels drawn."""
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.simulation import drive_frames
+    from foreglow.lab.simulation.preview import preview
+
+    out.mkdir(parents=True, exist_ok=True)
+    with SceneProgress(1, scene.num_frames) as progress:
+        sheet, movie = preview(drive_frames(scene, quality), scene.num_frames, scene.rate_hz, out, progress)
+    typer.echo(f"{scene.num_frames} frames of {scene.name}: {sheet} and {movie}")
+
+
+def _simulate(
+    scenes: tuple[Scene, ...], out: Path | None, origin: tuple[int, str, str], workers: Workers, quality: str
+) -> None:
+    """Writes the data set."""
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.simulation import DatasetConfig, drive_frames, simulate_dataset
+
+    if out is None:
+        raise ValueError("simulate: expected --out DIR, --preview NAME or --print NAME")
+    seed, split, cycle = origin
+    config = DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
+    drive = functools.partial(drive_frames, quality=quality)
+    with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
+        summary = simulate_dataset(out, scenes, drive, config, workers=workers, progress=progress)
+    typer.echo("\n".join(_lines(summary)))
+
+
+def _lines(summary: DatasetSummary) -> list[str]:
+    """What is in a simulated data set; the last line says where it is."""
+    from foreglow.display.summary_lines import counted
+
+    labels = summary.labels
+    drives = counted(labels.num_sequences, "drive")
+    if summary.num_kept:
+        drives += f" ({summary.num_kept} of them were there)"
+    return [
+        f"{drives}, {counted(labels.num_images, 'image')}, {labels.num_empty_images} of them without any instance",
+        f"instances: {labels.num_direct} direct, {labels.num_indirect} indirect, {labels.num_doubtful} doubtful",
+        f"look in {summary.root}; foreglow run, evaluate and every later command read it as PVDN",
+    ]

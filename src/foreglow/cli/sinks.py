@@ -1,0 +1,101 @@
+"""Result sinks that several commands share: progress bar, recording, viewer, pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import FrameSource
+    from foreglow.display.video import Drawing
+    from foreglow.display.viewer import RerunSink
+    from foreglow.display.viewer.sink import LuxOf
+    from foreglow.options import ViewOptions
+    from foreglow.photometry import Headlamps
+    from foreglow.runtime import OutputFolder, ResultSink
+    from foreglow.runtime.health import LiveSink
+
+WINDOW_S = 20.0
+"""How far back the plots of the viewer's window go."""
+
+
+def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:
+    """A progress bar; it is shown on a terminal only."""
+    from foreglow.display.progress import ProgressSink
+
+    return ProgressSink(frames.num_frames if limit is None else min(limit, frames.num_frames or limit))
+
+
+def recording_sinks(record: Path | None, source: Path, configuration: PipelineConfig) -> list[LiveSink]:
+    """The sink that records a run on `source` to the file `record`; none without a file."""
+    if record is None:
+        return []
+    from foreglow.runtime.mcap import McapRecorder
+
+    return [McapRecorder(record, config=configuration, source_name=str(source))]
+
+
+def viewer_sinks(options: ViewOptions, configuration: PipelineConfig, lux_of: LuxOf | None = None) -> list[RerunSink]:
+    """The sink for the Rerun viewer; none if neither a window nor a file was asked for.
+
+    Args:
+        options: What was asked for.
+        configuration: Of the run; its headlamps decide the layout.
+        lux_of: The light at other drivers' eyes, if it is known.
+
+    Raises:
+        ModuleNotFoundError: If Rerun is not installed (extra `view`).
+        ValueError: If there is no display for a window.
+        OSError: If the file cannot be written.
+    """
+    if not options.view and options.save is None:
+        return []
+    from foreglow.display.viewer import RerunSink, RrdFile, ViewerWindow
+    from foreglow.display.viewer.blueprint import blueprint
+    from foreglow.photometry import read_headlamps
+
+    has_lux = lux_of is not None
+    num_columns = read_headlamps(configuration.beam.headlamps).num_columns
+    outputs: list[RrdFile | ViewerWindow] = []
+    if options.save is not None:
+        outputs.append(RrdFile(options.save, blueprint(has_lux=has_lux)))
+    if options.view:
+        outputs.append(ViewerWindow(blueprint(has_lux=has_lux, window_s=WINDOW_S), _note))
+    return [RerunSink(outputs, num_columns=num_columns, lux_of=lux_of)]
+
+
+def _note(line: str) -> None:
+    typer.echo(f"foreglow: {line}", err=True)
+
+
+def recorded_lux(frames: FrameSource) -> LuxOf | None:
+    """The light at other drivers' eyes, as a simulated drive has it on file; None for other sources."""
+    from foreglow.datasets import Equipped, LabelledSource
+    from foreglow.datasets.simulated import has_truth
+    from foreglow.datasets.simulated.lux import RecordedLux
+
+    if isinstance(frames, Equipped):
+        frames = frames.source
+    if not isinstance(frames, LabelledSource) or not has_truth(frames.root):
+        return None
+    return RecordedLux(frames.root)
+
+
+def picture_sink(frames: FrameSource, folder: OutputFolder, name: str, draw: Drawing | None = None) -> ResultSink:
+    """The sink for pictures of a run, by default annotated frames: a PNG of a single image, else a video."""
+    from foreglow.display.overlay import annotate
+    from foreglow.display.video import PictureSink, VideoSink
+
+    if frames.num_frames == 1:
+        return PictureSink(folder.partial(f"{name}.png"), draw or annotate)
+    return VideoSink(folder.partial(f"{name}.mp4"), frames.rate_hz, draw or annotate)
+
+
+def beam_sink(frames: FrameSource, folder: OutputFolder, headlamps: Headlamps) -> ResultSink:
+    """The sink for pictures of the beam, which show the light at the height of drivers' eyes."""
+    from foreglow.display.beam_view import EYE_HEIGHT_M, BeamView
+
+    return picture_sink(frames, folder, "beam", BeamView(headlamps, map_height_m=EYE_HEIGHT_M).draw)

@@ -1,0 +1,138 @@
+"""The message in our own recordings that keeps the rest of a frame beside its image: a replay gives the same frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from foreglow.datasets.json_files import Record, StoredAs, adapter
+from foreglow.geometry import Camera, Floats, Pose
+from foreglow.types import EgoMotion, Frame, Image, RoadAhead
+
+FRAME_TOPIC = "/frame"
+"""Topic of our own recordings with a `FrameMessage` just before each image."""
+
+FRAME_TYPE = "foreglow.Frame"
+"""Type of these messages; they are encoded as JSON and logged at the time of their image."""
+
+_Three: TypeAlias = tuple[float, float, float]
+
+
+class _StoredCamera(Record):
+    width: int
+    height: int
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    position_m: _Three
+    rotation: tuple[_Three, _Three, _Three]
+
+
+class _StoredMotion(Record):
+    speed_mps: float
+    yaw_rate_radps: float
+    pitch_rad: float | None  # None if unknown
+
+
+class _StoredRoad(Record):
+    points_m: Annotated[tuple[_Three, ...], Field(max_length=100_000)]
+    half_width_m: float
+    cross_slopes: tuple[float, ...]
+    error_bound_m: float | None  # None if unbounded
+
+
+@lru_cache(maxsize=8)
+def _stored_camera(camera: Camera) -> _StoredCamera:
+    first, second, third = _threes(camera.vehicle_from_camera.rotation)
+    return _StoredCamera(
+        width=camera.width_px,
+        height=camera.height_px,
+        focal_px=(float(camera.focal_px[0]), float(camera.focal_px[1])),
+        centre_px=(float(camera.centre_px[0]), float(camera.centre_px[1])),
+        distortion=camera.distortion,
+        position_m=_threes(camera.vehicle_from_camera.position_m[None])[0],
+        rotation=(first, second, third),
+    )
+
+
+@lru_cache(maxsize=8)  # the same camera for each frame: estimators keep results by camera
+def _camera(stored: _StoredCamera) -> Camera:
+    mount = Pose(np.array(stored.position_m), np.array(stored.rotation))
+    return Camera(stored.width, stored.height, stored.focal_px, stored.centre_px, stored.distortion, mount)
+
+
+def _stored_motion(motion: EgoMotion) -> _StoredMotion:
+    pitch_rad = None if math.isnan(motion.pitch_rad) else motion.pitch_rad
+    return _StoredMotion(speed_mps=motion.speed_mps, yaw_rate_radps=motion.yaw_rate_radps, pitch_rad=pitch_rad)
+
+
+def _motion(stored: _StoredMotion) -> EgoMotion:
+    return EgoMotion(
+        stored.speed_mps, stored.yaw_rate_radps, math.nan if stored.pitch_rad is None else stored.pitch_rad
+    )
+
+
+def _stored_road(road: RoadAhead) -> _StoredRoad:
+    return _StoredRoad(
+        points_m=_threes(road.points_m),
+        half_width_m=road.half_width_m,
+        cross_slopes=tuple(road.cross_slopes.tolist()),
+        error_bound_m=road.error_bound_m if math.isfinite(road.error_bound_m) else None,
+    )
+
+
+def _road(stored: _StoredRoad) -> RoadAhead:
+    points_m = np.array(stored.points_m, np.float64).reshape(-1, 3)
+    bound_m = math.inf if stored.error_bound_m is None else stored.error_bound_m
+    return RoadAhead(points_m, stored.half_width_m, np.array(stored.cross_slopes, np.float64), bound_m)
+
+
+def _threes(points: Floats) -> tuple[_Three, ...]:
+    """Points of shape (N, 3) as tuples."""
+    return tuple((x, y, z) for x, y, z in points.tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameMessage:
+    """All of a `Frame` but its image and its path; numbers come back as they were, to the last bit."""
+
+    __pydantic_config__ = ConfigDict(strict=True, allow_inf_nan=False)
+
+    frame: int
+    sequence: str
+    timestamp_ns: int
+    camera: Annotated[Camera, StoredAs(_StoredCamera, _camera, _stored_camera)] | None
+    motion: Annotated[EgoMotion, StoredAs(_StoredMotion, _motion, _stored_motion)] | None
+    road: Annotated[RoadAhead, StoredAs(_StoredRoad, _road, _stored_road)] | None
+
+    @classmethod
+    def of(cls, frame: Frame) -> FrameMessage:
+        """The message about `frame`."""
+        return cls(frame.frame, frame.sequence, frame.timestamp_ns, frame.camera, frame.motion, frame.road)
+
+    def to_json(self) -> bytes:
+        """The message as JSON."""
+        text: bytes = adapter(FrameMessage).dump_json(self)
+        return text
+
+    def frame_of(self, image: Image, path: str) -> Frame:
+        """The frame with its image.
+
+        Raises:
+            ValueError: If the camera is for images of another size.
+        """
+        return Frame(
+            image,
+            timestamp_ns=self.timestamp_ns,
+            frame=self.frame,
+            sequence=self.sequence,
+            path=path,
+            camera=self.camera,
+            motion=self.motion,
+            road=self.road,
+        )

@@ -1,0 +1,59 @@
+"""What came of a run, in lines for the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from foreglow.runs.summary import BeamSummary, RunSummary
+
+
+def run_lines(summary: RunSummary, out: Path) -> list[str]:
+    """What came of a run whose results are in the folder or the recording `out`; the last line says where to look."""
+    found = f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_proposals, 'proposal')}"
+    if summary.num_accepted is not None:
+        found += f", {counted(summary.num_accepted, 'light artifact')}"
+    if summary.num_tracks is not None:
+        found += f", {counted(summary.num_tracks, 'track')}"
+    total_ms = summary.run_time_ms["total"]
+    if total_ms["median"] is not None:
+        found += f"; {total_ms['median']:.2f} ms a frame (median), {total_ms['p99']:.2f} ms (p99)"
+    lines = [found]
+    if not summary.is_classified:
+        lines.append("the proposals are not classified: no model was given (--model FILE)")
+    if summary.num_ranged == 0:
+        lines.append("nothing has a range: the camera's calibration is not known (--calibration FILE)")
+    if summary.beam is not None:
+        lines += beam_lines(summary.beam, summary.num_frames)
+    if summary.num_skipped:
+        listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
+        lines.append(f"{counted(summary.num_skipped, 'unreadable frame')} skipped, {listed}")
+    if not summary.is_complete:
+        lines.append("interrupted: the results are complete up to there")
+    if not out.is_dir():
+        return [*lines, f"look at {out}, such as in Foxglove"]
+    names = [path.name for path in sorted(out.iterdir()) if path.is_file()]
+    return [*lines, f"look in {out}: {', '.join(names)}"]
+
+
+def beam_lines(beam: BeamSummary, num_frames: int) -> list[str]:
+    """What the headlamps were commanded, and the reasons for low beam."""
+    counts = {"full": beam.num_full, "glare-free": beam.num_glare_free, "low": beam.num_low}
+    shares = ", ".join(f"{name} {count / num_frames:.1%}" for name, count in counts.items())
+    gaps = "no gaps" if beam.mean_gap_deg is None else f"gaps {beam.mean_gap_deg:.1f} degrees wide in the mean"
+    lines = [f"beam, of the frames: {shares}; {gaps}"]
+    if beam.faults:
+        faults = ", ".join(f"{name} in {counted(count, 'frame')}" for name, count in beam.faults.items())
+        lines.append(f"low beam for {faults}")
+    return lines
+
+
+def counted(number: int, noun: str) -> str:
+    """The number and its noun.
+
+    >>> counted(1, "frame"), counted(2, "box")
+    ('1 frame', '2 boxes')
+    """
+    plural = "es" if noun.endswith("x") else "s"
+    return f"{number} {noun}{'' if number == 1 else plural}"

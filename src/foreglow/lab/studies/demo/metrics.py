@@ -1,0 +1,198 @@
+"""A drive as a story: when a vehicle's light was first visible, when it was found, when the vehicle was in sight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from foreglow.datasets import LabelledSource
+from foreglow.geometry import Floats
+from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
+from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
+from foreglow.lab.evaluation.boxes.lights import Light
+from foreglow.lab.evaluation.tracks.encounters import vehicle_facts
+from foreglow.lab.evaluation.tracks.track_quality import match_tracks
+from foreglow.runs.predictions import Predictions
+from foreglow.types import Tracks
+
+_Lit: TypeAlias = tuple[Light, float]
+"""A light and the highest score of the boxes around it: -inf without a box, infinite if boxes have no scores."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One light at one instant.
+
+    Attributes:
+        time_s: From the first image of the sequence.
+        light: The light that makes the moment, in its image.
+        score: Highest score of the boxes around it; NaN where there is none, or boxes have no scores.
+    """
+
+    time_s: float
+    light: Light
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What happens in one sequence with the vehicle whose light is visible first.
+
+    Attributes:
+        sequence: The sequence's folder.
+        vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
+        times: When its light is visible, when it is found, and when its first lamp is.
+        light: Its first light; the strongest one where there are several.
+        found: Its light in the first accepted box, that with the highest score; None if there is never one.
+        sight: Its first lamp; None if it never comes into sight.
+        confirmed_s: When the first track that has held its light is plausible; NaN if none ever is, or nothing was
+            tracked.
+        production_s: When the production system first reports a vehicle; NaN if it never does.
+        duration_s: From the first image of the sequence to the last.
+        num_images_before: Images of the sequence before the first light.
+        num_boxes_before: Accepted boxes in them that hold no light at all, not even doubtful light.
+    """
+
+    sequence: str
+    vehicle: str
+    times: FirstFound
+    light: Moment
+    found: Moment | None
+    sight: Moment | None
+    confirmed_s: float
+    production_s: float
+    duration_s: float
+    num_images_before: int
+    num_boxes_before: int
+
+    @property
+    def is_hidden_first(self) -> bool:
+        """Whether its light is visible before its lamps are."""
+        return not self.times.light_s >= self.times.lamp_s
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """First light, detection and sight, as far as they happen."""
+        return tuple(moment for moment in (self.light, self.found, self.sight) if moment is not None)
+
+
+def tell_stories(
+    dataset: LabelledSource, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
+) -> tuple[Story, ...]:
+    """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
+
+    Args:
+        dataset: Images with labels.
+        predictions: What a run made of them; without scores every box counts as accepted.
+        threshold: Boxes with a score above this are accepted.
+        tracks: By image id, what the same run followed; None for nothing.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If one is broken.
+    """
+    labels = read_split_labels(dataset)
+    confirmed_s = {} if tracks is None else _confirmations_s(labels, tracks, predictions)
+    matched = match_lights(labels, predictions)
+    image_ids = matched.matches.image_ids
+    is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
+    first: dict[int, FirstFound] = {}
+    for vehicle in first_found(labels, matched, threshold):
+        known = first.setdefault(vehicle.sequence_id, vehicle)
+        if vehicle.light_s < known.light_s:
+            first[vehicle.sequence_id] = vehicle
+    stories = []
+    for sequence in dataset.sequences:
+        times = first.get(sequence.id)
+        if times is None:
+            continue
+        lit_at = [
+            (labels.time_s[light.image_id], (light, score))
+            for light, score in zip(matched.lights, matched.best_scores.tolist(), strict=True)
+            if (light.sequence_id, light.vehicle_id) == (sequence.id, times.vehicle_id) and not light.is_rear
+        ]
+        visible = [lit for time_s, lit in lit_at if time_s == times.light_s]
+        boxed = [lit for time_s, lit in lit_at if time_s == times.found_s and lit[1] > threshold]
+        lamps = [lit for time_s, lit in lit_at if time_s == times.lamp_s and lit[0].is_direct]
+        before = [
+            labels.sequence_of[image_id] == sequence.id and labels.time_s[image_id] < times.light_s
+            for image_id in image_ids
+        ]
+        _, vehicle_kind, production_s = vehicle_facts(dataset, sequence.id, times.vehicle_id)
+        stories.append(
+            Story(
+                sequence=sequence.directory,
+                vehicle=vehicle_kind,
+                times=times,
+                light=_moment(times.light_s, min(visible, key=lambda lit: lit[0].rank)),
+                found=_moment(times.found_s, max(boxed, key=lambda lit: lit[1])) if boxed else None,
+                sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
+                confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
+                production_s=production_s,
+                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+                num_images_before=sum(before),
+                num_boxes_before=int((is_false & np.array(before)[matched.matches.image_of_box]).sum()),
+            )
+        )
+    return tuple(stories)
+
+
+def gap_opened_s(dataset: LabelledSource, story: Story, gaps_rad: Mapping[int, Floats]) -> float:
+    """When the dark gap opened in which the vehicle of `story` came into sight, from the sequence's first image.
+
+    A gap may move: one that overlaps a gap of the image before is the same one. So it may also have opened for
+    something else, and before the vehicle's first light.
+
+    Args:
+        dataset: Images with calibration.
+        story: Of one of its sequences.
+        gaps_rad: By image id, shape (G, 2), right and left borders of a run's gaps, as in `BeamCommand`.
+
+    Returns:
+        NaN if there was no gap, it never came into sight, or there is no calibration.
+    """
+    if story.sight is None:
+        return math.nan
+    sight_id = story.sight.light.image_id
+    camera = dataset.read(sight_id).camera
+    if camera is None:
+        return math.nan
+    ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([story.sight.light.position_px]))[0]
+    right = left = math.atan2(ray[1], ray[0])
+    opened_s = math.nan
+    image_ids = [image_id for image_id in dataset.sequence(sight_id).image_ids if image_id <= sight_id]
+    for image_id in sorted(image_ids, reverse=True):
+        gaps = [gap for gap in gaps_rad.get(image_id, np.zeros((0, 2))).tolist() if gap[0] <= left and right <= gap[1]]
+        if not gaps:
+            break
+        right, left = min(gap[0] for gap in gaps), max(gap[1] for gap in gaps)
+        opened_s = dataset.time_s(image_id)
+    return opened_s
+
+
+def best_story(stories: Iterable[Story]) -> Story | None:
+    """The story with the longest lead, or else the first one; None without stories."""
+    return max(stories, key=lambda story: max(0.0, np.nan_to_num(story.times.lead_s)), default=None)
+
+
+def has_labels(dataset: LabelledSource) -> bool:
+    """Whether `dataset` has key points, without which there are no stories."""
+    return (dataset.root / "labels" / "keypoints").is_dir()
+
+
+def _confirmations_s(
+    labels: SplitLabels, tracks: Mapping[int, Tracks], predictions: Predictions
+) -> dict[tuple[int, int], float]:
+    """By sequence and vehicle, when it is first confirmed."""
+    quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
+    vehicles = (vehicle for sequence in quality for vehicle in sequence.vehicles)
+    return {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in vehicles}
+
+
+def _moment(time_s: float, lit: _Lit) -> Moment:
+    light, score = lit
+    return Moment(time_s, light, score if math.isfinite(score) else math.nan)

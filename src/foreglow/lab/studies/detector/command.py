@@ -1,0 +1,87 @@
+"""`experiment detector`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from foreglow.options import (
+    DeviceOption,
+    PatienceOption,
+    SplitOption,
+    argument,
+    file,
+    flag,
+    folder,
+    option,
+)
+
+if TYPE_CHECKING:
+    from foreglow.datasets import SplitName
+
+TrainedOption = Annotated[
+    Path | None,
+    file("Model for its row of the table, instead of training one: ONNX or a folder of `train`.", metavar="MODEL"),
+]
+YoloOption = Annotated[
+    Path | None, file("Folder of a finished `yolo train` for its row, instead of training one.", metavar="RUN")
+]
+
+
+def command(
+    data: Annotated[Path, argument("DATA", "A data set with train, val and test.")],
+    out: Annotated[Path, folder("Folder for the report; an interrupted experiment in it is continued.")],
+    baseline_model: TrainedOption = None,
+    paper_model: TrainedOption = None,
+    published: Annotated[Path | None, file("Published weights, converted by `import-weights`.")] = None,
+    compact_model: TrainedOption = None,
+    our_model: TrainedOption = None,
+    yolo_small: YoloOption = None,
+    yolo_large: YoloOption = None,
+    no_yolo: Annotated[bool, flag("--no-yolo", "Leave out both YOLOs.")] = False,
+    no_training: Annotated[bool, flag("--no-training", "Only rows whose model is given.")] = False,
+    rows: Annotated[str | None, option("NAME,NAME", "Only these rows (default: all).")] = None,
+    epochs_paper: Annotated[int | None, option("N", "At most N epochs of training by recipe paper.", min=1)] = None,
+    epochs_ours: Annotated[int | None, option("N", "At most N epochs of training by recipe foreglow.", min=1)] = None,
+    patience: PatienceOption = None,
+    yolo_epochs: Annotated[int, option("N", "Number of epochs of the YOLOs.", min=1)] = 3,
+    yolo_image_size: Annotated[int, option("PX", "Side of the YOLOs' images, a multiple of 32.")] = 320,
+    seed: Annotated[int, option("N", "Seed of the training and the resampling.", min=0)] = 1,
+    split: SplitOption = "test",
+    device: DeviceOption = "auto",
+) -> None:
+    """Make the paper's table of detectors: baseline, paper, ours and YOLO, all measured in the same way."""
+    from foreglow.datasets import open_labelled, split_folder
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.learning.training_bar import TrainingBar
+    from foreglow.lab.studies.detector.figures import pictures
+    from foreglow.lab.studies.detector.page import write_report
+    from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
+    from foreglow.lab.studies.detector.run import run_experiment
+
+    paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
+    epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
+    plan = DetectorPlan(
+        rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
+        given={name: path for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        split=cast("SplitName", split),
+        may_train=not no_training,
+        with_yolo=not no_yolo,
+        epochs={name: number for name, number in epochs.items() if number is not None},
+        patience=patience,
+        seed=seed,
+        yolo_epochs=yolo_epochs,
+        yolo_image_size_px=yolo_image_size,
+        device=device,
+    )
+    with StepProgress() as progress, TrainingBar() as training:
+
+        def show(step: str, num_done: int, num_all: int) -> None:
+            training.close()  # one bar at a time; it comes back with the next training
+            progress(step, num_done, num_all)
+
+        results = run_experiment(data, out, plan, progress=show, training=training)
+    report = write_report(results, pictures(results, open_labelled(split_folder(data, plan.split))), out)
+    typer.echo(f"look in {report}")

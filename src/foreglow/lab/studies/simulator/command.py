@@ -1,0 +1,25 @@
+"""`experiment simulator`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foreglow.options import ReportOption, argument, file
+
+
+def command(
+    data: Annotated[Path, argument("DATA", "A simulated split, or a folder that holds one.")],
+    out: ReportOption,
+    real_labels: Annotated[
+        Path | None, file("Real labels to compare with: PVDN/night/val, or a JSON digest of its labels.")
+    ] = None,
+    real_image: Annotated[Path | None, file("Real image to compare with, of the same exposure.")] = None,
+) -> None:
+    """Compare simulated drives with real ones: labels, pixels, and the lead time of indirect light."""
+    from foreglow.lab.studies.simulator.page import write_report
+    from foreglow.lab.studies.simulator.run import examine
+
+    typer.echo(f"look in {write_report(examine(data, real_labels, real_image), out)}")

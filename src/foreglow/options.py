@@ -1,0 +1,342 @@
+"""Options that several commands share, each defined once: single ones, and groups that a command takes as one value.
+
+>>> @dataclass(frozen=True)
+... class GreetingOptions:
+...     '''Greeting.'''
+...
+...     name: Annotated[str, option("NAME", "Whom to greet.")] = "you"
+>>> @with_options
+... def greet(greeting: GreetingOptions) -> None:
+...     print(f"hello {greeting.name}")
+>>> greet(name="there")
+hello there
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import math
+import typing
+from collections.abc import Callable, Iterator
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+from typer.models import OptionInfo
+
+from foreglow.outputs import check_outputs, locked
+
+if TYPE_CHECKING:
+    from foreglow.config import PipelineConfig
+    from foreglow.datasets import FrameSource, OnError, SplitName
+    from foreglow.datasets.vehicle_logs import VehicleFiles
+    from foreglow.parallel import Workers
+
+DEFAULT_PRESET = "foreglow"
+
+MAX_INTEGER = 2**31 - 1
+"""No count, size or seed on a command line is greater."""
+
+
+def argument(metavar: str, text: str) -> Any:
+    """An argument, with its help."""
+    # The readers' errors take a single line, so that typer need not look.
+    return typer.Argument(metavar=metavar, help=text, readable=False, callback=_checked)
+
+
+def option(metavar: str, text: str, *names: str, **settings: Any) -> Any:
+    """An option with a value, and its help. A number has a least and a greatest value, `min` and `max`."""
+    return typer.Option(*names, metavar=metavar, help=text, callback=_checked, **settings)
+
+
+def _checked(value: Any) -> Any:
+    """`value`, if it is no number that no command has a use for.
+
+    Raises:
+        typer.BadParameter: For NaN, an infinity, or a whole number of more than 31 bits.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise typer.BadParameter(f"expected a finite number, got {value}")
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        raise typer.BadParameter(f"expected at most {MAX_INTEGER}, got a number of {len(str(abs(value)))} digits")
+    return value
+
+
+def flag(name: str, text: str) -> Any:
+    """An option without a value, and its help."""
+    return typer.Option(name, help=text)
+
+
+def file(text: str, *names: str, metavar: str = "FILE") -> Any:
+    """An option that takes a path, and its help."""
+    return option(metavar, text, *names, readable=False)
+
+
+def output_file(text: str, *names: str, metavar: str = "FILE") -> Any:
+    """An option with a file to write, and its help: the command may not read the same file."""
+    return _with_role(file(text, *names, metavar=metavar), "output file")
+
+
+def folder(text: str, *names: str) -> Any:
+    """An option with a folder to write into, and its help: one command does so at a time."""
+    return _with_role(file(text, *names, metavar="DIR"), "output folder")
+
+
+def _with_role(info: Any, role: str) -> Any:
+    info.role = role
+    return info
+
+
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """`function` as a command that checks what it writes, and takes groups of options.
+
+    Each parameter whose type is a dataclass becomes one option per field. In the help, the options of such a group
+    stand together, under the first line of the dataclass's docstring. No file or folder that the command writes may be
+    one that it reads, and a folder that it writes into is locked while it runs.
+    """
+    hints = typing.get_type_hints(function, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(function).parameters.items():
+        parameters += _options_of(groups[name]) if name in groups else [parameter.replace(annotation=hints[name])]
+
+    infos = {parameter.name: typing.get_args(parameter.annotation)[1:] for parameter in parameters}
+    roles = {name: getattr(info[0], "role", "input") if info else "" for name, info in infos.items()}
+
+    @functools.wraps(function)
+    def command(**values: Any) -> None:
+        inputs, files, folders = (
+            {_label(name, infos[name][0]): path for name, path in _paths(values, roles, role)}
+            for role in ("input", "output file", "output folder")
+        )
+        check_outputs(inputs, files, folders)
+        for name, group in groups.items():
+            values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
+        with locked(folders):
+            function(**values)
+
+    keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
+    command.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return command
+
+
+def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator[tuple[str, Path]]:
+    """The paths among the values of a command's parameters that have this role; of inputs, those that exist."""
+    for name, value in values.items():
+        if roles.get(name) != role or value is None:
+            continue
+        for path in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(path, str) and role == "input":
+                path = Path(path)
+            if isinstance(path, Path) and (role != "input" or _exists(path)):
+                yield name, path
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # no name of a file, such as an address or a long text
+        return False
+
+
+def _label(name: str, info: Any) -> str:
+    """What a parameter is called on the command line."""
+    if not isinstance(info, OptionInfo):
+        return str(info.metavar or name.upper())
+    return str((info.param_decls or (f"--{name.replace('_', '-')}",))[0])
+
+
+def _options_of(group: type) -> Iterator[inspect.Parameter]:
+    """The fields of a group as a command's parameters."""
+    hints = typing.get_type_hints(group, include_extras=True)
+    for name, parameter in inspect.signature(group).parameters.items():
+        kind, info = typing.get_args(hints[name])
+        if isinstance(info, OptionInfo):
+            info = copy(info)  # which keeps its role
+            info.rich_help_panel = (group.__doc__ or "").partition("\n")[0].rstrip(".")
+        yield parameter.replace(annotation=Annotated[kind, info])
+
+
+SourceArgument = Annotated[
+    Path,
+    argument(
+        "SOURCE", "An image, a folder of images, a video, a recording, a PVDN split (PVDN/day/val) or a PVDN sequence."
+    ),
+]
+OutOption = Annotated[Path, folder("Folder for the results; made if needed.")]
+ReportOption = Annotated[Path, folder("Folder for the report.")]
+ConfigOption = Annotated[Path | None, file("TOML file whose fields override the preset.")]
+ModelOption = Annotated[Path | None, file("ONNX model of the classifier; overrides that of the configuration.")]
+CalibrationOption = Annotated[
+    Path | None, file("Calibration of the camera (TOML), so that boxes and tracks get ranges.")
+]
+LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
+TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
+RecordOption = Annotated[Path | None, output_file("Also record everything as MCAP, for replay and for Foxglove.")]
+SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
+DeviceOption = Annotated[str, option("auto|cpu|cuda", "Device to train on.")]
+QualityOption = Annotated[str, option("fast|training|fine", "Quality of the rendering.")]
+PatienceOption = Annotated[int | None, option("N", "Stop when N epochs in a row brought no better model.", min=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineOptions:
+    """Pipeline."""
+
+    preset: Annotated[str | None, option("foreglow|paper|baseline", "Preset to start from (default: foreglow).")] = None
+    model: ModelOption = None
+    config: ConfigOption = None
+
+    def configuration(self) -> PipelineConfig:
+        """The preset's configuration, overridden by the fields of the file, and by the model."""
+        from foreglow import config
+
+        configuration = config.preset(self.preset or DEFAULT_PRESET)
+        if self.config is not None:
+            configuration = config.read_config(self.config, configuration)
+        if self.model is not None:
+            classifier = configuration.classifier.model_copy(update={"model": self.model})
+            configuration = configuration.model_copy(update={"classifier": classifier})
+        return configuration
+
+
+@dataclass(frozen=True, slots=True)
+class SplitOptions:
+    """Data."""
+
+    data: Annotated[Path, argument("DATA", "A data set at its full frame rate, or one of its splits.")]
+    split: SplitOption = "test"
+
+    def root(self) -> Path:
+        """The folder of the split."""
+        from foreglow.datasets import split_in
+
+        return split_in(self.data, cast("SplitName", self.split))
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """Reading the source."""
+
+    topic: TopicOption = None
+    limit: LimitOption = None
+    on_error: Annotated[str, option("stop|skip|mark", "Stop at a bad frame, skip it, or keep it marked.")] = "stop"
+
+    def open(self, source: Path | str) -> FrameSource:
+        """The frames of `source`."""
+        from foreglow.datasets import open_source
+
+        return open_source(source, on_error=cast("OnError", self.on_error), topic=self.topic)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleOptions:
+    """Camera, vehicle data and map."""
+
+    calibration: CalibrationOption = None
+    can_log: Annotated[Path | None, file("CAN log of the drive, with the motion of the car and street messages.")] = (
+        None
+    )
+    dbc: Annotated[Path | None, file("DBC that describes the frames of the log (default: Foreglow's own).")] = None
+    mapping: Annotated[Path | None, file("TOML that says what the signals of the DBC mean.")] = None
+    road_map: Annotated[Path | None, file("GeoJSON, OpenDRIVE or Lanelet2 map; needs --poses.", "--map")] = None
+    poses: Annotated[Path | None, file("Poses of the car on the map over time: CSV or TUM.")] = None
+    time_offset: Annotated[
+        float,
+        option("S", "Added to the times of log and poses, to get the times of the frames.", min=-1e10, max=1e10),
+    ] = 0.0
+    pose_error: Annotated[float, option("M", "Largest error of the poses along the road.", min=0.0, max=1000.0)] = 5.0
+
+    def read(self) -> VehicleFiles | None:
+        """What the files say about each frame; None if no file is given."""
+        files = (self.calibration, self.can_log, self.dbc, self.mapping, self.road_map, self.poses)
+        if all(path is None for path in files):
+            return None
+        from foreglow.datasets.vehicle_logs import open_vehicle_data
+
+        return open_vehicle_data(*files, time_offset_s=self.time_offset, pose_error_m=self.pose_error)
+
+    def equip(self, frames: FrameSource) -> FrameSource:
+        """`frames` with what the files say about each of them."""
+        data = self.read()
+        if data is None:
+            return frames
+        from foreglow.datasets import Equipped
+
+        return Equipped(frames, data)
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """Live camera."""
+
+    size: Annotated[str | None, option("WxH", "Image size to request from the camera.")] = None
+    rate: Annotated[float | None, option("HZ", "Frame rate to request from the camera.", min=0.5, max=1000.0)] = None
+
+    @property
+    def size_px(self) -> tuple[int, int] | None:
+        """Width and height."""
+        return None if self.size is None else size_from(self.size)
+
+
+@dataclass(frozen=True, slots=True)
+class BeamOptions:
+    """Headlamps."""
+
+    policy: Annotated[str | None, option("foreglow|paper|low|high|MODULE:NAME", "Beam policy (default: foreglow).")] = (
+        None
+    )
+    lamps: Annotated[Path | None, file("TOML that describes the headlamps (default: those that ship).")] = None
+
+    def commanding(self, configuration: PipelineConfig) -> PipelineConfig:
+        """`configuration` with a beam, and with the policy and the headlamps given."""
+        from foreglow.beam import policy_class
+
+        if self.policy is not None:
+            policy_class(self.policy, "--policy")
+        given = {"policy": self.policy, "headlamps": self.lamps}
+        return configuration.commanding(**{name: value for name, value in given.items() if value is not None})
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """Viewer (needs the extra `view`)."""
+
+    view: Annotated[bool, flag("--view", "Show the run in a window of the Rerun viewer.")] = False
+    save: Annotated[
+        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.")
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerOptions:
+    """Parallel work."""
+
+    jobs: Annotated[int, option("N", "Number of worker processes; 1 does the work in this process.", min=1)] = 1
+    cluster: Annotated[
+        str | None, option("ADDRESS", "Work on a dask cluster: its scheduler, such as tcp://host:8786.")
+    ] = None
+
+    @property
+    def is_parallel(self) -> bool:
+        """Whether the work leaves this process."""
+        return self.jobs > 1 or self.cluster is not None
+
+    def workers(self) -> Workers:
+        """The workers asked for."""
+        from foreglow.parallel import workers_at
+
+        return workers_at(self.jobs, self.cluster)
+
+
+def size_from(text: str) -> tuple[int, int]:
+    """Width and height from a text such as 1280x960."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"size: expected WIDTHxHEIGHT such as 1280x960, got {text!r}")
+    return int(width), int(height)

@@ -1,0 +1,156 @@
+"""What a command writes must not lie over what it reads, nor be written by two commands at once."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+
+RESULT_FILES = frozenset(
+    {
+        "frames.jsonl",
+        "times.jsonl",
+        "summary.json",
+        "config.toml",
+        "overlay.mp4",
+        "overlay.png",
+        "beam.mp4",
+        "beam.png",
+        "beam.asc",
+        "beam.blf",
+        "beam.log",
+        "moments.png",
+        "results.json",
+        "report.md",
+        "report.html",
+        "plan.json",
+        "model.onnx",
+        "scenes.jsonl",
+    }
+)
+"""Names that commands write into their output folders. An input of such a name in that folder would be lost."""
+
+
+_OF_COMMAND: set[Path] = set()
+"""Folders that the command of this process has locked; what it does there needs no lock of its own."""
+
+
+class FolderLock:
+    """The right to write into a folder, which one run has at a time; it ends with the process, however that ends.
+
+    The folder itself is locked (flock), so that nothing is left behind. Folders made for it are removed on release if
+    nothing is in them.
+    """
+
+    def __init__(self, path: Path, *, is_of_command: bool = False) -> None:
+        """Makes the folder `path` with its parents, and locks it.
+
+        Args:
+            path: The folder.
+            is_of_command: Whether all that the command of this process does there is under this one lock.
+
+        Raises:
+            OSError: If it cannot be made; the message names the path.
+            ValueError: If another run writes into it.
+        """
+        self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+        path.mkdir(parents=True, exist_ok=True)
+        self._path = path.resolve()
+        self._is_of_command = is_of_command
+        self._descriptor: int | None = None
+        if self._path in _OF_COMMAND and not is_of_command:
+            return
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise ValueError(f"{path}: another run is writing into this folder; expected one of its own") from None
+        except OSError:  # a file system without locks
+            os.close(descriptor)
+            return
+        self._descriptor = descriptor
+        if is_of_command:
+            _OF_COMMAND.add(self._path)
+
+    def release(self) -> None:
+        """Ends the right; may be called again."""
+        if self._is_of_command:
+            _OF_COMMAND.discard(self._path)
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        self._made = []
+
+    def __enter__(self) -> FolderLock:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+
+def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
+    """Checks that no output is an input, or lies over one, and that no two outputs are one file.
+
+    Args:
+        inputs: By option or argument, files and folders that are read, as far as they exist.
+        files: By option, files to write.
+        folders: By option, folders to write into.
+
+    Raises:
+        ValueError: If an output would destroy an input or another output; the message names both.
+    """
+    for name, path in files.items():
+        for other, read in inputs.items():
+            if _is_same(path, read) or _is_same(_partial(path), read):
+                raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
+        if path.is_dir():
+            raise ValueError(f"{name} {path}: expected a file to write, got a folder")
+    for name, path in folders.items():
+        for other, read in inputs.items():
+            if _is_same(path, read):
+                raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
+            if read.is_file() and any(_is_same(path / result, read) for result in RESULT_FILES):
+                raise ValueError(f"{name} {path}: expected a folder whose results do not overwrite {other} {read}")
+    written = list(files.items())
+    for index, (name, path) in enumerate(written):
+        for other, second in written[:index]:
+            if _is_same(path, second):
+                raise ValueError(f"{name} {path}: expected another file than that of {other}")
+
+
+@contextlib.contextmanager
+def locked(folders: Mapping[str, Path]) -> Iterator[None]:
+    """Holds the folders that a command writes into for itself, until the block ends.
+
+    Raises:
+        ValueError: If another command is writing into one of them; the message names it.
+        OSError: If one cannot be made.
+    """
+    with contextlib.ExitStack() as locks:
+        for path in folders.values():
+            locks.enter_context(FolderLock(path, is_of_command=True))
+        yield
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether both are one file or folder, whatever their names: links are followed, hard links are known."""
+    try:
+        return path.resolve() == other.resolve() or (path.exists() and other.exists() and path.samefile(other))
+    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that is no name
+        return False
+
+
+def _partial(path: Path) -> Path:
+    """Where a file is written until it is whole."""
+    return path.with_name(f"{path.name}.partial")

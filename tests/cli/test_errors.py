@@ -1,0 +1,102 @@
+"""One line and an exit code, whatever goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from foreglow.cli import errors
+from tests.cli.commands import foreglow_command
+
+
+def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise KeyError("not foreseen")
+
+    monkeypatch.setattr("foreglow.pipeline.Pipeline.__init__", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "reports"))
+    (tmp_path / "reports").mkdir()
+    source = tmp_path / "image.png"
+    cv2.imwrite(str(source), np.zeros((64, 96), np.uint8))
+    result = foreglow_command("run", source, "--out", tmp_path / "out")
+    (report,) = (tmp_path / "reports").iterdir()
+    assert result.exit_code == errors.INTERNAL_ERROR
+    assert str(report) in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert "not foreseen" in report.read_text(encoding="utf-8")
+    assert "Traceback" in report.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[1" + "0" * 400 + "]", "{" * 5000])
+def test_reading_an_input_names_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "lines.jsonl"
+    path.write_text(text, encoding="utf-8")
+    result = foreglow_command("export-mot", tmp_path, tmp_path, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_an_unforeseen_error_of_a_reader_names_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OverflowError("int too large")
+
+    monkeypatch.setattr("foreglow.datasets.image_folder.ImageFolder.__init__", fail)
+    source = tmp_path / "images"
+    source.mkdir()
+    (source / "a.png").touch()
+    result = foreglow_command("run", source, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr == f"foreglow: {source}: cannot be read: OverflowError: int too large\n"
+
+
+def test_the_innermost_reader_says_which_file(tmp_path: Path) -> None:
+    folder, path = tmp_path, tmp_path / "a.json"
+    code = "def read(path):\n    return 1 // 0\n"
+    space: dict[str, object] = {"__name__": "foreglow.datasets.made_up"}
+    exec(compile(code, "made_up.py", "exec"), space)
+    with pytest.raises(ZeroDivisionError) as caught:
+        space["read"](path)  # type: ignore[operator]
+    line, code_ = errors.one_line(caught.value, [folder])
+    assert (line.partition(": ")[0], code_) == (str(path), 2)
+
+
+def test_outputs_are_no_inputs(tmp_path: Path) -> None:
+    (tmp_path / "in").touch()
+    (tmp_path / "out").touch()
+    line = [
+        "--config",
+        str(tmp_path / "in"),
+        f"--model={tmp_path / 'in'}",
+        "--out",
+        str(tmp_path / "out"),
+        "\0",
+        "x" * 9999,
+    ]
+    assert errors._inputs(line) == [tmp_path / "in"] * 2
+
+
+def test_long_messages_are_cut() -> None:
+    line, _ = errors.one_line(ValueError("x" * 10_000_000))
+    assert len(line) <= errors.MAX_LENGTH
+
+
+def test_names_that_are_not_utf_8() -> None:
+    line, _ = errors.one_line(FileNotFoundError(2, "no such file", os.fsdecode(b"/tmp/\xff\xfe.png")))
+    line.encode("utf-8")
+
+
+def test_usage_is_one_line_where_nobody_looks() -> None:
+    import subprocess
+
+    command = [sys.executable, "-m", "foreglow.cli", "run", "--no-such-option"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("foreglow: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert json.dumps(done.stdout) == '""'

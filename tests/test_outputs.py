@@ -1,0 +1,120 @@
+"""Outputs never destroy inputs, and a folder has one writer at a time."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from foreglow.outputs import FolderLock, check_outputs, locked
+from foreglow.runs.folder import OutputFolder
+from tests.cli.commands import complaint, foreglow_command
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), np.zeros((64, 96), np.uint8))
+    return path
+
+
+def test_an_output_that_is_an_input(tmp_path: Path) -> None:
+    read, link, hard = tmp_path / "read", tmp_path / "link", tmp_path / "hard"
+    read.touch()
+    link.symlink_to(read)
+    hard.hardlink_to(read)
+    for written in (read, link, hard, tmp_path / "." / "read", tmp_path / "x" / ".." / "read"):
+        (tmp_path / "x").mkdir(exist_ok=True)
+        with pytest.raises(ValueError, match=r"--out .*expected a file that does not overwrite --config"):
+            check_outputs({"--config": read}, {"--out": written}, {})
+    check_outputs({"--config": read}, {"--out": tmp_path / "other"}, {})
+
+
+def test_a_file_that_is_written_in_parts(tmp_path: Path) -> None:
+    read = tmp_path / "a.mcap.partial"
+    read.touch()
+    with pytest.raises(ValueError, match="overwrite SOURCE"):
+        check_outputs({"SOURCE": read}, {"--record": tmp_path / "a.mcap"}, {})
+
+
+def test_folders(tmp_path: Path) -> None:
+    config = tmp_path / "run" / "config.toml"
+    config.parent.mkdir()
+    config.touch()
+    with pytest.raises(ValueError, match=r"--out .*expected another folder for the results than SOURCE"):
+        check_outputs({"SOURCE": config.parent}, {}, {"--out": config.parent})
+    with pytest.raises(ValueError, match="expected a folder whose results do not overwrite --config"):
+        check_outputs({"--config": config}, {}, {"--out": config.parent})
+    check_outputs({"--config": config}, {}, {"--out": config.parent / "again"})
+
+
+def test_two_outputs_of_one_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"--save .*expected another file than that of --record"):
+        check_outputs({}, {"--record": tmp_path / "a", "--save": tmp_path / "b" / ".." / "a"}, {})
+
+
+@pytest.mark.parametrize("option", ["--record", "--save"])
+def test_every_command_checks(option: str, image: Path, tmp_path: Path) -> None:
+    before = image.read_bytes()
+    assert "overwrite" in complaint("run", image, "--out", tmp_path / "out", option, image)
+    assert image.read_bytes() == before
+
+
+def test_labels_and_configurations_are_inputs_too(image: Path, tmp_path: Path) -> None:
+    config = tmp_path / "own.toml"
+    config.write_text("[guard]\nneeds_speed = false\n", encoding="utf-8")
+    assert "--config" in complaint("run", image, "--out", tmp_path / "out", "--config", config, "--record", config)
+    assert "needs_speed" in config.read_text(encoding="utf-8")
+    assert "SPLIT" in complaint("evaluate", image, "--json", image)
+
+
+def test_a_folder_is_written_by_one(tmp_path: Path) -> None:
+    first = OutputFolder(tmp_path / "out")
+    with pytest.raises(ValueError, match="another run is writing into this folder"):
+        OutputFolder(tmp_path / "out")
+    first.discard()
+    OutputFolder(tmp_path / "out").discard()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_command_and_what_it_calls_share_the_lock(tmp_path: Path) -> None:
+    with locked({"--out": tmp_path / "out"}):
+        folder = OutputFolder(tmp_path / "out")
+        with pytest.raises(ValueError, match="another run"), locked({"--out": tmp_path / "out"}):
+            pass
+        folder.discard()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> Iterator[subprocess.Popen[Any]]:
+    code = (
+        "import sys, time; from pathlib import Path; from foreglow.outputs import FolderLock\n"
+        "lock = FolderLock(Path(sys.argv[1])); print('locked', flush=True); time.sleep(60)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "locked\n"
+    with process:
+        yield process
+        process.kill()
+
+
+def test_the_lock_dies_with_its_process(writer: subprocess.Popen[Any], image: Path, tmp_path: Path) -> None:
+    assert "another run is writing" in complaint("run", image, "--out", tmp_path / "out")
+    writer.kill()
+    writer.wait()
+    result = foreglow_command("run", image, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.stderr
+
+
+def test_empty_folders_go_again(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), FolderLock(tmp_path / "a" / "b"):
+        raise KeyError
+    assert not list(tmp_path.iterdir())
