@@ -46,7 +46,7 @@ def test_results_are_those_of_beam(tmp_path: Path) -> None:
     assert (live / "frames.jsonl").read_bytes() == (beam / "frames.jsonl").read_bytes()
 
 
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted(tmp_path: Path, interrupt: signal.Signals) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(

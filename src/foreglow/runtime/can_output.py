@@ -89,7 +89,7 @@ class CanLogSink:
         """Deletes what was written, unless it was completed before."""
         with contextlib.suppress(OSError, ValueError):  # a full disk, or closed before
             self._log.stop()
-        with contextlib.suppress(_DiscardedError), self._closing:
+        with contextlib.suppress(_DiscardedError, OSError), self._closing:  # what waits for the full disk
             raise _DiscardedError
 
 
