@@ -6,7 +6,7 @@ imported when it runs, so that the help is there at once.
 
 import signal
 
-from foreglow.cli.signals import interruptible
+from foreglow.cli.signals import end_despite_hanging, interruptible
 
 with interruptible():
     from foreglow.cli.app import app
@@ -23,5 +23,8 @@ def main() -> None:
     try:
         with interruptible():
             app()
+    except SystemExit as ending:
+        end_despite_hanging(ending.code)
+        raise
     finally:  # Ctrl-C while the interpreter ends prints no traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)

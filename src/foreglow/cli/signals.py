@@ -1,4 +1,4 @@
-"""Signals that end a command: a plain `kill` and a terminal that closes count as Ctrl-C, from the first line on."""
+"""How the process ends: a plain `kill` and a terminal that closes count as Ctrl-C, from the first line on."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ def interruptible() -> Iterator[None]:
             with contextlib.suppress(OSError):  # a terminal that is gone
                 sys.stderr.write("foreglow: interrupted\n")
             sys.exit(INTERRUPTED)
+
+
+def end_despite_hanging(code: object) -> None:
+    """Ends the process now if a thread of the live loop hangs, for it would abort the interpreter on its way out."""
+    if any(thread.name.startswith("live ") for thread in threading.enumerate()):
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code if isinstance(code, int) else 0)
 
 
 class _Handler:
