@@ -130,3 +130,26 @@ def test_a_forked_process_ends_by_itself() -> None:
         sys.exit(0 if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM else 1)
     """
     assert ended(code, signal.SIGINT) == (0, "")
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_ros_2_node_that_is_interrupted_says_so(number: signal.Signals) -> None:
+    code = """
+    import types
+    import foreglow.cli.ros2
+
+    class Node:
+        def __init__(self, setting):
+            pass
+
+        def spin(self, should_stop):
+            print("now", flush=True)
+            while not should_stop():
+                time.sleep(0.01)
+
+    foreglow.cli.ros2._prepare = lambda *_: []
+    stages = types.ModuleType("foreglow.runtime.ros2.stages")
+    stages.NODES, stages.Setting = {"tracking": Node}, lambda *_: None
+    sys.modules[stages.__name__] = stages
+    """
+    assert ended(code, number, "ros2", "tracking") == (130, "")
