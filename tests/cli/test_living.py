@@ -119,7 +119,7 @@ def test_bad_input(tmp_path: Path) -> None:
     assert "no such file or folder" in complaint("live", tmp_path / "absent")
     assert "scenario: expected one of" in complaint("live", "simulate:nowhere")
     assert "expected an interface of python-can" in complaint("live", shipped_drive(), "--can", "nonsense:1")
-    assert "speed: expected a positive number" in complaint("live", shipped_drive(), "--speed", -1)
+    assert "Invalid value for '--speed'" in complaint("live", shipped_drive(), "--speed", -1)
     assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
     assert "--can-in: expected neither" in complaint(
         "live", shipped_drive(), "--can-in", "virtual:x", "--map", "a", "--poses", "b"
