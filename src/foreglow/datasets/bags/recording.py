@@ -16,6 +16,7 @@ from foreglow.datasets.bags.ros1_bag import Ros1Bag
 from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.files import check_file
 from foreglow.types import Frame
 
 CONTAINERS: Mapping[str, Callable[[Path], Container]] = MappingProxyType(
@@ -144,6 +145,7 @@ def _opened(path: Path) -> Container:
         return Ros2Bag(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such recording")
+    check_file(path)
     ending = _ending(path)
     if ending not in CONTAINERS:
         raise ValueError(f"{path}: expected a recording that ends in {', '.join(CONTAINERS)}")

@@ -9,11 +9,9 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from urllib.parse import quote
 
-import yaml
-
 from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic
 from foreglow.datasets.bags.mcap_file import McapFile
-from foreglow.files import read_text
+from foreglow.files import read_yaml
 
 METADATA = "metadata.yaml"
 
@@ -133,10 +131,7 @@ def _storage(path: Path) -> Container:
 def _files(folder: Path) -> list[Path]:
     """The files in the metadata, all in the folder itself."""
     path = folder / METADATA
-    try:
-        metadata = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: expected YAML: {error}") from None
+    metadata = read_yaml(path)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
