@@ -204,15 +204,17 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
     return data
 
 
-def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-8-sig") -> str:
+def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-8-sig", errors: str = "strict") -> str:
     """The text in the file at `path`, UTF-8 unless `encoding` says otherwise; a byte order mark is dropped.
+
+    `errors` is what undecodable bytes do, as in `bytes.decode`.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no regular file, larger than `max_bytes`, or not such text.
     """
     try:
-        text = read_bytes(path, max_bytes).decode(encoding)
+        text = read_bytes(path, max_bytes).decode(encoding, errors)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected UTF-8 text: {error}") from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -271,7 +273,7 @@ def read_yaml(path: Path) -> Any:
                 raise ValueError(f"expected at most {MAX_DEPTH} lists and objects in one another, got more")
             if isinstance(event, yaml.ScalarEvent) and not event.style and len(event.value) > MAX_SCALAR_CHARS:
                 raise ValueError(f"expected words of at most {MAX_SCALAR_CHARS} characters, got {len(event.value)}")
-        return yaml.load(text, loader)  # noqa: S506: it is a safe one
+        return yaml.load(text, loader)  # a safe one
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected YAML: {error}") from None
 
