@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from urllib.parse import quote
 
-from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic
+from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic, check_num_topics
 from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.files import read_yaml
 
@@ -17,6 +17,21 @@ METADATA = "metadata.yaml"
 
 SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 """Errors about a damaged file: the second where the damage is in the error's own text."""
+
+MAX_STEPS = 10_000_000
+MAX_STEPS_A_BYTE = 100
+"""Instructions of SQLite's machine for a query, and more for each byte of the file. A message takes 20 of them and has 20
+bytes; pages that refer to each other take any number."""
+
+MAX_TOPIC_BYTES = 1 << 16
+"""Longest text of a topic, and of the table's definition."""
+
+_STEPS_AT_ONCE = 10_000
+
+_TABLES = {
+    "topics": ("id", "name", "type", "serialization_format"),
+    "messages": ("id", "topic_id", "timestamp", "data"),
+}
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
@@ -39,8 +54,11 @@ class SqliteBag:
             raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
         self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
         try:
-            with closing(self._connect()) as connection:
-                rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+            with closing(self._connect(MAX_TOPIC_BYTES)) as connection:
+                rows = []
+                for row in connection.execute("SELECT id, name, type, serialization_format FROM topics"):
+                    rows.append(row)
+                    check_num_topics(rows)
         except SQLITE_ERRORS as error:
             raise ValueError(f"{path}: expected a ROS 2 bag in SQLite: {error}") from None
         if not all([type(value) for value in row] == [int, str, str, str] for row in rows):
@@ -71,10 +89,21 @@ class SqliteBag:
         except SQLITE_ERRORS:
             return None
 
-    def _connect(self) -> sqlite3.Connection:
+    def _connect(self, max_bytes: int = MAX_BYTES) -> sqlite3.Connection:
         connection = sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro", uri=True)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max_bytes)
+        connection.set_authorizer(_allows)
+        num_left = iter(range((MAX_STEPS + MAX_STEPS_A_BYTE * self._path.stat().st_size) // _STEPS_AT_ONCE))
+        connection.set_progress_handler(lambda: next(num_left, None) is None, _STEPS_AT_ONCE)
         return connection
+
+
+def _allows(action: int, table: str | None, column: str | None, _: str | None, view: str | None) -> int:
+    """SQLite's question whether a query may do something: read the tables of a bag, which are no views, and count."""
+    is_read = action == sqlite3.SQLITE_READ and column in ("", *_TABLES.get(table or "", ()))
+    is_count = action == sqlite3.SQLITE_FUNCTION and (column or "").lower() == "count"
+    is_fine = view is None and (action == sqlite3.SQLITE_SELECT or is_read or is_count)
+    return sqlite3.SQLITE_OK if is_fine else sqlite3.SQLITE_DENY
 
 
 STORAGES: Mapping[str, Callable[[Path], Container]] = MappingProxyType({".db3": SqliteBag, ".mcap": McapFile})
