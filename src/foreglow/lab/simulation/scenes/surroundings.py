@@ -14,12 +14,6 @@ Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length
 """Pairs (position, value) with growing positions."""
 
 
-def _none_or_spaced(spacing_m: float) -> float:
-    if 0 < spacing_m < MIN_SPACING_M:
-        raise ValueError(f"expected 0 for none, or at least {MIN_SPACING_M:g} m, got {spacing_m:g}")
-    return spacing_m
-
-
 def _growing(span: tuple[float, float]) -> tuple[float, float]:
     if not span[0] < span[1]:
         raise ValueError(f"expected a span from a smaller to a larger arc length, got {span}")
@@ -235,5 +229,14 @@ class SurroundingsSpec(SpecModel):
     woods: Listed[tuple[Woods, ...]] = ()
     houses: Listed[tuple[House, ...]] = ()
     street_lamps: Listed[tuple[StreetLamp, ...]] = ()
-    delineator_spacing_m: Annotated[NonNegative, AfterValidator(_none_or_spaced)] = 50.0
+    delineator_spacing_m: NonNegative = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> SurroundingsSpec:
+        if 0 < self.delineator_spacing_m < MIN_SPACING_M:
+            raise ValueError(
+                f"delineator_spacing_m: expected 0 for none, or at least {MIN_SPACING_M:g} m, "
+                f"got {self.delineator_spacing_m:g}"
+            )
+        return self
