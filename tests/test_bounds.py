@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import re
 import socket
 import sqlite3
 import struct
@@ -341,6 +343,20 @@ def test_a_scheduler_that_does_not_answer(outcomes: dict[str, tuple[Path, str, s
     assert (error, message) == (
         "ConnectionError", f"--cluster {path.read_text()}: expected a dask scheduler, nothing answers there"
     )  # fmt: skip
+
+
+def test_the_table_has_the_numbers_of_the_code() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "bounds.md").read_text()
+    found = [
+        (module, name, number)
+        for module, constants in re.findall(r"^\|.*\| `([\w.]+)` \| (.*) \|$", page, re.MULTILINE)
+        for name, number in re.findall(r"`(\w+)` = ([^,`]*(?:,\d{3})*(?: \w+)?)", constants)
+    ]
+    assert len(found) > 40
+    units = {"GiB": 1 << 30, "MiB": 1 << 20, "KiB": 1 << 10, "": 1}
+    for module, name, number in found:
+        value, _, unit = number.replace(",", "").partition(" ")
+        assert getattr(importlib.import_module(f"foreglow.{module}"), name) == float(value) * units[unit], name
 
 
 def test_every_reader_has_a_bomb() -> None:

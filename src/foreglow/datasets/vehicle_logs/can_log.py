@@ -317,10 +317,10 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
     if reader is None:
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
     check_file(path, MAX_LOG_BYTES)
-    if reader is can.BLFReader:
-        _check_objects(path)
     found = []
     try:
+        if reader is can.BLFReader:
+            _check_objects(path)
         # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
         with path.open("rb") if reader is can.BLFReader else _TextLog(path) as file, reader(file) as log:
             for frame in log:
@@ -350,17 +350,17 @@ def _check_objects(path: Path) -> None:
     """Passes a .blf whose objects have a size that can be, unpacked too; python-can takes whatever there is.
 
     Raises:
-        ValueError: If one has not; the message names the path.
+        ValueError: If one has not; the message says where.
 
     Source: the layout that python-can reads, can.io.blf.
     """
     with path.open("rb") as file:
         header_size = int.from_bytes(file.read(8)[4:], "little")
-        _check_object(header_size, f"{path}: header")
+        _check_object(header_size, "header")
         file.seek(header_size)
         rest = b""
         while len(head := file.read(_OBJECT_HEAD)) == _OBJECT_HEAD:
-            origin = f"{path}: byte {file.tell() - _OBJECT_HEAD}"
+            origin = f"byte {file.tell() - _OBJECT_HEAD}"
             size, kind = struct.unpack_from("<II", head, 8)
             _check_object(size, origin)
             data = file.read(size - _OBJECT_HEAD)

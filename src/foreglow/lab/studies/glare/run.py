@@ -191,8 +191,6 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: st
         for found in scored
     )
     sightings = [
-        Sighting.from_json(row)
-        for named in wanted
-        for row in read_plain_json(_sightings_file(folder, named.name))
+        Sighting.from_json(row) for named in wanted for row in read_plain_json(_sightings_file(folder, named.name))
     ]
     return GlareExperiment(results, (r123,), lead_scores(sightings), folder)
