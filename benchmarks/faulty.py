@@ -40,6 +40,7 @@ WRONG_FRAMES: dict[str, Callable[[Sequence[Frame]], list[Frame]]] = {
     GuardFault.FROZEN: lambda frames: [_with_image(frame, frames[0].image) for frame in frames],
     GuardFault.BLACK: lambda frames: [_with_image(frame, frame.image // 64) for frame in frames],
     GuardFault.SATURATED: lambda frames: [_with_image(frame, np.full_like(frame.image, 255)) for frame in frames],
+    GuardFault.DAMAGED: lambda frames: [dataclasses.replace(frame, is_damaged=True) for frame in frames],
     GuardFault.NO_CAMERA: lambda frames: [dataclasses.replace(frame, camera=None) for frame in frames],
     GuardFault.NO_SPEED: lambda frames: [dataclasses.replace(frame, motion=None) for frame in frames],
 }

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
+import fcntl
 import json
+import os
+import subprocess
+import sys
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +20,7 @@ import pytest
 from pydantic import BaseModel
 
 from foreglow.files import (
+    atomic_path,
     fields_to_json,
     json_text,
     naming,
@@ -142,3 +148,38 @@ def test_a_value_that_json_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Unable to serialize"):
         write_json_results(tmp_path / "results.json", object())
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left = [tmp_path / f".a.json.{gone.pid}-{number}.tmp" for number in (1, 140_737)] + [
+        tmp_path / f".b.rrd.{gone.pid}.tmp"
+    ]
+    kept = [tmp_path / f".a.json.{os.getpid()}-1.tmp", tmp_path / ".1.tmp", tmp_path / f"a.{gone.pid}-1.tmp"]
+    for path in (*left, *kept):
+        path.write_bytes(b"half")
+    write_atomic(tmp_path / "c.json", b"whole")
+    assert set(tmp_path.iterdir()) == {*kept, tmp_path / "c.json"}
+
+
+def test_what_another_machine_writes_stays(tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    foreign = tmp_path / f".a.json.{gone.pid}-1.tmp"
+    with foreign.open("wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        write_atomic(tmp_path / "c.json", b"whole")
+    assert foreign.exists()
+
+
+def test_a_library_that_opens_its_file_itself(tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    with contextlib.suppress(KeyboardInterrupt), atomic_path(path) as temporary:
+        temporary.write_bytes(b"half")
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(b"whole")
+    assert path.read_bytes() == b"whole"
+    assert list(tmp_path.iterdir()) == [path]

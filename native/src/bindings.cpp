@@ -8,6 +8,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <cstring>
 #include <optional>
@@ -19,6 +20,7 @@
 #include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
 #include "foreglow/hypotheses.hpp"
+#include "foreglow/image_change.hpp"
 #include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
@@ -155,6 +157,14 @@ auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Col
     return spacings;
 }
 
+std::optional<foreglow::ImageChange> compare(foreglow::ImageComparer& comparer, const PixelArray& image) {
+    const foreglow::ImageView view = view_of(image);
+    if (view.width_px < 1 || view.height_px < 1) throw nb::value_error("image: expected at least one pixel");
+    nb::gil_scoped_release released;
+    foreglow::ImageChange change;
+    return comparer.compare(view, change) ? std::optional(change) : std::nullopt;
+}
+
 foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
     const auto read_from = [](const nb::handle& from, const char* name, auto& value) {
         value = nb::cast<std::remove_reference_t<decltype(value)>>(from[name]);
@@ -274,6 +284,24 @@ NB_MODULE(_native, module) {
                "Where the light of each box is, pixels (N, 2), and its peak over the surroundings (N,) of full scale.");
     module.def("pair_spacings", &pair_spacings, "centres_rad"_a, "sizes_rad"_a, "contrasts"_a,
                "How far each box is from its partner (N,), radians; NaN without one.");
+    nb::class_<foreglow::ImageChange>(module, "ImageChange", "What differs between two images.")
+        .def_ro("strongest", &foreglow::ImageChange::strongest)
+        .def_prop_ro("tiles", [](const foreglow::ImageChange& change) {
+            auto* tiles = new double[change.tiles.size()];
+            std::copy(change.tiles.begin(), change.tiles.end(), tiles);
+            return owned(tiles, {foreglow::num_change_tiles, foreglow::num_change_tiles});
+        }, nb::rv_policy::automatic)
+        .def_ro("num_samples", &foreglow::ImageChange::num_samples)
+        .def_ro("num_changed", &foreglow::ImageChange::num_changed)
+        .def_ro("num_edges", &foreglow::ImageChange::num_edges)
+        .def_ro("num_other_edges", &foreglow::ImageChange::num_other_edges)
+        .def_ro("num_rows", &foreglow::ImageChange::num_rows)
+        .def_ro("num_repeated_rows", &foreglow::ImageChange::num_repeated_rows);
+    nb::class_<foreglow::ImageComparer>(module, "ImageComparer",
+                                        "Compares each image with the one before; one object a thread.")
+        .def(nb::init<>())
+        .def("compare", &compare, "image"_a, "None for the first image, and where the size or the type is another.")
+        .def("reset", &foreglow::ImageComparer::reset);
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")
         .def(nb::new_(&make_weigher), "parameters"_a)

@@ -13,6 +13,7 @@
 #include "foreglow/box_light.hpp"
 #include "foreglow/crops.hpp"
 #include "foreglow/hypotheses.hpp"
+#include "foreglow/image_change.hpp"
 #include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
@@ -226,6 +227,24 @@ void test_light_at_every_border() {
     }
 }
 
+template <typename Pixel>
+void test_changes_of_images_of_any_size() {
+    foreglow::ImageComparer comparer;
+    foreglow::ImageChange change;
+    for (const auto& [width, height] : {std::pair{1, 1}, {7, 40}, {40, 7}, {8, 8}, {17, 33}, {131, 97}}) {
+        Scene<Pixel> scene(width, height, 3, 5);
+        expect(!comparer.compare(scene.view, change), "an image of another size is not compared");
+        expect(comparer.compare(scene.view, change) && change.strongest == 0.0 && change.num_changed == 0 &&
+                   change.num_edges == 0 && change.num_other_edges == 0,
+               "the same image again has not changed");
+        for (Pixel& pixel : scene.pixels) pixel = static_cast<Pixel>(pixel + 1);
+        expect(comparer.compare(scene.view, change) && change.num_changed == change.num_samples,
+               "every sample of a brighter image has changed");
+    }
+    comparer.reset();
+    expect(!comparer.compare(Scene<Pixel>(131, 97, 3, 5).view, change), "nothing is known after a reset");
+}
+
 void test_lamp_pairs() {
     const std::vector<double> centres = {0.013, 0.0, 0.4, 0.0, -0.013, 0.0005}, sizes(6, 0.006), contrasts(3, 200.0);
     std::vector<double> spacings(3);
@@ -336,6 +355,8 @@ int main() {
     test_crops_at_every_border<std::uint16_t>();
     test_light_at_every_border<std::uint8_t>();
     test_light_at_every_border<std::uint16_t>();
+    test_changes_of_images_of_any_size<std::uint8_t>();
+    test_changes_of_images_of_any_size<std::uint16_t>();
     test_lamp_pairs();
     test_weighing_at_all_dispatch_levels();
     test_taps();

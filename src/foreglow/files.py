@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import contextlib
 import dataclasses
+import fcntl
 import json
 import math
 import os
@@ -25,6 +26,12 @@ import numpy as np
 from pydantic import BaseModel
 from pydantic_core import from_json, to_jsonable_python
 
+_TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
+"""Name of a hidden file that is being written, with the process that writes it."""
+
+_CLEARED: set[Path] = set()
+"""Folders that this process has cleared of what killed processes left."""
+
 
 @contextlib.contextmanager
 def open_atomic(path: Path) -> Iterator[BinaryIO]:
@@ -33,16 +40,64 @@ def open_atomic(path: Path) -> Iterator[BinaryIO]:
     Raises:
         OSError: If it cannot be written, such as on a full disk; the message names `path`, which is then as it was.
     """
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """The path of an empty file to write to, for libraries that open it themselves; else as `open_atomic`.
+
+    What processes that were killed have left of such files in the folder is removed.
+
+    Raises:
+        OSError: If it cannot be written, such as on a full disk; the message names `path`, which is then as it was.
+    """
+    _clear(path.parent)
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
     try:
         with naming(path, in_place_of=temporary):
-            with temporary.open("wb") as file:
-                yield file
+            with temporary.open("wb") as held:
+                _is_locked(held)
+                yield temporary
             temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+def _clear(folder: Path) -> None:
+    """Removes the temporary files in `folder` whose process is gone; once per folder is enough."""
+    if folder in _CLEARED:
+        return
+    _CLEARED.add(folder)
+    with contextlib.suppress(OSError):
+        for left in folder.iterdir():
+            found = _TEMPORARY.fullmatch(left.name)
+            if found and not _is_alive(int(found[1])):
+                with left.open("rb") as file:
+                    if _is_locked(file):  # else a process on another machine writes it
+                        left.unlink()
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True
+
+
+def _is_locked(file: BinaryIO) -> bool:
+    """Locks `file` until it is closed; returns whether that succeeded."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # held by another, or a file system without locks
+        return False
+    return True
 
 
 def write_atomic(path: Path, data: bytes) -> None:

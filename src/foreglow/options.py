@@ -225,7 +225,7 @@ class SourceOptions:
 
     topic: TopicOption = None
     limit: LimitOption = None
-    on_error: Annotated[str, option("stop|skip", "Stop at an unreadable frame, or skip it.")] = "stop"
+    on_error: Annotated[str, option("stop|skip|mark", "Stop at a bad frame, skip it, or keep it marked.")] = "stop"
 
     def open(self, source: Path | str) -> FrameSource:
         """The frames of `source`."""

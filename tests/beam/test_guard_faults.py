@@ -114,7 +114,9 @@ def test_saturated_image(share: float, is_low: bool) -> None:
 @pytest.mark.parametrize(
     ("white_level", "value", "faults"),
     [
-        (None, 4095, ()),
+        (None, 4095, (GuardFault.SATURATED,)),
+        (None, 3685, ()),
+        (None, 940, (GuardFault.SATURATED, GuardFault.BLACK)),
         (4095, 4095, (GuardFault.SATURATED,)),
         (4095, 4094, ()),
         (None, 3276, (GuardFault.BLACK,)),
@@ -132,8 +134,9 @@ def test_white_and_black_of_12_and_16_bits(white_level: int | None, value: int, 
 
 
 def test_black_image() -> None:
-    assert_low(next_check(running(), frame_at(25, image=np.full((960, 1280), 12, np.uint8))), GuardFault.BLACK)
-    assert not next_check(running(), frame_at(25, image=np.full((960, 1280), 13, np.uint8))).faults
+    dark = IMAGES[0] % 13
+    assert_low(next_check(running(), frame_at(25, image=dark)), GuardFault.BLACK)
+    assert not next_check(running(), frame_at(25, image=dark + (dark == 12))).faults
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (960, 1)])
@@ -148,7 +151,7 @@ def test_any_sampled_part_of_the_image_is_looked_at() -> None:
     guard = running()
     for number in range(25, 29):
         image = IMAGES[0].copy()
-        image[-64:, -64:] = number
+        image[-64:, -64:] = 9 * number
         assert not next_check(guard, frame_at(number, image=image)).faults
 
 

@@ -57,7 +57,7 @@ def test_complaints(tmp_path: Path) -> None:
     out = ("--out", tmp_path / "camera.toml")
     assert "nowhere.yaml: no such file" in complaint("calibrate", "convert", tmp_path / "nowhere.yaml", *out, *MOUNT)
     said = complaint("calibrate", "convert", tmp_path / "front.yaml", *out, *MOUNT[:-1], "-91")
-    assert "mount: pitch_deg" in said
+    assert "--pitch-deg" in said
     said = complaint("calibrate", "convert", tmp_path / "front.yaml", *out, *MOUNT, "--size", "big")
     assert "size: expected WIDTHxHEIGHT" in said
     said = complaint("calibrate", "check", tmp_path / "front.yaml", tmp_path / "a.png", "--out", tmp_path / "c.png")

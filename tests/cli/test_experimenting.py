@@ -104,7 +104,7 @@ def test_export_mot(tmp_path: Path) -> None:
     assert len({row.split(",")[1] for row in rows}) >= 2
     assert (out / "gt/S00001/gt/gt.txt").exists()
     assert "frames.jsonl: no such file, expected predictions" in complaint(
-        "export-mot", out, shipped_drive(), "--out", out
+        "export-mot", out, shipped_drive(), "--out", tmp_path / "other"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def test_results_are_those_of_beam(tmp_path: Path) -> None:
     assert (live / "frames.jsonl").read_bytes() == (beam / "frames.jsonl").read_bytes()
 
 
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted(tmp_path: Path, interrupt: signal.Signals) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(
@@ -69,6 +70,38 @@ def test_interrupted(tmp_path: Path, interrupt: signal.Signals) -> None:
     assert json.loads((out / "summary.json").read_text())["is_complete"] is False
 
 
+def test_model_that_loops_for_ever_ends_in_order(tmp_path: Path) -> None:
+    out, code = (
+        tmp_path / "out",
+        (
+            "import foreglow.pipeline, time\n"
+            "from foreglow.cli import main\n"
+            "step, made = foreglow.pipeline.Pipeline.step, []\n"
+            "def looping(self, frame, **others):\n"
+            "    while made.append(1) or len(made) > 5:\n"
+            "        time.sleep(0.001)\n"
+            "    return step(self, frame, **others)\n"
+            "foreglow.pipeline.Pipeline.step = looping\n"
+            "main()\n"
+        ),
+    )
+    command = [sys.executable, "-c", code, "live", str(shipped_drive()), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 2, done.stderr
+    assert "hung 3 times; start again" in done.stderr.splitlines()[-1]
+    assert names(out) == RESULTS
+    assert json.loads((out / "summary.json").read_text())["is_complete"] is False
+
+
+def test_without_a_camera_it_says_why_and_gives_up(tmp_path: Path) -> None:
+    result = foreglow_command("live", "camera:/dev/no_camera", "--give-up", 1, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    *status, last = result.stderr.splitlines()
+    assert any("camera_gone (OSError: camera:/dev/no_camera: cannot be opened)" in line for line in status)
+    assert last.startswith("foreglow: camera:/dev/no_camera: no frame for 1 s: ")
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["num_frames"] == 0
+
+
 def test_killed_process_leaves_no_half_written_result(tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(subprocess_command("live", shipped_drive(), "--speed", "0.2", "--out", out))
@@ -86,7 +119,7 @@ def test_bad_input(tmp_path: Path) -> None:
     assert "no such file or folder" in complaint("live", tmp_path / "absent")
     assert "scenario: expected one of" in complaint("live", "simulate:nowhere")
     assert "expected an interface of python-can" in complaint("live", shipped_drive(), "--can", "nonsense:1")
-    assert "speed: expected a positive number" in complaint("live", shipped_drive(), "--speed", -1)
+    assert "--speed" in complaint("live", shipped_drive(), "--speed", -1)
     assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
     assert "--can-in: expected neither" in complaint(
         "live", shipped_drive(), "--can-in", "virtual:x", "--map", "a", "--poses", "b"

@@ -48,7 +48,7 @@ def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
     images = tmp_path / "many"
     images.mkdir()

@@ -68,7 +68,7 @@ def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="rate_hz: expected a positive number, got 0"):
         ImageFolder(folder, rate_hz=0)
     bad: Any = "ignore"
-    with pytest.raises(ValueError, match="on_error: expected stop or skip, got 'ignore'"):
+    with pytest.raises(ValueError, match="on_error: expected stop, skip or mark, got 'ignore'"):
         ImageFolder(folder, on_error=bad)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
+from foreglow.datasets.decoding import decoded
 from tests.shared_data import shared_file
 
 NUM_FRAMES = 24
@@ -159,3 +160,100 @@ def test_a_real_clip() -> None:
     assert times[30] == 1_001_000_000
     assert video.num_frames is not None
     assert abs(video.num_frames - len(times)) <= 1
+
+
+# Damaged streams
+
+
+GOP = 12
+
+
+def make_stream(path: Path, *, num_frames: int = 60) -> bytes:
+    """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
+    with av.open(str(path), "w", format="mpegts") as container:
+        stream: Any = container.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        stream.bit_rate, stream.gop_size = 1_000_000, GOP
+        for index in range(num_frames):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path.read_bytes()
+
+
+def packets_of(path: Path) -> list[tuple[int, int]]:
+    """Where the packets of a video are in its file, and their sizes."""
+    container: Any = av.open(str(path))
+    with container:
+        return [(packet.pos, packet.size) for packet in container.demux(container.streams.video[0]) if packet.size]
+
+
+def damaged_stream(path: Path, frame: int) -> None:
+    """The stream with a packet missing from the middle of a frame."""
+    data = make_stream(path)
+    position, size = packets_of(path)[frame]
+    start = (position + size // 2) // 188 * 188
+    path.write_bytes(data[:start] + data[start + 188 :])
+
+
+def test_a_lost_packet_marks_frames_until_the_next_key_frame(tmp_path: Path) -> None:
+    path = tmp_path / "stream.ts"
+    make_stream(path)
+    clean = [frame.image for frame in Video(path)]
+    damaged_stream(path, 20)
+    with pytest.raises(ValueError, match=r"stream\.ts: frame \d+: expected an undamaged frame"):
+        list(Video(path))
+    video = Video(path, on_error="mark")
+    frames = list(video)
+    is_off = [bool((frame.image != image).any()) for frame, image in zip(frames, clean, strict=True)]
+    is_damaged = [frame.is_damaged for frame in frames]
+    assert any(is_off)
+    assert all(marked for marked, off in zip(is_damaged, is_off, strict=True) if off)
+    assert not any(is_damaged[:18])  # known early, as packets are read ahead
+    assert not any(is_damaged[2 * GOP + 1 :])
+    assert video.skipped == []
+    kept = list(Video(path, on_error="skip"))
+    assert [frame.frame for frame in kept] == [frame.frame for frame in frames if not frame.is_damaged]
+
+
+def test_a_damaged_key_frame_does_not_end_the_damage(tmp_path: Path) -> None:
+    path = tmp_path / "stream.ts"
+    damaged_stream(path, 2 * GOP)
+    is_damaged = [frame.is_damaged for frame in Video(path, on_error="mark")]
+    assert all(is_damaged[2 * GOP : 3 * GOP])
+    assert not any(is_damaged[3 * GOP + 1 :])
+
+
+def test_what_cannot_be_decoded_at_the_end_is_an_error(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "clip.avi", codec="mjpeg", pixels="yuvj420p")
+    position, size = packets_of(path)[-1]
+    data = bytearray(path.read_bytes())
+    data[position + 8 : position + size] = bytes(size - 8)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="expected an undamaged frame"):
+        list(Video(path))
+    assert len(list(Video(path, on_error="mark"))) == NUM_FRAMES - 1
+
+
+def test_frames_without_a_time_follow_at_the_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = make_video(tmp_path / "clip.mp4")
+
+    class Untimed:
+        """A picture that has lost its time."""
+
+        pts = None
+
+        def __init__(self, picture: Any) -> None:
+            self._picture = picture
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._picture, name)
+
+    def untimed(container: Any, stream: Any) -> Any:
+        for number, (picture, is_damaged) in enumerate(decoded(container, stream)):
+            yield (Untimed(picture) if number in (5, 6) else picture), is_damaged
+
+    monkeypatch.setattr("foreglow.datasets.video.decoded", untimed)
+    assert [frame.timestamp_ns for frame in Video(path)] == [40_000_000 * index for index in range(NUM_FRAMES)]

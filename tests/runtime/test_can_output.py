@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import resource
 import sys
 from pathlib import Path
 from typing import Any
@@ -192,7 +193,16 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
         assert not lamps.shining(5 * PERIOD + 221 * MS)[0].any()
 
 
-def test_other_interfaces() -> None:
+def test_other_interfaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    for failure in (TypeError("no argument"), NameError("nican"), ImportError("no such driver"), AttributeError("dll")):
+
+        def fail(failure: Exception = failure, **_: object) -> None:
+            raise failure
+
+        with monkeypatch.context() as patched:
+            patched.setattr(can, "Bus", fail)
+            with pytest.raises(ValueError, match=f"own:1: expected a bus whose driver .*{failure}"):
+                CanBus("own:1")
     with pytest.raises(ValueError, match="nonsense:can0: expected an interface of python-can"):
         CanBus("nonsense:can0")
 
@@ -217,3 +227,30 @@ def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can, "Bus", fail)
     with pytest.raises(OSError, match="can7: no such device"):
         CanBus("can7")
+
+
+def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
+    sink = CanLogSink(tmp_path / "beam.blf.partial", suffix=".blf")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):  # noqa: PT012  until its buffers are full
+            for number in range(5000):
+                sink.write(*result_at(number * PERIOD))
+            sink.close()
+        sink.discard()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_driver_that_fails_while_sending(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = CanBus("virtual:failing")
+
+    def fail(*_: object, **__: object) -> None:
+        raise TypeError("not what the driver takes")
+
+    monkeypatch.setattr(bus._bus, "send", fail)
+    with pytest.raises(OSError, match="virtual:failing: not what the driver takes"):
+        bus.send(command_at(0))
+    bus.close()

@@ -1,47 +1,255 @@
-"""Whether a camera works: its image is not frozen, not saturated and not black."""
+"""Whether a camera sees: not frozen, not damaged, not saturated, not black."""
 
 from __future__ import annotations
 
 import math
-import zlib
-from typing import Any
+import statistics
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.beam.faults import GuardFault
+from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.config import GuardConfig
 from foreglow.types import Image
 
 NUM_SAMPLES = 1200
-"""About so many pixels of an image are sampled, on a grid."""
+"""About so many pixels of an image are sampled, on a grid, for how bright they are."""
+
+BIT_DEPTHS = (8, 10, 12, 14, 16)
+"""Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
+
+NEAR_TOP = 0.9
+"""A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
+
+NUM_RECENT = 18
+"""Images that say what is usual; a second of them at the paper's rate."""
+
+STILL_SHARE = 0.4
+"""An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
+cameras, two images in a row stay above .6 of it; frozen behind an encoder of 0.3 to 8 Mbit/s they are below .1."""
+
+REFINED_AT_MOST_LEVELS = 8.0
+"""But never if it is more than so many grey levels: an encoder refines a still picture by 6 at 0.3 Mbit/s."""
+
+STILL_LEVELS, STAYS_STILL_LEVELS = 1.0, 2.0
+"""An image is still in any case if its strongest change is no more than so many grey levels; the second number holds
+after a still image, because of key frames."""
+
+MIN_STILL_S = 0.045
+"""A camera is not frozen before it was still for so long times `max_same_images`: those of 60 Hz may repeat images."""
+
+FRESH_SHARE, NUM_FRESH = 0.4, 3
+"""Noise is new, and so the camera alive, where more of the samples than this changed in each of so many images.
+Measured: raw, MJPEG and 8 Mbit/s above .65 when moving; frozen below .35, but for single key frames."""
+
+NUM_RELEASED = 9
+"""After so many still images in a row that changed by more than `STAYS_STILL_LEVELS`, the scene has become calmer."""
+
+NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
+"""Damage: more new edges on the encoder's grid than this, by both measures."""
+
+REPEATED_SHARE = 0.4
+"""Damage: so many more rows than usual are like the row below although the noise is new, such as where a decoder fills
+in black."""
+
+ONE_VALUE_SHARE = 0.05
+"""Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
+
+STUCK_SHARE, NUM_STUCK_TILES = 0.25, 4
+"""Damage: in so many of the 64 tiles where the noise is usually new, the share of changed samples falls below this
+share of the least recent one, in two images in a row. Measured: moving and raw, MJPEG or 8 Mbit/s, no tile is below .5;
+most of those stuck behind an encoder of 8 Mbit/s fall below .1. At 1 Mbit/s noise is not transmitted."""
+
+ALIVE_SHARE, MIN_ALIVE = 0.75, 0.25
+"""But only while so large a share of these tiles stays above this share: less light has less noise everywhere."""
+
+DAMAGE_HOLD_S = 0.5
+"""What was damaged is taken for damaged for so long: later images of a stream follow from it."""
+
+RELEARN_S = 10.0
+"""What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
 
 
 class CameraWatch:
-    """Checks a sample of each image's pixels. A real sensor's noise makes no two samples alike."""
+    """Judges each image by how bright a sample of its pixels is, and by how it differs from the image before."""
 
     def __init__(self, config: GuardConfig) -> None:
         self._config = config
+        self._comparer = ImageComparer()
+        self._stillness = _Stillness(config.max_same_images)
+        self._damage = _Damage()
         self.reset()
 
     def reset(self) -> None:
         """Forgets the images so far."""
-        self._fingerprint: int | None = None
-        self._num_same = 0
+        self._brightest = 0
+        self._comparer.reset()
+        self._stillness.reset()
+        self._damage.reset()
 
-    def faults(self, image: Image) -> list[GuardFault]:
-        """What is wrong with the next image."""
-        step = max(1, math.isqrt(image.size // NUM_SAMPLES))
-        sample: NDArray[Any] = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])
-        fingerprint = zlib.crc32(sample.data)
-        self._num_same = self._num_same + 1 if fingerprint == self._fingerprint else 1
-        self._fingerprint = fingerprint
-        white = self._config.white_level or np.iinfo(image.dtype).max
+    def faults(
+        self, image: Image, timestamp_ns: int, *, is_moving: bool | None = None, is_damaged: bool = False
+    ) -> list[GuardFault]:
+        """What is wrong with the next image.
+
+        Args:
+            image: The image.
+            timestamp_ns: When it was exposed.
+            is_moving: Whether our vehicle is so fast that every image must differ; None where that is not known.
+            is_damaged: Whether the source says that it is.
+        """
         faults = []
-        if self._num_same > self._config.max_same_images:
+        step = max(1, math.isqrt(image.size // NUM_SAMPLES))
+        sample = image[step // 2 :: step, step // 2 :: step].ravel()
+        brightest = int(sample.max())
+        self._brightest = max(self._brightest, brightest)
+        top = _top(image, self._brightest)
+        white = self._config.white_level
+        num_white = np.count_nonzero(sample >= (NEAR_TOP * top if white is None else white))
+        is_saturated = num_white > self._config.max_saturated * sample.size
+        is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
+        change = self._comparer.compare(image)
+        if self._stillness.update(change, timestamp_ns, is_moving):
             faults.append(GuardFault.FROZEN)
-        if np.count_nonzero(sample >= white) > self._config.max_saturated * sample.size:
+        if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
+            one_value = _share_of_one_value(sample, top)
+            is_damaged |= self._damage.update(change, one_value, timestamp_ns, is_still=self._stillness.is_still)
+        if is_damaged:
+            faults.append(GuardFault.DAMAGED)
+        if is_saturated:
             faults.append(GuardFault.SATURATED)
-        if np.maximum.reduce(sample, axis=None) <= self._config.min_bright * white:
+        if is_black:
             faults.append(GuardFault.BLACK)
         return faults
+
+
+class _Stillness:
+    """Whether images stay as they are although they should not."""
+
+    def __init__(self, max_same: int) -> None:
+        self._max_same = max_same
+        self.reset()
+
+    def reset(self) -> None:
+        self._recent: deque[float] = deque(maxlen=NUM_RECENT)
+        self._fresh: deque[float] = deque(maxlen=NUM_FRESH)
+        self._num_still = self._num_released = 0
+        self._moved_ns = 0
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the latest image was like the one before."""
+        return self._num_still > 0
+
+    def update(self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None) -> bool:
+        """Whether the camera is frozen, by how the next image has changed.
+
+        A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
+        not known, as long as the noise is new.
+        """
+        if change is None or timestamp_ns < self._moved_ns:
+            self.reset()
+            self._moved_ns = timestamp_ns
+            return False
+        self._fresh.append(change.share_changed)
+        is_fresh = len(self._fresh) == NUM_FRESH and min(self._fresh) > FRESH_SHARE
+        limit = STAYS_STILL_LEVELS if self._num_still else STILL_LEVELS
+        if len(self._recent) == NUM_RECENT and not is_fresh:
+            limit = max(limit, min(STILL_SHARE * min(self._recent), REFINED_AT_MOST_LEVELS))
+        if change.strongest > limit or self._num_released == NUM_RELEASED:
+            if change.strongest <= limit:
+                self._recent.clear()
+            self._recent.append(change.strongest)
+            self._num_still = self._num_released = 0
+            self._moved_ns = timestamp_ns
+        else:
+            self._num_still += 1
+            self._num_released = self._num_released + 1 if change.strongest > STAYS_STILL_LEVELS else 0
+        is_long = timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9 * self._max_same
+        is_frozen = self._num_still >= self._max_same and is_long
+        return is_frozen and is_moving is not False and (is_moving is True or not is_fresh)
+
+
+class _Damage:
+    """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self._forget()
+        self._damaged_ns: int | None = None
+
+    def update(self, change: ImageChange | None, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+        """Whether the image is damaged, or one shortly before it was.
+
+        Args:
+            change: What differs from the image before.
+            one_value: Share of the image with one and the same value.
+            timestamp_ns: The time of the image.
+            is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
+        """
+        if change is None:
+            self._forget()
+        elif self._is_damaged(change, one_value, timestamp_ns, is_still=is_still):
+            self._damaged_ns = timestamp_ns
+        return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
+
+    def _forget(self) -> None:
+        """Forgets what is usual."""
+        self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
+        self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
+        self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._latest_shares: NDArray[np.float64] | None = None
+        self._could_be_stuck: NDArray[np.bool_] = np.array(False)
+        self._usual_ns: int | None = None
+
+    def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+        could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
+        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+        if len(self._tile_shares) == NUM_RECENT:
+            least = np.minimum.reduce(list(self._tile_shares))
+            if not is_still:
+                self._could_be_stuck = _same_tiles(change.tile_shares, least)
+            is_unusual |= int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
+            has_noise = float(np.median(least)) > FRESH_SHARE
+            is_unusual |= has_noise and _has_risen(change.share_repeated, self._repeated, REPEATED_SHARE)
+        if not is_unusual:
+            self._repeated.append(change.share_repeated)
+            self._one_value.append(one_value)
+            if self._latest_shares is not None:  # one image later, as the first one with a stuck part is not usual
+                self._tile_shares.append(self._latest_shares)
+            self._latest_shares, self._usual_ns = change.tile_shares, timestamp_ns
+        elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
+            self._forget()
+        has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
+        return is_unusual or has_edges
+
+
+def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which tiles hardly change, of those where the noise is usually new, while others change as ever."""
+    is_fresh = least > FRESH_SHARE
+    num_alive = np.count_nonzero(is_fresh & (shares > ALIVE_SHARE * least))
+    is_same: NDArray[np.bool_] = is_fresh & (shares < STUCK_SHARE * least)
+    return is_same & np.bool_(num_alive >= MIN_ALIVE * np.count_nonzero(is_fresh))
+
+
+def _has_risen(share: float, recent: deque[float], by: float) -> bool:
+    return len(recent) >= 2 and share > statistics.median(recent) + by
+
+
+def _top(image: Image, brightest: int) -> int:
+    """The greatest value that the camera can give; of uint16, by the brightest pixel so far."""
+    if image.dtype == np.uint8:
+        return 255
+    return next(top for bits in BIT_DEPTHS if brightest <= (top := (1 << bits) - 1))
+
+
+def _share_of_one_value(sample: Image, top: int) -> float:
+    """Share of the samples with the value that most of those have that are neither dark nor white."""
+    values = sample[(sample > 0.1 * top) & (sample < NEAR_TOP * top)]
+    if values.size == 0:
+        return 0.0
+    return float(np.bincount(values).max()) / sample.size

@@ -87,7 +87,9 @@ class Guard:
             ValueError: If the camera's distortion cannot be undone; nothing else raises.
         """
         elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
-        faults += self._watch.faults(frame.image)
+        faults += self._watch.faults(
+            frame.image, frame.timestamp_ns, is_moving=self._is_moving(frame), is_damaged=frame.is_damaged
+        )
         faults += self._motion_faults(frame)
         faults += self._track_faults(tracks, is_vehicle, elapsed_s)
         faults += self._command_faults(wanted, frame)
@@ -128,6 +130,11 @@ class Guard:
         if not 0 <= time_ns - frame_ns <= self._config.max_age_s * 1e9:
             faults.append(GuardFault.TOO_OLD)
         return elapsed_s, faults
+
+    def _is_moving(self, frame: Frame) -> bool | None:
+        """Whether the vehicle is fast enough for every image to change; None where its speed is not known."""
+        speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
+        return None if math.isnan(speed_mps) else speed_mps >= self._config.low_below_mps
 
     def _motion_faults(self, frame: Frame) -> list[GuardFault]:
         faults = [] if frame.camera is not None else [GuardFault.NO_CAMERA]

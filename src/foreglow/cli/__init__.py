@@ -4,15 +4,27 @@ Exit codes: 0 done, 2 bad input or arguments, 70 a fault of this program, 130 in
 imported when it runs, so that the help is there at once.
 """
 
-from foreglow.cli.app import app
+import signal
 
-# In the order of the help.
-from foreglow.cli import run, demo, record, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
-from foreglow.cli import evaluate, download, simulate, learning, yolo, experiment  # noqa: F401  isort: skip
+from foreglow.cli.signals import end_despite_hanging, interruptible
+
+with interruptible():
+    from foreglow.cli.app import app
+
+    # In the order of the help.
+    from foreglow.cli import run, demo, record, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
+    from foreglow.cli import evaluate, download, simulate, learning, yolo, experiment  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]
 
 
 def main() -> None:
     """Runs the command line."""
-    app()
+    try:
+        with interruptible():
+            app()
+    except SystemExit as ending:
+        end_despite_hanging(ending.code)
+        raise
+    finally:  # Ctrl-C while the interpreter ends prints no traceback
+        signal.signal(signal.SIGINT, signal.SIG_DFL)

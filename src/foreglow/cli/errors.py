@@ -6,6 +6,7 @@ Bad input and wrong usage end with 2, an interrupt with 130, and a fault of this
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import platform
 import sys
@@ -18,6 +19,8 @@ from typing import Any
 
 import typer
 from typer.core import TyperGroup
+
+from foreglow.cli.signals import INTERRUPTED
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -81,7 +84,7 @@ class Commands(TyperGroup):
             sys.exit(error.exit_code)
         except typer.Abort:
             typer.echo("foreglow: interrupted", err=True)
-            sys.exit(130)
+            sys.exit(INTERRUPTED)
         sys.exit(code if isinstance(code, int) else 0)
 
     def invoke(self, ctx: Any) -> Any:
@@ -98,14 +101,15 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            line, code = "interrupted", 130
+            line, code = "interrupted", INTERRUPTED
         except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
             raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
         except Exception as error:
             if is_debug:
                 raise
             line, code = one_line(error, inputs)
-        typer.echo(f"foreglow: {line}", err=True)
+        with contextlib.suppress(OSError):  # a terminal that is gone
+            typer.echo(f"foreglow: {line}", err=True)
         raise typer.Exit(code)
 
 

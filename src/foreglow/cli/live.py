@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import VehicleData
     from foreglow.runtime.health import LiveSink
-    from foreglow.runtime.live import BeamOutput, LiveSource, LiveSummary
+    from foreglow.runtime.live import BeamOutput, LiveEndedError, LiveSource, LiveSummary
 
 SOURCE_HELP = (
     "A camera (camera:0, camera:/dev/video0 or gstreamer:PIPELINE), an address such as rtsp://..., a simulated drive "
@@ -68,6 +68,9 @@ def live(
     camera_delay: Annotated[
         float, option("S", "Time from the exposure until the frame arrives.", min=0.0, max=1.0)
     ] = 0.0,
+    give_up: Annotated[
+        float | None, option("S", "End after S seconds without a frame (default: wait for ever).", min=0.1, max=1e6)
+    ] = None,
     seed: Annotated[int, option("N", "Seed of a simulated drive.", min=0)] = 0,
     quality: QualityOption = "training",
 ) -> None:
@@ -94,8 +97,8 @@ def live(
         named = None if record is None else Path(time.strftime(str(record)))
         sinks = recording_sinks(named, Path(source), configuration)
         sinks += viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
-        summary = _run(opened, configuration, out, outputs, sinks, limit)
-    _finish(summary, out)
+        summary, error = _run(opened, configuration, out, outputs, sinks, limit, give_up)
+    _finish(summary, out, error)
 
 
 def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
@@ -118,13 +121,18 @@ def _run(
     outputs: Sequence[BeamOutput],
     sinks: Sequence[LiveSink],
     limit: int | None,
-) -> LiveSummary:
-    """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen."""
+    give_up_s: float | None,
+) -> tuple[LiveSummary, LiveEndedError | None]:
+    """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen.
+
+    Returns:
+        What came of the run, and why it could not go on, if so.
+    """
     from foreglow.display.live_status import LiveStatus
     from foreglow.pipeline import Pipeline
     from foreglow.runtime import OutputFolder
     from foreglow.runtime.health import ResultsOnly
-    from foreglow.runtime.live import LiveLoop
+    from foreglow.runtime.live import LiveEndedError, LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
 
     all_sinks: list[LiveSink] = [LiveStatus(), *sinks]
@@ -133,20 +141,35 @@ def _run(
         if results is not None:
             all_sinks += [ResultsOnly(sink) for sink in results.line_sinks()]
         loop = LiveLoop(
-            source, lambda: Pipeline(configuration), configuration, outputs=outputs, sinks=all_sinks, beat=notifier.beat
+            source,
+            lambda: Pipeline(configuration),
+            configuration,
+            outputs=outputs,
+            sinks=all_sinks,
+            beat=notifier.beat,
+            give_up_s=give_up_s,
         )
-        summary = loop.run(limit)
+        error = None
+        try:
+            summary = loop.run(limit)
+        except LiveEndedError as ended:
+            summary, error = ended.summary, ended
         notifier.stop()
         if results is not None:
             results.publish(configuration, summary)
-    return summary
+    return summary, error
 
 
-def _finish(summary: LiveSummary, out: Path | None) -> None:
-    """Prints what came of the run; exits with 130 if it was interrupted, and with 2 if a sink failed."""
+def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None) -> None:
+    """Prints what came of the run; exits with 130 if it was interrupted, with 2 if it or a sink failed."""
     from foreglow.display.live_status import live_lines
 
-    typer.echo("\n".join([*live_lines(summary), *([] if out is None else [f"look in {out}"])]))
+    lines = live_lines(summary)
+    if error is None and not summary.run.is_complete:
+        lines.append("interrupted")
+    typer.echo("\n".join([*lines, *([] if out is None else [f"look in {out}"])]))
+    if error is not None:
+        raise error
     if summary.sink_errors:
         raise typer.Exit(2)
     if not summary.run.is_complete:

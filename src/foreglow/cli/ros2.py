@@ -7,12 +7,13 @@ import importlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
+from foreglow.cli.signals import INTERRUPTED
 from foreglow.options import (
     CalibrationOption,
     CaptureOptions,
@@ -25,6 +26,9 @@ from foreglow.options import (
     option,
     with_options,
 )
+
+if TYPE_CHECKING:
+    from foreglow.runtime.run import InterruptFlag
 
 ros2 = typer.Typer(no_args_is_help=True, help="Run the pipeline as ROS 2 nodes, each in a process of its own.")
 app.add_typer(ros2, name="ros2")
@@ -95,6 +99,7 @@ def source(
             player.stream(camera, limit=reading.limit)
         else:
             player.play(repeated(played, reading.limit, is_endless=loop), speed=speed)
+    _finish(interrupt)
 
 
 def _add_stage(name: str, text: str) -> None:
@@ -199,6 +204,13 @@ def _run_node(
     setting = Setting(config, camera, bus, output.deadline, ros_arguments)
     with InterruptFlag() as interrupt:
         NODES[name](setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+    _finish(interrupt)
+
+
+def _finish(interrupt: InterruptFlag) -> None:
+    """Exits with 130 if the node was interrupted."""
+    if interrupt.is_set:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _stop(is_interrupted: Callable[[], bool], parent: int | None) -> Callable[[], bool]:

@@ -7,8 +7,9 @@ from typing import Literal, Protocol, TypeAlias, get_args
 
 from foreglow.types import Frame
 
-OnError: TypeAlias = Literal["stop", "skip"]
-"""What a bad frame does: `stop` raises, `skip` leaves it out and adds a line to `FrameSource.skipped`."""
+OnError: TypeAlias = Literal["stop", "skip", "mark"]
+"""What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
+the same, but a frame that could be decoded although its stream is damaged comes with `Frame.is_damaged`."""
 
 
 class FrameSource(Protocol):
@@ -54,8 +55,8 @@ def checked_on_error(on_error: OnError) -> OnError:
     """`on_error` if it is valid, as Python callers may pass any string.
 
     Raises:
-        ValueError: If it is neither `stop` nor `skip`.
+        ValueError: If it is none of them.
     """
     if on_error not in get_args(OnError):
-        raise ValueError(f"on_error: expected stop or skip, got {on_error!r}")
+        raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
     return on_error

@@ -13,6 +13,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from foreglow.datasets.container_bytes import missing_bytes
+from foreglow.datasets.decoding import decoded
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import OnError, checked_on_error
 from foreglow.types import Frame
@@ -28,9 +29,9 @@ class Video:
     """The frames of a file's first video stream, decoded as they are asked for, grey.
 
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
-    stream's own presentation times; a stream without them (raw H.264) gets the frame's number divided by the rate.
-    A damaged frame, a cut file or a packet that cannot be decoded is an error; with `skip`, a damaged frame is left
-    out, and so is the stream after the first packet that cannot be decoded.
+    stream's own presentation times; a frame without one follows the frame before at the stream's rate.
+    A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
+    `mark` they are marked.
 
     Attributes:
         path: The file.
@@ -80,16 +81,19 @@ class Video:
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
-        """All frames; an undecodable packet ends them."""
-        index = -1
+        """All frames, up to where the container cannot be read."""
+        index, latest = -1, (0, 0)
         try:
-            for index, picture in self._pictures():
-                if picture.is_corrupt:
-                    self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
-                    continue
-                yield self._frame(index, picture)
+            with self._opened() as (container, stream):
+                for picture, is_damaged in decoded(container, stream):
+                    index += 1
+                    if is_damaged and (picture is None or self._on_error != "mark"):
+                        self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
+                        continue
+                    latest = index, self._timestamp_ns(index, picture, latest)
+                    yield self._frame(index, picture, latest[1], is_damaged=is_damaged)
         except FFmpegError as error:
-            self._refuse(f"{self.path}: frame {index + 1}: cannot be decoded: {error.strerror}")
+            self._refuse(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
         if self.skipped:
             return
         if index < 0:
@@ -98,31 +102,20 @@ class Video:
         elif self._is_counted and self.num_frames and index + 1 < _LEAST_SHARE * self.num_frames - 2:
             self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
 
-    def _pictures(self) -> Iterator[tuple[int, Any]]:
-        """Decoded pictures and their numbers, up to a packet that is cut."""
-        index = 0
-        with self._opened() as (container, stream):
-            for packet in container.demux(stream):
-                if packet.is_corrupt:
-                    self._refuse(f"{self.path}: frame {index}: expected a whole packet, the file is cut or damaged")
-                    return
-                for picture in packet.decode():
-                    yield index, picture
-                    index += 1
-
-    def _frame(self, index: int, picture: Any) -> Frame:
+    def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
         deep = max(component.bits for component in picture.format.components) > 8
         image = picture.to_ndarray(format="gray16le" if deep else "gray")
         check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")
         image = np.asarray(image, np.uint16 if deep else np.uint8)
-        return Frame(image, self._timestamp_ns(index, picture), frame=index, path=f"{self.path}, frame {index}")
+        return Frame(image, timestamp_ns, frame=index, path=f"{self.path}, frame {index}", is_damaged=is_damaged)
 
-    def _timestamp_ns(self, index: int, picture: Any) -> int:
+    def _timestamp_ns(self, index: int, picture: Any, latest: tuple[int, int]) -> int:
+        """The picture's own time; without one, what the rate makes of number and time of the `latest` frame."""
         if picture.pts is not None and picture.time_base:
             return round(int(picture.pts) * Fraction(picture.time_base) * 1_000_000_000)
         if self._rate is None:
             raise ValueError(f"{self.path}: frame {index}: expected a timestamp, the file has neither times nor a rate")
-        return round(index * 1_000_000_000 / self._rate)
+        return latest[1] + round((index - latest[0]) * 1_000_000_000 / self._rate)
 
     def _refuse(self, message: str) -> None:
         if self._on_error == "stop":

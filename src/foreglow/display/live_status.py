@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from rich.console import Console
+from rich.markup import escape
 from rich.status import Status
 
 from foreglow.display.summary_lines import beam_lines
@@ -21,7 +22,7 @@ class LiveStatus:
     def __init__(self) -> None:
         self._console = Console(stderr=True)
         self._status = Status("waiting for the first frame", console=self._console)
-        self._faults: tuple[str, ...] = ()
+        self._said: tuple[tuple[str, ...], str] = ((), "")
         self._before = (0, time.monotonic())
         if self._console.is_terminal:
             self._status.start()
@@ -31,10 +32,13 @@ class LiveStatus:
 
     def write_health(self, health: Health) -> None:
         """Shows the present state."""
-        if health.faults != self._faults:
-            self._faults = health.faults
+        now = (health.faults, health.details)
+        if now != self._said:
+            self._said = now
             what = ", ".join(health.faults) or "all is well again"
-            self._console.print(f"{health.timestamp_ns / 1e9:10.2f} s  {what}", highlight=False)
+            why = f" ({health.details})" if health.details else ""
+            line = f"{health.timestamp_ns / 1e9:10.2f} s  {what}{why}"
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         num_frames, then_s = self._before
         now_s = time.monotonic()
         if now_s - then_s >= 0.5:
@@ -45,7 +49,7 @@ class LiveStatus:
             )
             self._status.update(
                 f"{health.num_frames} frames, {rate_hz:.1f} a second, {health.num_dropped} dropped, "
-                f"{health.num_late} late; {mode}"
+                f"{health.num_late} late; {mode}{escape(f'; {health.details}' if health.details else '')}"
             )
 
     def close(self) -> None:
@@ -75,8 +79,6 @@ def live_lines(summary: LiveSummary) -> list[str]:
     if summary.num_unrecorded:
         lines.append(f"{summary.num_unrecorded} results were not recorded: the recording could not keep up")
     lines += [f"not recorded: {error}" for error in summary.sink_errors]
-    if not run.is_complete:
-        lines.append("interrupted")
     return lines
 
 

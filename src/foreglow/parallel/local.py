@@ -186,7 +186,7 @@ _PARENT: list[Parent] = []
 
 def _join(connection: Connection) -> None:
     """Sets up a process: it leaves Ctrl-C and `kill` to the first process, which asks it to stop."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     parent = _Pipe(connection)
     threading.Thread(target=parent.listen, daemon=True).start()

@@ -64,7 +64,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
         ValueError: If they cannot be read, or other frames are there now.
     """
     wanted = {result.frame: result.timestamp_ns for result in results}
-    source = open_source(source_of_run(run.folder), on_error="skip")
+    source = open_source(source_of_run(run.folder), on_error="mark")
     frames: dict[int, Frame] = {}
     if isinstance(source, LabelledSource):
         frames = {number: source.read(number) for number in sorted(wanted)}

@@ -89,7 +89,7 @@ class CanLogSink:
         """Deletes what was written, unless it was completed before."""
         with contextlib.suppress(OSError, ValueError):  # a full disk, or closed before
             self._log.stop()
-        with contextlib.suppress(_DiscardedError), self._closing:
+        with contextlib.suppress(_DiscardedError, OSError), self._closing:  # what waits for the full disk
             raise _DiscardedError
 
 
@@ -108,8 +108,11 @@ def open_bus(channel: str) -> can.BusABC:
         return can.Bus(interface=interface if colon else "socketcan", channel=rest if colon else channel, fd=True)
     except can.CanInterfaceNotImplementedError as error:
         raise ValueError(f"{channel}: expected an interface of python-can: {error}") from None
-    except can.CanError as error:
+    except (can.CanError, OSError) as error:
         raise OSError(f"{channel}: {error}") from error
+    except Exception as error:  # a driver that is missing, or that fails in its own way without one
+        words = f"{type(error).__name__}: {error}"
+        raise ValueError(f"{channel}: expected a bus whose driver is installed and works: {words}") from error
 
 
 class CanBus:
@@ -140,13 +143,11 @@ class CanBus:
                 themselves.
             ValueError: If the command is not for lamps of `NUM_LEDS` LEDs.
         """
-        import can
-
-        try:
-            for message in _messages(self._encoder.frames(command), command.timestamp_ns):
+        for message in _messages(self._encoder.frames(command), command.timestamp_ns):
+            try:
                 self._bus.send(message, timeout=SEND_TIMEOUT_S)
-        except can.CanError as error:
-            raise OSError(f"{self._name}: {error}") from error
+            except Exception as error:  # drivers raise what they like
+                raise OSError(f"{self._name}: {error}") from error
 
     def close(self) -> None:
         """Closes the bus."""

@@ -20,6 +20,7 @@ class Health:
         num_dropped: Frames that were dropped for a newer one.
         num_late: Frames whose command came more than a frame period after the image.
         beam: The command in force; None before the first.
+        details: What is known about the faults, such as why the camera cannot be opened.
     """
 
     timestamp_ns: int
@@ -28,6 +29,7 @@ class Health:
     num_dropped: int
     num_late: int
     beam: BeamCommand | None
+    details: str = ""
 
 
 class LiveSink(ResultSink, Protocol):

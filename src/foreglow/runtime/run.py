@@ -17,8 +17,8 @@ from foreglow.runs.tally import Tally
 from foreglow.runtime.stepper import Stepper
 from foreglow.types import Frame, FrameResult
 
-INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
-"""Ctrl-C, and the signal that `kill` and job schedulers send."""
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
 
 
 class ResultSink(Protocol):
@@ -40,16 +40,20 @@ class ResultSink(Protocol):
 class InterruptFlag:
     """In its `with` block a first Ctrl-C only sets a flag, so that the current frame is finished; a second one raises.
 
-    A plain `kill` (SIGTERM), which job schedulers send, counts as Ctrl-C. Outside the main thread, where Python
-    delivers no signals, it does nothing.
+    Any of `INTERRUPTS` counts as Ctrl-C; a second one raises if it is of the same kind, as the end of a session sends
+    several kinds at once. SIGHUP stays ignored under `nohup`. Outside the main thread, where Python delivers no
+    signals, it does nothing.
     """
 
     is_set = False
+    _first: int | None = None
 
     def __enter__(self) -> InterruptFlag:
         self._is_main = threading.current_thread() is threading.main_thread()
         if self._is_main:
-            self._previous = {number: signal.signal(number, self._interrupt) for number in INTERRUPTS}
+            is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            numbers = [number for number in INTERRUPTS if number != signal.SIGHUP or not is_nohup]
+            self._previous = {number: signal.signal(number, self._interrupt) for number in numbers}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -57,9 +61,10 @@ class InterruptFlag:
             for number, handler in self._previous.items():
                 signal.signal(number, handler)
 
-    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
-        if self.is_set:
+    def _interrupt(self, number: int, _frame: FrameType | None) -> None:
+        if number == self._first:
             raise KeyboardInterrupt
+        self._first = self._first or number
         self.is_set = True
 
 

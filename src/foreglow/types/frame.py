@@ -100,6 +100,7 @@ class Frame:
         camera: Calibration for images of this size; without it, nothing has a range.
         motion: Motion of our vehicle; None where unknown.
         road: The road ahead by a map or a street message; None without either.
+        is_damaged: Whether the source knows that the image is damaged, such as by a decoder that lost packets.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, or the camera is for
@@ -114,6 +115,7 @@ class Frame:
     camera: Camera | None = None
     motion: EgoMotion | None = None
     road: RoadAhead | None = None
+    is_damaged: bool = False
 
     def __post_init__(self) -> None:
         origin = f"{self.path}: " if self.path else ""

@@ -18,6 +18,7 @@ class Keeper:
     def __init__(self) -> None:
         self.results: list[tuple[Frame, FrameResult]] = []
         self.faults: list[tuple[str, ...]] = []
+        self.details: list[str] = []
         self.ends: list[str] = []
 
     def write(self, frame: Frame, result: FrameResult) -> None:
@@ -25,6 +26,7 @@ class Keeper:
 
     def write_health(self, health: Any) -> None:
         self.faults.append(health.faults)
+        self.details.append(health.details)
 
     def close(self) -> None:
         self.ends.append("close")

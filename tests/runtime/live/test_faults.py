@@ -11,7 +11,7 @@ import pytest
 from benchmarks.faulty import PERIOD_S, STAGES, WRONG_FRAMES, Lamps, ScriptedCamera, Step, live_config, spoil
 from foreglow.beam.faults import GuardFault
 from foreglow.pipeline import Pipeline
-from foreglow.runtime.live import LiveFault
+from foreglow.runtime.live import LiveEndedError, LiveFault, LiveLoop
 from foreglow.types import BeamMode, Frame
 from tests.runtime.live.stand_ins import Keeper, run_live
 
@@ -146,9 +146,25 @@ def test_too_many_hang(drive: list[Frame]) -> None:
         return pipeline
 
     configuration = live_config(abandon_s=0.2)
-    with pytest.raises(TimeoutError, match="distance: hung 3 times"):
+    with pytest.raises(LiveEndedError, match="distance: hung 3 times") as ended:
         run_live(ScriptedCamera(drive, is_live=True), configuration, make)
     never.set()
+    assert not ended.value.summary.run.is_complete
+
+
+def test_a_source_without_frames_is_given_up() -> None:
+    source = ScriptedCamera(*[[OSError("no camera")] for _ in range(99)], is_live=True, is_endless=True)
+    configuration, lamps, keeper = live_config(retry_s=0.1), Lamps(), Keeper()
+    loop = LiveLoop(
+        source, lambda: Pipeline(configuration), configuration, outputs=[lamps], sinks=[keeper], give_up_s=1.0
+    )
+    with pytest.raises(LiveEndedError, match="no frame for 1 s: OSError: no camera") as ended:
+        loop.run()
+    summary = ended.value.summary
+    assert (summary.run.num_frames, summary.run.is_complete) == (0, False)
+    assert [event.detail for event in summary.faults] == ["OSError: no camera"]
+    assert lamps.commands
+    assert "OSError: no camera" in keeper.details
 
 
 def test_camera_gone_and_back(drive: list[Frame]) -> None:

@@ -197,6 +197,24 @@ def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "STOPPING=1"]
 
 
+def test_service_notifier_whose_socket_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "notify"
+    monkeypatch.setenv("WATCHDOG_USEC", "soon")
+    for address in (str(path), "@nobody", str(path) * 9):
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        notifier = ServiceNotifier()
+        notifier.beat()
+        notifier.stop()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as never_read:
+        never_read.bind(str(path))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(path))
+        notifier = ServiceNotifier()
+        ending = threading.Thread(target=lambda: [notifier.stop() for _ in range(5000)], daemon=True)
+        ending.start()
+        ending.join(30)
+        assert not ending.is_alive()
+
+
 def test_service_notifier_without_a_service(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     monkeypatch.setattr(socket, "socket", None)

@@ -20,13 +20,15 @@ import numpy as np
 import pytest
 
 from benchmarks.faulty import live_config
-from foreglow.datasets import shipped_drive
+from benchmarks.image_faults import CODINGS, encoded
+from foreglow.beam.faults import GuardFault
+from foreglow.datasets import Video, open_source, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_camera, open_live
-from foreglow.types import Frame
+from foreglow.types import BeamMode, Frame
 from tests.runtime.live.stand_ins import Keeper, run_live
 from tests.stand_ins import ListSource, night_frames, night_image
 
@@ -235,3 +237,55 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
     assert first.motion.speed_mps == 20.0
     assert first.camera is not None  # what the drive itself knows stays
     assert first.road is not None
+
+
+def damaged_clip(path: Path) -> Path:
+    """A stream of the drive that ships that has lost some packets after a second, and is whole again at the end."""
+    coding = CODINGS["H.264, 0.36 bits a pixel"]
+    assert coding is not None
+    images = [frame.image[440:760, 400:880].copy() for frame in open_source(shipped_drive())]
+    data = encoded(images, coding, "mpegts")
+    packets = [data[start : start + 188] for start in range(0, len(data), 188)]
+    begin, end = len(packets) * 3 // 10, len(packets) * 6 // 10
+    path.write_bytes(b"".join(packets[:begin] + packets[begin:end:7] + packets[end:]))
+    return path
+
+
+def test_a_damaged_file_goes_on_with_low_beam(tmp_path: Path) -> None:
+    path = damaged_clip(tmp_path / "night.ts")
+    keeper = Keeper()
+    source = open_live(str(path), CameraOptions(), speed=math.inf)
+    summary, lamps = run_live(source, live_config(), sinks=[keeper])
+    frames = list(Video(path, on_error="mark"))
+    assert summary.run.num_frames == len(frames) > 50
+    faults = [() if result.beam is None else result.beam.faults for _, result in keeper.results]
+    marked = [frame.is_damaged for frame in frames]
+    first = marked.index(True)
+    assert GuardFault.DAMAGED in faults[first]
+    assert not any(GuardFault.DAMAGED in found for found in faults[:first])
+    for found, is_damaged in zip(faults, marked, strict=True):
+        assert not is_damaged or {GuardFault.DAMAGED, LiveFault.CAMERA_SLOW} & set(found)  # some frames are missing
+    assert not marked[-1]
+    assert all(command.mode == BeamMode.LOW for command in lamps.commands if command.faults)
+
+
+def test_a_damaged_stream_goes_on_with_marked_frames(tmp_path: Path) -> None:
+    data = damaged_clip(tmp_path / "night.ts").read_bytes()
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        connection, _ = server.accept()
+        with connection, contextlib.suppress(ConnectionError):
+            connection.sendall(data)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    camera = open_live(f"tcp://127.0.0.1:{server.getsockname()[1]}", CameraOptions())
+    frames: list[Frame] = []
+    with contextlib.suppress(OSError):
+        frames.extend(camera)
+    thread.join()
+    server.close()
+    is_damaged = [frame.is_damaged for frame in frames]
+    assert any(is_damaged)
+    assert not is_damaged[-1]

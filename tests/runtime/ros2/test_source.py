@@ -62,7 +62,11 @@ def test_by_default_nobody_else_hears_us() -> None:
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, True, "OFF"),
     ],
 )
-def test_what_the_user_has_set_counts(known: dict[str, str], is_networked: bool, expected: str) -> None:
+def test_what_the_user_has_set_counts(
+    known: dict[str, str], is_networked: bool, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.xml").write_text("<dds/>")
     given = dict(known)
     prepare(is_networked=is_networked, environment=known)
     assert known["ROS_AUTOMATIC_DISCOVERY_RANGE"] == expected

@@ -12,7 +12,7 @@ from foreglow.datasets.simulated import Artifact, VehicleTruth
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
-from foreglow.files import write_atomic
+from foreglow.files import atomic_path, write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.writing.dataset import Progress
 
@@ -54,21 +54,22 @@ def preview(
     """
     shown = {round(number) for number in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
-    movie = Movie(film, rate_hz)
     tone: Tone | None = None
     tiles: list[Picture] = []
-    try:
-        for number, known in enumerate(frames):
-            tone = tone or Tone.of(known.frame.image)
-            picture = labelled(known, tone)
-            movie.add(picture)
-            if progress is not None:
-                progress(1, number + 1, num_frames)
-            if number in shown:
-                tiles.append(picture)
-        movie.close()
-    finally:
-        movie.discard()
+    with atomic_path(film) as temporary:
+        movie = Movie(temporary, rate_hz)
+        try:
+            for number, known in enumerate(frames):
+                tone = tone or Tone.of(known.frame.image)
+                picture = labelled(known, tone)
+                movie.add(picture)
+                if progress is not None:
+                    progress(1, number + 1, num_frames)
+                if number in shown:
+                    tiles.append(picture)
+            movie.close()
+        finally:
+            movie.discard()
     write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
     return sheet, film
 

@@ -2,7 +2,17 @@
 
 from foreglow.runs.summary import FaultEvent, LiveSummary
 from foreglow.runtime.live.faults import LiveFault
-from foreglow.runtime.live.loop import BeamOutput, LiveLoop
+from foreglow.runtime.live.loop import BeamOutput, LiveEndedError, LiveLoop
 from foreglow.runtime.live.sources import ClosedLoop, LiveSource, Paced
 
-__all__ = ["BeamOutput", "ClosedLoop", "FaultEvent", "LiveFault", "LiveLoop", "LiveSource", "LiveSummary", "Paced"]
+__all__ = [
+    "BeamOutput",
+    "ClosedLoop",
+    "FaultEvent",
+    "LiveEndedError",
+    "LiveFault",
+    "LiveLoop",
+    "LiveSource",
+    "LiveSummary",
+    "Paced",
+]

@@ -14,6 +14,7 @@ import cv2
 from av.error import FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
+from foreglow.datasets.decoding import decoded
 from foreglow.datasets.images import check_size, quiet_opencv
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
@@ -71,11 +72,12 @@ class LiveCamera(ABC):
         """The machine's steady clock."""
         return time.monotonic_ns()
 
-    def arrived(self, image: Image) -> Frame:
+    def arrived(self, image: Image, *, is_damaged: bool = False) -> Frame:
         """The next frame: a grey image that has just arrived."""
         timestamp_ns = self.now_ns() - round(self._options.delay_s * 1e9)
         check_size(image.shape[0], image.shape[1], self.name)
-        frame = Frame(image, timestamp_ns, self._number, path=f"{self.name}, frame {self._number}")
+        path = f"{self.name}, frame {self._number}"
+        frame = Frame(image, timestamp_ns, self._number, path=path, is_damaged=is_damaged)
         self._number += 1
         return frame if self._options.data is None else equip(frame, self._options.data)
 
@@ -140,7 +142,8 @@ class StreamCamera(LiveCamera):
             if not container.streams.video:
                 raise OSError(f"{self.name}: expected a video stream, it has none")
             try:
-                for picture in container.decode(container.streams.video[0]):
-                    yield self.arrived(picture.to_ndarray(format="gray"))
+                for picture, is_damaged in decoded(container, container.streams.video[0]):
+                    if picture is not None:
+                        yield self.arrived(picture.to_ndarray(format="gray"), is_damaged=is_damaged)
             except FFmpegError as error:
                 raise OSError(f"{self.name}: {error.strerror}") from error

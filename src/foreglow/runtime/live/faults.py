@@ -75,6 +75,7 @@ class FaultBook:
                     known[name] = FaultEvent(name, now_ns, detail=detail)
                     self.events.append(known[name])
                     self.counts[name] += 1
+                known[name].detail = known[name].detail or detail
             self._active[origin] = known
             if origin in self._low_beam_origins:
                 self._unheeded |= names
@@ -84,6 +85,14 @@ class FaultBook:
         """All faults that are present now."""
         with self._lock:
             return tuple(dict.fromkeys(name for faults in self._active.values() for name in faults))
+
+    @property
+    def details(self) -> str:
+        """What is known about the faults that are present now."""
+        with self._lock:
+            return "; ".join(
+                {event.detail: None for faults in self._active.values() for event in faults.values() if event.detail}
+            )
 
     @property
     def unheeded(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.sources import LiveSource
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
-from foreglow.runtime.live.worker import STAGE, LivePipeline, Stepped, Worker
+from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import InterruptFlag
 from foreglow.types import BeamCommand
@@ -34,6 +34,19 @@ MAX_HUNG = 3
 
 SWITCH_S = 0.0005
 """Interval at which Python switches between threads, in place of 5 ms: the longest wait for another thread's Python."""
+
+
+class LiveEndedError(TimeoutError):
+    """The loop could not go on.
+
+    Attributes:
+        summary: What came of the run until then.
+    """
+
+    def __init__(self, reason: str, summary: LiveSummary) -> None:
+        super().__init__(reason)
+        self.summary = summary
+
 
 HEALTH_S = 1.0
 """Interval of health reports, besides those for changes of the faults."""
@@ -70,6 +83,7 @@ class LiveLoop:
         outputs: Sequence[BeamOutput] = (),
         sinks: Sequence[LiveSink] = (),
         beat: Callable[[], None] = lambda: None,
+        give_up_s: float | None = None,
     ) -> None:
         """A loop that can be run once.
 
@@ -80,12 +94,14 @@ class LiveLoop:
             outputs: Where commands are sent.
             sinks: Where results and health reports are written.
             beat: Called several times a frame period while the loop runs: for an external watchdog.
+            give_up_s: End after so long without a frame; None waits for ever.
 
         Raises:
             ValueError: If the lamps' description is broken.
         """
         self._source, self._config = source, config.live
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
+        self._give_up_s = give_up_s
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
         self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
         # With a lossless source, which waits for the computation, a slow machine is no fault.
@@ -104,13 +120,14 @@ class LiveLoop:
         self._num_taken = self._num_hung = self._num_late = 0
         self._beam: BeamCommand | None = None
         self._low_s = self._health_s = -1.0
-        self._reported: tuple[str, ...] = ()
+        self._reported: tuple[tuple[str, ...], str] = ((), "")
+        self._end = ""
 
     def run(self, limit: int | None = None) -> LiveSummary:
         """Runs until the source ends, Ctrl-C, or `limit` frames; then closes the sinks, with the lamps in low beam.
 
         Raises:
-            TimeoutError: If `MAX_HUNG` pipelines hang.
+            LiveEndedError: If `MAX_HUNG` pipelines hang, or no frame came for `give_up_s`; it has the summary.
             Exception: What `make_pipeline` raised, or a source that is no camera.
         """
         self._limit = limit
@@ -130,15 +147,15 @@ class LiveLoop:
             max_silence_s=self._source.max_silence_s,
         )
         self._worker = self._new_worker(pipeline)
-        reader = threading.Thread(target=self._read, name="read", daemon=True)
+        reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
         is_complete = False
         try:
             with settled_memory(), InterruptFlag() as interrupt:
-                while not (interrupt.is_set or self._is_over):
+                while not (interrupt.is_set or self._is_over or self._end):
                     self._supervise()
                     self._is_stopped.wait(self._wait_s / 4)
-                is_complete = not interrupt.is_set
+                is_complete = not (interrupt.is_set or self._end)
         finally:
             self._stop(reader)
             sys.setswitchinterval(switch_s)
@@ -151,7 +168,7 @@ class LiveLoop:
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
         )
-        return LiveSummary(
+        summary = LiveSummary(
             run=run,
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
@@ -160,6 +177,9 @@ class LiveLoop:
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
+        if self._end:
+            raise LiveEndedError(self._end, summary)
+        return summary
 
     @property
     def _is_enough(self) -> bool:
@@ -223,20 +243,25 @@ class LiveLoop:
             self._low_s = now_s
             self._command_low()
         self._note_sinks()
-        if now_s - self._health_s >= HEALTH_S or self._book.active != self._reported:
-            self._health_s, self._reported = now_s, self._book.active
+        present = (self._book.active, self._book.details)
+        if now_s - self._health_s >= HEALTH_S or present != self._reported:
+            self._health_s, self._reported = now_s, present
             self._report_health()
+        self._give_up()
         self._beat()
 
-    def _abandon(self) -> None:
-        """Abandons a worker that hangs or has died, and starts a new one.
+    def _give_up(self) -> None:
+        """Ends the loop if no frame came for too long."""
+        if self._give_up_s is not None and not self._has_ended.is_set() and self._watch.silent_s > self._give_up_s:
+            reason = self._watch.reason or "it is silent"
+            self._end = f"{self._source.name}: no frame for {self._give_up_s:g} s: {reason}"
 
-        Raises:
-            TimeoutError: If too many have hung.
-        """
+    def _abandon(self) -> None:
+        """Abandons a worker that hangs or has died, and starts a new one unless too many have hung."""
         self._num_hung += 1
         if self._num_hung >= MAX_HUNG:
-            raise TimeoutError(f"{self._worker.stage}: hung {self._num_hung} times; start again")
+            self._end = f"{self._worker.stage}: hung {self._num_hung} times; start again"
+            return
         with self._lock:
             self._worker.stop()
             self._num_taken += 1
@@ -301,11 +326,12 @@ class LiveLoop:
     def _report_health(self) -> None:
         health = Health(
             self._source.now_ns(),
-            self._reported,
+            self._reported[0],
             self._tally.num_frames,
             self._mailbox.num_dropped,
             self._num_late,
             self._beam,
+            self._reported[1],
         )
         for sink in self._sinks:
             sink.write_health(health)

@@ -1,7 +1,11 @@
-"""Notifies systemd that the program is ready and alive, so that it restarts the program when it is not."""
+"""Notifies systemd that the program is ready and alive, so that it restarts the program when it is not.
+
+A socket that is missing, is gone, or is never read loses messages; it never delays or ends the program.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import time
@@ -13,7 +17,8 @@ class ServiceNotifier:
     def __init__(self) -> None:
         """Reads the environment."""
         self._address = os.environ.get("NOTIFY_SOCKET", "")
-        self._interval_s = int(os.environ.get("WATCHDOG_USEC", "0")) / 2e6
+        interval_us = os.environ.get("WATCHDOG_USEC", "")
+        self._interval_s = int(interval_us) / 2e6 if interval_us.isdecimal() and len(interval_us) < 20 else 0.0
         self._beat_s: float | None = None
 
     def beat(self) -> None:
@@ -33,5 +38,8 @@ class ServiceNotifier:
     def _send(self, message: str) -> None:
         if self._address:
             address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+            with (
+                contextlib.suppress(OSError, ValueError),
+                socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as notify,
+            ):
                 notify.sendto(message.encode(), address)

@@ -35,7 +35,7 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
 
     `camera:0` and `camera:/dev/video0` are cameras of this machine, `gstreamer:PIPELINE` ends in an appsink; an address
     with `://` in it is a stream; `simulate:NAME` is a drawn scenario, `simulate:FILE.toml` a scene, in closed loop;
-    anything else is a path for `open_source`, replayed at its own rate.
+    anything else is a path for `open_source`, replayed at its own rate; what is damaged in it is marked, or left out.
 
     Args:
         text: What the user names.
@@ -50,7 +50,7 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
     opened = _opened(text, options)
     if opened is not None:
         return opened
-    frames = open_source(text, topic=topic)
+    frames = open_source(text, topic=topic, on_error="mark")
     return Paced(frames if options.data is None else Equipped(frames, options.data), speed)
 
 

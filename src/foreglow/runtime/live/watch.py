@@ -34,13 +34,15 @@ class FrameWatch:
         self._max_step_ns = config.slow_frames * period_s * 1e9
         self._num_steady = config.num_steady
         self._heard_s = time.monotonic() + config.retry_s
+        self._frame_s = time.monotonic()
         self._latest: Frame | None = None
         self._num_slow, self._num_in_time = 0, config.num_steady
         self._lost = ""
 
     def arrived(self, frame: Frame) -> bool:
         """Checks a frame that has arrived; returns whether it is newer than the previous one and may be used."""
-        self._heard_s, self._lost = time.monotonic(), ""
+        self._heard_s = self._frame_s = time.monotonic()
+        self._lost = ""
         before, step_ns = self._latest, 0
         if before is not None and before.sequence == frame.sequence:
             step_ns = frame.timestamp_ns - before.timestamp_ns
@@ -53,6 +55,16 @@ class FrameWatch:
         self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
         self._note()
         return True
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the latest frame, or since the beginning."""
+        return time.monotonic() - self._frame_s
+
+    @property
+    def reason(self) -> str:
+        """Why the source was lost; empty if it is not, or nothing is known."""
+        return self._lost
 
     def lost(self, reason: str) -> None:
         """Reports that the source was lost, and why, until the next frame arrives."""

@@ -13,6 +13,9 @@ from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.types import Frame, FrameResult
 
+THREADS = "live "
+"""Begins the names of threads that may hang, in a stage or in a camera's driver, and can't be ended then."""
+
 STAGE = "stage"
 """The origin of these faults in the `FaultBook`."""
 
@@ -85,7 +88,7 @@ class Worker:
         self._num_failures = 0
         self._busy_since_s: float | None = None
         self._is_stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="compute", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"{THREADS}compute", daemon=True)
 
     def start(self, pipeline: LivePipeline | None = None) -> None:
         """Starts the thread, with this pipeline or one that it makes itself."""

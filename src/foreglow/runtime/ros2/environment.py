@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import MutableMapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 MIDDLEWARE = "RMW_IMPLEMENTATION"
@@ -12,6 +13,9 @@ PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Variables with the path of a Fast DDS profile; all releases know the first one."""
 
 FAST_DDS = "rmw_fastrtps_cpp"
+
+DOMAIN, MAX_DOMAIN = "ROS_DOMAIN_ID", 232
+"""Variable with the number of the network of nodes, and the highest that has ports."""
 
 
 def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str] | None = None) -> None:
@@ -24,8 +28,15 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
     Args:
         is_networked: Whether nodes on other machines may take part.
         environment: The variables to change; None for those of this process, which must not have loaded rclpy yet.
+
+    Raises:
+        FileNotFoundError: If there is no such profile: Fast DDS would open its sockets to every machine then.
+        ValueError: If a profile is no XML, or the domain is no number that ROS 2 knows.
     """
     known = os.environ if environment is None else environment
+    domain = known.get(DOMAIN, "").strip()
+    if domain and not (domain.isdecimal() and len(domain) < 9 and int(domain) <= MAX_DOMAIN):
+        raise ValueError(f"{DOMAIN}: expected a whole number from 0 to {MAX_DOMAIN}, got {domain[:40]!r}")
     takes_profile = known.get(MIDDLEWARE, FAST_DDS) == FAST_DDS and not any(known.get(name) for name in PROFILES)
     if takes_profile:
         name = "fastdds_network.xml" if is_networked else "fastdds_local.xml"
@@ -33,3 +44,17 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
     if not known.get(RANGE):
         is_local_by_profile = takes_profile and not is_networked
         known[RANGE] = "SUBNET" if is_networked else "SYSTEM_DEFAULT" if is_local_by_profile else "LOCALHOST"
+    if known.get(MIDDLEWARE, FAST_DDS) == FAST_DDS:
+        for variable in PROFILES:
+            if known.get(variable):
+                _check_profile(variable, Path(known[variable]))
+
+
+def _check_profile(variable: str, path: Path) -> None:
+    """Refuses a profile that Fast DDS would pass over without a word."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{variable}: {path}: no such Fast DDS profile; without it, every machine could listen")
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{variable}: {path}: expected a Fast DDS profile in XML: {error}") from None

@@ -1,0 +1,177 @@
+#include "foreglow/image_change.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <numeric>
+#include <type_traits>
+
+namespace foreglow {
+namespace {
+
+constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
+constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
+constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
+
+struct Grid {
+    std::int64_t block_height, block_width, num_down, num_across;  // blocks
+    std::int64_t segments_down, segments_across;                   // segments of a vertical line, of a horizontal one
+    std::int64_t lines_down, lines_across;                         // horizontal lines, vertical ones
+
+    explicit Grid(const ImageView& image)
+        : block_height(std::min<std::int64_t>(block_px, image.height_px)),
+          block_width(std::min<std::int64_t>(block_px, image.width_px)),
+          num_down(image.height_px / block_height),
+          num_across(image.width_px / block_width),
+          segments_down(image.height_px / square_px),
+          segments_across(image.width_px / square_px),
+          lines_down((image.height_px - 1) / block_px),
+          lines_across((image.width_px - 1) / block_px) {}
+};
+
+// Of one 8-bit grey level.
+template <typename Pixel>
+constexpr std::int32_t units = std::numeric_limits<Pixel>::max() / 255;
+
+// Eight rows at once where there are so many, so that each sum is written once.
+template <typename Pixel, typename Sum>
+void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t num_rows, Sum* sums) {
+    const std::int64_t width = image.width_px;
+    if (num_rows == block_px) {
+        const Pixel* rows[block_px];
+        for (std::int64_t i = 0; i < block_px; ++i) rows[i] = image.row<Pixel>(first_row + i);
+        const Pixel *a = rows[0], *b = rows[1], *c = rows[2], *d = rows[3], *e = rows[4], *f = rows[5], *g = rows[6],
+                    *h = rows[7];
+        for (std::int64_t x = 0; x < width; ++x) {
+            sums[x] = static_cast<Sum>(a[x] + b[x] + c[x] + d[x] + e[x] + f[x] + g[x] + h[x]);
+        }
+        return;
+    }
+    std::fill(sums, sums + width, Sum{0});
+    for (std::int64_t i = 0; i < num_rows; ++i) {
+        const Pixel* row = image.row<Pixel>(first_row + i);
+        for (std::int64_t x = 0; x < width; ++x) sums[x] = static_cast<Sum>(sums[x] + row[x]);
+    }
+}
+
+template <typename Pixel>
+bool repeats(const ImageView& image, std::int64_t y) {
+    const auto num_bytes = static_cast<std::size_t>(image.width_px) * sizeof(Pixel);
+    return std::memcmp(image.row<Pixel>(y), image.row<Pixel>(y + 1), num_bytes) == 0;
+}
+
+// Counts where the two differ by more than `limit`, at every other place on its own: counts[0] and counts[1].
+void count_edges(const std::int32_t* now, const std::int32_t* before, std::int64_t num, std::int32_t limit,
+                 std::int64_t* counts) {
+    std::int32_t found[2] = {0, 0};
+    std::int64_t i = 0;
+    for (; i + 1 < num; i += 2) {
+        found[0] += std::abs(now[i] - before[i]) > limit;
+        found[1] += std::abs(now[i + 1] - before[i + 1]) > limit;
+    }
+    if (i < num) found[0] += std::abs(now[i] - before[i]) > limit;
+    counts[0] += found[0];
+    counts[1] += found[1];
+}
+
+}  // namespace
+
+template <typename Pixel>
+void ImageComparer::digest(const ImageView& image) {
+    const Grid grid(image);
+    now_.width_px = image.width_px;
+    now_.height_px = image.height_px;
+    now_.pixel_type = image.pixel_type;
+    now_.blocks.resize(static_cast<std::size_t>(grid.num_down * grid.num_across));
+    now_.samples.resize(now_.blocks.size());
+    now_.vertical.assign(static_cast<std::size_t>(grid.lines_across * grid.segments_down), 0);
+    now_.horizontal.resize(static_cast<std::size_t>(grid.lines_down * grid.segments_across));
+    using Sum = std::conditional_t<sizeof(Pixel) == 1, std::uint16_t, std::uint32_t>;
+    std::vector<Sum> column_sums(static_cast<std::size_t>(image.width_px));
+    const Sum* sums = column_sums.data();
+    for (std::int64_t j = 0; j < grid.num_down; ++j) {
+        sum_columns<Pixel, Sum>(image, j * grid.block_height, grid.block_height, column_sums.data());
+        const Pixel* middle = image.row<Pixel>(j * grid.block_height + grid.block_height / 2);
+        for (std::int64_t i = 0; i < grid.num_across; ++i) {
+            const std::uint32_t sum = std::accumulate(sums + i * grid.block_width, sums + (i + 1) * grid.block_width, 0U);
+            now_.blocks[static_cast<std::size_t>(j * grid.num_across + i)] = sum;
+            now_.samples[static_cast<std::size_t>(j * grid.num_across + i)] =
+                middle[i * grid.block_width + grid.block_width / 2];
+        }
+        if (j / 2 >= grid.segments_down) continue;
+        std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;
+        for (std::int64_t i = 0; i < grid.lines_across; ++i) {
+            const Sum* behind = sums + (i + 1) * block_px;
+            jumps[i] += static_cast<std::int32_t>(behind[0]) - static_cast<std::int32_t>(behind[-1]);
+        }
+    }
+    for (std::int64_t j = 0; j < grid.lines_down; ++j) {
+        const Pixel* behind = image.row<Pixel>((j + 1) * block_px);
+        const Pixel* before = image.row<Pixel>((j + 1) * block_px - 1);
+        for (std::int64_t i = 0; i < grid.segments_across; ++i) {
+            std::int32_t jump = 0;
+            for (std::int64_t k = 0; k < square_px; ++k) jump += behind[i * square_px + k] - before[i * square_px + k];
+            now_.horizontal[static_cast<std::size_t>(i * grid.lines_down + j)] = jump;
+        }
+    }
+}
+
+bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
+    const bool is_u8 = image.pixel_type == PixelType::u8;
+    std::swap(before_, now_);
+    is_u8 ? digest<std::uint8_t>(image) : digest<std::uint16_t>(image);
+    if (before_.width_px != now_.width_px || before_.height_px != now_.height_px ||
+        before_.pixel_type != now_.pixel_type) {
+        return false;
+    }
+    const Grid grid(image);
+    const std::int32_t unit = is_u8 ? units<std::uint8_t> : units<std::uint16_t>;
+    const double mean_levels = 1.0 / static_cast<double>(unit * grid.block_height * grid.block_width);
+    change = ImageChange();
+    changes_.resize(now_.blocks.size());
+    for (std::size_t i = 0; i < changes_.size(); ++i) {
+        changes_[i] = std::max(now_.blocks[i], before_.blocks[i]) - std::min(now_.blocks[i], before_.blocks[i]);
+    }
+    change.num_samples = static_cast<std::int64_t>(changes_.size());
+    const auto first = [](std::int64_t tile, std::int64_t num) {
+        return static_cast<std::size_t>((tile * num + num_change_tiles - 1) / num_change_tiles);
+    };
+    for (std::int64_t tile = 0; tile < num_change_tiles * num_change_tiles; ++tile) {
+        const std::int64_t down = tile / num_change_tiles, across = tile % num_change_tiles;
+        const std::size_t left = first(across, grid.num_across), right = first(across + 1, grid.num_across);
+        std::int64_t num_changed = 0, num_samples = 0;
+        for (std::size_t j = first(down, grid.num_down); j < first(down + 1, grid.num_down); ++j) {
+            const std::uint16_t* now = now_.samples.data() + j * static_cast<std::size_t>(grid.num_across);
+            const std::uint16_t* before = before_.samples.data() + j * static_cast<std::size_t>(grid.num_across);
+            for (std::size_t i = left; i < right; ++i) num_changed += now[i] != before[i];
+            num_samples += static_cast<std::int64_t>(right - left);
+        }
+        change.num_changed += num_changed;
+        change.tiles[static_cast<std::size_t>(tile)] =
+            num_samples ? static_cast<double>(num_changed) / static_cast<double>(num_samples) : 1.0;
+    }
+    std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
+    std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
+    change.strongest = strongest.back() * mean_levels;
+    const std::int32_t limit = edge_levels * square_px * unit;
+    std::int64_t counts[2] = {0, 0};  // the first line of either direction is half a square off the grid
+    for (std::int64_t j = 0; j < grid.segments_down; ++j) {
+        const std::int64_t first = j * grid.lines_across;
+        count_edges(now_.vertical.data() + first, before_.vertical.data() + first, grid.lines_across, limit, counts);
+    }
+    for (std::int64_t i = 0; i < grid.segments_across; ++i) {
+        const std::int64_t first = i * grid.lines_down;
+        count_edges(now_.horizontal.data() + first, before_.horizontal.data() + first, grid.lines_down, limit, counts);
+    }
+    change.num_other_edges = counts[0];
+    change.num_edges = counts[1];
+    for (std::int64_t y = 0; y + 1 < image.height_px; y += block_px) {
+        ++change.num_rows;
+        change.num_repeated_rows += is_u8 ? repeats<std::uint8_t>(image, y) : repeats<std::uint16_t>(image, y);
+    }
+    return true;
+}
+
+}  // namespace foreglow

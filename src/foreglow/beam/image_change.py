@@ -1,0 +1,71 @@
+"""How much an image differs from the one before: what a camera that sees, a frozen one and a damaged one tell apart.
+
+A camera that moves changes every image. A frozen one does not, but an encoder behind it does, a little: it refines the
+same picture for a few frames, and again at each key frame. A damaged stream changes the image in squares of the
+encoder's grid, repeats rows, or leaves a part of the image as it was. None of these measures knows a codec; all of them
+are counted on means and lines of the image, never on all of its pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import foreglow._native as _native
+from foreglow.types import Image
+
+GRID_PX = 16
+"""Video encoders code squares of this size (H.264's macroblock; H.265's and MJPEG's units are multiples or halves)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageChange:
+    """What differs between two images, in 8-bit grey levels whatever the type of the pixels.
+
+    Attributes:
+        strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
+        share_changed: Share of the sampled pixels, one of each block, that are not the same as before.
+        tile_shares: Shape (8, 8), the same share in each tile of the image; 1 where a tile has no such pixel.
+        share_repeated: Share of the rows, every eighth of them, that are the same as the row below. Noise makes no two
+            rows of a camera alike, but where all is black.
+        share_new_edges: Edges of the encoder's grid that stand out in the change, less those of a grid shifted by half
+            a square, over the number of squares. Negative by chance.
+        edge_deviations: The same difference in standard deviations of what chance makes of it (Poisson's).
+    """
+
+    strongest: float
+    share_changed: float
+    tile_shares: NDArray[np.float64]
+    share_repeated: float
+    share_new_edges: float
+    edge_deviations: float
+
+
+class ImageComparer:
+    """Compares each image with the one before, of which it keeps means and lines only."""
+
+    def __init__(self) -> None:
+        self._comparer = _native.ImageComparer()
+
+    def reset(self) -> None:
+        """Forgets the image before."""
+        self._comparer.reset()
+
+    def compare(self, image: Image) -> ImageChange | None:
+        """What has changed since the image before; None for the first, and where the size or the type is another."""
+        adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
+        change = self._comparer.compare(adjacent)
+        if change is None:
+            return None
+        num_new = change.num_edges - change.num_other_edges
+        return ImageChange(
+            strongest=change.strongest,
+            share_changed=change.num_changed / change.num_samples,
+            tile_shares=change.tiles,
+            share_repeated=change.num_repeated_rows / max(1, change.num_rows),
+            share_new_edges=num_new / max(1, image.size // GRID_PX**2),
+            edge_deviations=num_new / math.sqrt(max(1, change.num_edges + change.num_other_edges)),
+        )

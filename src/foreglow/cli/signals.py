@@ -1,0 +1,65 @@
+"""How the process ends: a plain `kill` and a terminal that closes count as Ctrl-C, from the first line on."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+
+PATIENCE_S = 2.0
+"""Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
+
+INTERRUPTED = 130
+"""Exit code of shells for a program that was interrupted."""
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise KeyboardInterrupt in the `with` block, and one that leaves it ends the program.
+
+    A signal that is ignored, as SIGHUP under `nohup`, stays so. Outside the main thread, where Python delivers no
+    signals, they are as they were.
+    """
+    with contextlib.ExitStack() as restoring:
+        if threading.current_thread() is threading.main_thread():
+            handler = _Handler()
+            for number in (signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) is signal.SIG_DFL:
+                    restoring.callback(signal.signal, number, signal.SIG_DFL)
+                    signal.signal(number, handler)
+        try:
+            yield
+        except KeyboardInterrupt:
+            with contextlib.suppress(OSError):  # a terminal that is gone
+                sys.stderr.write("foreglow: interrupted\n")
+            sys.exit(INTERRUPTED)
+
+
+def end_despite_hanging(code: object) -> None:
+    """Ends the process now if a thread of the live loop hangs, for it would abort the interpreter on its way out."""
+    if any(thread.name.startswith("live ") for thread in threading.enumerate()):
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code if isinstance(code, int) else 0)
+
+
+class _Handler:
+    """Raises KeyboardInterrupt in this process; one that was forked from it ends, as without a handler."""
+
+    def __init__(self) -> None:
+        self._process = os.getpid()
+        self._raised_s = float("-inf")
+
+    def __call__(self, number: int, _frame: FrameType | None) -> None:
+        if os.getpid() != self._process:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        elif time.monotonic() - self._raised_s > PATIENCE_S:
+            self._raised_s = time.monotonic()
+            raise KeyboardInterrupt

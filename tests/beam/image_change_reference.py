@@ -1,0 +1,49 @@
+"""What differs between two images, in NumPy: the specification of the native comparer."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLOCK_PX, SQUARE_PX, NUM_TILES = 8, 16, 8
+EDGE_LEVELS, RARE = 10, 1000
+
+
+def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
+    """By name, the fields of `_native.ImageChange` for two images of one size and type."""
+    unit = np.iinfo(now.dtype).max // 255  # of one grey level
+    height, width = min(BLOCK_PX, now.shape[0]), min(BLOCK_PX, now.shape[1])
+    wide = now.astype(np.int64) - before
+    num_down, num_across = now.shape[0] // height, now.shape[1] // width
+    blocks = wide[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
+    changes = np.abs(blocks.sum(axis=(1, 3))) * (1.0 / (unit * height * width))
+    is_changed = blocks[:, height // 2, :, width // 2] != 0
+    down, across = np.arange(num_down) * NUM_TILES // num_down, np.arange(num_across) * NUM_TILES // num_across
+    tiles = np.ones((NUM_TILES, NUM_TILES))
+    for row, column in itertools.product(set(down), set(across)):
+        tiles[row, column] = is_changed[down == row][:, across == column].mean()
+    edges, other_edges = (
+        num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit) for first_px in (SQUARE_PX, SQUARE_PX // 2)
+    )
+    rows = now[: now.shape[0] - 1 : BLOCK_PX], now[1::BLOCK_PX]
+    return {
+        "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
+        "tiles": tiles,
+        "num_samples": changes.size,
+        "num_changed": np.count_nonzero(is_changed),
+        "num_edges": edges,
+        "num_other_edges": other_edges,
+        "num_rows": len(rows[0]),
+        "num_repeated_rows": np.count_nonzero((rows[0] == rows[1]).all(axis=1)),
+    }
+
+
+def num_edges(change: NDArray[np.int64], first_px: int, unit: int) -> int:
+    """Segments of horizontal lines, every 16 pixels from `first_px` on, across which the change differs."""
+    num = change.shape[1] // SQUARE_PX
+    jumps = change[first_px::SQUARE_PX, : num * SQUARE_PX] - change[first_px - 1 : -1 : SQUARE_PX, : num * SQUARE_PX]
+    sums = jumps.reshape(len(jumps), num, SQUARE_PX).sum(axis=2)
+    return int(np.count_nonzero(np.abs(sums) > EDGE_LEVELS * SQUARE_PX * unit))

@@ -1,0 +1,156 @@
+"""The watch of the camera: frozen, damaged, white and black images, raw and coded, and no alarm where all is well."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.image_faults import (
+    CODINGS,
+    FAULTS,
+    NUM_GOOD,
+    NUM_WRONG,
+    as_coded,
+    faults_of,
+    lost_packets,
+    with_fault,
+)
+from foreglow.beam.faults import GuardFault
+from foreglow.datasets import open_source, shipped_drive
+from foreglow.types import Image
+
+H264 = [coding for coding in CODINGS.values() if coding is not None and coding.codec == "libx264"]
+
+NOT_SEEN = {
+    ("half stuck", "H.264, 0.045 bits a pixel"),  # without noise, a dark half that does not change may well be alive
+    ("cut JPEG", "H.264, 0.045 bits a pixel"),  # nor are rows that are alike a wonder
+    *(("rows repeated", coding) for coding in CODINGS if coding != "raw"),  # no longer equal after an encoder
+}
+
+NAMES = {
+    "frozen": {GuardFault.FROZEN},
+    "black": {GuardFault.BLACK},
+    "white": {GuardFault.SATURATED},
+    "half stuck": {GuardFault.DAMAGED, GuardFault.FROZEN},
+    "rows repeated": {GuardFault.DAMAGED},
+    "cut JPEG": {GuardFault.DAMAGED},
+}
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Image]:
+    """The road ahead in the drive that ships, 480x320."""
+    return [frame.image[440:760, 400:880].copy() for frame in open_source(shipped_drive())]
+
+
+def with_noise(images: Sequence[Image]) -> list[Image]:
+    """The images with new noise: read-out's, and that of light."""
+    rng = np.random.default_rng(0)
+    return [np.clip(rng.normal(image, np.sqrt(0.8**2 + 0.02 * image)), 0, 255).astype(np.uint8) for image in images]
+
+
+# Faults
+
+
+@pytest.mark.parametrize(
+    ("fault", "coding"), [case for case in itertools.product(FAULTS, CODINGS) if case not in NOT_SEEN]
+)
+def test_low_beam_with_the_second_wrong_image(drive: list[Image], fault: str, coding: str) -> None:
+    faults = with_fault(drive, fault, CODINGS[coding])
+    assert not any(faults[:NUM_GOOD])
+    assert set(faults[NUM_GOOD + 1]) & NAMES[fault]
+    assert all(faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("coding", CODINGS)
+@pytest.mark.parametrize("is_moving", [True, None])
+def test_no_alarm_when_driving(drive: list[Image], coding: str, is_moving: bool | None) -> None:
+    assert not any(faults_of(as_coded(drive, CODINGS[coding]), is_moving=is_moving))
+
+
+@pytest.mark.parametrize("coding", H264)
+def test_a_stream_that_loses_packets(drive: list[Image], coding: Any, tmp_path: Path) -> None:
+    count = lost_packets(drive, coding, tmp_path)
+    assert count["damaged"] > 0.5 * count["frames"]
+    assert count["missed"] == 0
+
+
+# Standing still
+
+
+@pytest.mark.parametrize("coding", CODINGS)
+def test_a_standing_car_whose_speed_is_known(drive: list[Image], coding: str) -> None:
+    assert not any(faults_of(as_coded(with_noise([drive[0]] * 40), CODINGS[coding]), is_moving=False))
+
+
+@pytest.mark.parametrize("coding", ["raw", "MJPEG"])
+def test_a_standing_car_with_new_noise(drive: list[Image], coding: str) -> None:
+    stood = as_coded([*drive[:NUM_GOOD], *with_noise([drive[NUM_GOOD]] * 30)], CODINGS[coding])
+    assert not any(faults_of(stood, is_moving=None))
+
+
+def test_nothing_but_noise_changes_although_we_drive(drive: list[Image]) -> None:
+    """A camera whose window is covered."""
+    stood = [*drive[:NUM_GOOD], *with_noise([drive[NUM_GOOD]] * 30)]
+    assert faults_of(stood)[NUM_GOOD + 3 :] == [[GuardFault.FROZEN]] * 27
+
+
+# Scenes that become calmer at once
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 18.0, 60.0])
+@pytest.mark.parametrize("coding", ["raw", "MJPEG", "H.264, 0.36 bits a pixel"])
+def test_out_of_the_light(drive: list[Image], coding: str, rate_hz: float) -> None:
+    """Light that ends within an image, as at the end of a lit town or at the entry of a tunnel."""
+    darker = with_noise([image // 4 for image in drive[NUM_GOOD:]])
+    images = as_coded([*drive[:NUM_GOOD], *darker], CODINGS[coding])
+    assert not any(faults_of(images, is_moving=True, rate_hz=rate_hz))
+
+
+def test_a_vehicle_that_has_passed(drive: list[Image]) -> None:
+    rng = np.random.default_rng(1)
+    images = [image.copy() for image in drive]
+    for image in images[:NUM_GOOD]:
+        image[100:260, 300:460] = rng.integers(0, 200, (160, 160), np.uint8)
+    assert not any(faults_of(images))
+
+
+def test_frozen_at_60_hz_only_after_90_ms(drive: list[Image]) -> None:
+    """Cameras of 60 Hz may bring an image twice, and then once more with an encoder's refinement."""
+    twice = [image for image in drive for _ in range(2)]
+    assert not any(faults_of(twice, rate_hz=60.0))
+    coded = as_coded([*drive[:NUM_GOOD], *[drive[NUM_GOOD - 1]] * NUM_WRONG], H264[0])
+    first = next(number for number, found in enumerate(faults_of(coded, rate_hz=60.0)) if found)
+    assert 0.09 <= (first - NUM_GOOD + 1) / 60.0 <= 0.09 + 1 / 60.0
+
+
+# White
+
+
+@pytest.mark.parametrize("value", [235, 254, 255])
+@pytest.mark.parametrize("noise", [0.0, 4.0])
+def test_white_of_eight_bits(value: int, noise: float) -> None:
+    rng = np.random.default_rng(2)
+    images = np.clip(rng.normal(value, noise, (3, 96, 128)), 0, 255).astype(np.uint8)
+    assert all(GuardFault.SATURATED in found for found in faults_of(images))
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_white_of_more_bits(bits: int) -> None:
+    rng = np.random.default_rng(2)
+    top = 2**bits - 1
+    images = np.clip(rng.normal(0.95 * top, 0.01 * top, (3, 96, 128)), 0, top).astype(np.uint16)
+    assert all(GuardFault.SATURATED in found for found in faults_of(images))
+
+
+def test_grey_is_not_white_and_bright_lamps_are_no_saturation(drive: list[Image]) -> None:
+    assert not any(GuardFault.SATURATED in found for found in faults_of([np.full((96, 128), 200, np.uint8)] * 2))
+    lamps = [image.copy() for image in drive[:3]]
+    for image in lamps:
+        image[:60] = 255
+    assert not any(faults_of(lamps))

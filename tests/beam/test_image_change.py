@@ -1,0 +1,70 @@
+"""The native comparer of images against its specification in NumPy, and what its measures say."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import foreglow._native as _native
+from foreglow.beam.image_change import ImageComparer
+from tests.beam.image_change_reference import reference_change
+
+SIZES = [(1, 1), (1, 40), (40, 1), (7, 9), (8, 8), (9, 17), (16, 16), (17, 33), (64, 48), (97, 131), (250, 300)]
+
+
+def images(shape: tuple[int, int], dtype: Any, seed: int) -> list[Any]:
+    """Noise, noise with one square that is brighter, rows that repeat, black, and white."""
+    rng = np.random.default_rng(seed)
+    top = np.iinfo(dtype).max
+    noise = rng.integers(0, top // 8, shape).astype(dtype)
+    square = noise.copy()
+    square[16:32, 16:48] += top // 10
+    repeated = np.repeat(noise[::2], 2, axis=0)[: shape[0]]
+    return [noise, square, repeated, square, np.zeros(shape, dtype), np.full(shape, top, dtype), noise]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", SIZES)
+def test_equals_the_reference(shape: tuple[int, int], dtype: Any) -> None:
+    comparer = _native.ImageComparer()
+    sequence = images(shape, dtype, seed=3)
+    assert comparer.compare(sequence[0]) is None
+    for before, now in itertools.pairwise(sequence):
+        change = comparer.compare(now)
+        assert change is not None
+        for name, expected in reference_change(before, now).items():
+            np.testing.assert_allclose(getattr(change, name), expected, rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_any_strides_and_neither_size_nor_type_compared_with_another() -> None:
+    first, second = images((97, 131), np.uint16, 5)[:2]
+    strided = [np.asfortranarray(first), second[:, ::-1].copy()[:, ::-1], second[::-1].copy()[::-1]]
+    comparer, plain = ImageComparer(), ImageComparer()
+    for image in strided:
+        found, expected = comparer.compare(image), plain.compare(np.ascontiguousarray(image))
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            np.testing.assert_equal(found.tile_shares, expected.tile_shares)
+            assert found.share_new_edges == expected.share_new_edges
+    assert comparer.compare(first[:96]) is None
+    assert comparer.compare(first[:96].astype(np.uint8)) is None
+    assert comparer.compare(first[:96].astype(np.uint8)) is not None
+    comparer.reset()
+    assert comparer.compare(first[:96].astype(np.uint8)) is None
+
+
+def test_one_square_of_the_grid_is_four_sides_of_edges() -> None:
+    rng = np.random.default_rng(0)
+    before = rng.integers(0, 40, (160, 160), np.uint8)
+    now = before.copy()
+    now[32:48, 64:80] += 30
+    comparer = ImageComparer()
+    comparer.compare(before)
+    change = comparer.compare(now)
+    assert change is not None
+    assert change.share_new_edges == 4 / 100
+    assert change.edge_deviations == 2.0
+    assert np.argwhere(change.tile_shares).tolist() == [[1, 3], [2, 3]]  # of 20 blocks, rows 4 and 5, columns 8 and 9

@@ -1,0 +1,155 @@
+"""Signals: every command ends in order, before, in and after its loop."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import shipped_drive
+
+ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+def ended(code: str, number: signal.Signals, *arguments: object) -> tuple[int, str]:
+    """Runs the command with `code` before it, sends the signal when it says `now`; the exit code and stderr."""
+    program = "import sys, time\nfrom pathlib import Path\n\n\ndef wait(*_, **__):\n"
+    program += "    print('now', flush=True)\n    time.sleep(60)\n\n\n" + textwrap.dedent(code)
+    program += "\nfrom foreglow.cli import main\n\nmain()\n"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line == "now\n":
+            break
+    process.send_signal(number)
+    stderr = process.communicate(timeout=60)[1]
+    return process.returncode, stderr
+
+
+LOADING = """
+class Waiting:
+    def find_spec(self, name, *_):
+        if name == "foreglow.cli.simulate":
+            wait()
+
+sys.meta_path.insert(0, Waiting())
+"""
+BEFORE_THE_LOOP = """
+import foreglow.cli.beam
+
+foreglow.cli.beam._can_sink = wait
+"""
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("place", [LOADING, BEFORE_THE_LOOP])
+def test_ends_with_one_line_and_leaves_nothing(place: str, number: signal.Signals, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, stderr = ended(place, number, "beam", shipped_drive(), "--can", "log", "--out", out)
+    assert (code, stderr) == (130, "foreglow: interrupted\n")
+    assert not list(tmp_path.rglob("*"))
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_preview_leaves_no_half_film(number: signal.Signals, tmp_path: Path) -> None:
+    code = """
+    from dataclasses import replace
+    from foreglow.lab import simulation
+    from tests.stand_ins import night_frames
+    from foreglow.lab.simulation import preview
+
+    preview.labelled = lambda known, tone: known.frame.image[:, :, None].repeat(3, axis=2)
+
+    class Known:
+        pass
+
+    def frames(*_):
+        for frame in night_frames(3):
+            known = Known()
+            known.frame = frame
+            yield known
+        wait()
+
+    simulation.drive_frames = frames
+    """
+    pytest.importorskip("mitsuba")
+    code_and_words = ended(code, number, "simulate", "--preview", "curve", "--out", tmp_path / "out")
+    assert code_and_words == (130, "foreglow: interrupted\n")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_hang_up_that_is_ignored_stays_so() -> None:
+    code = """
+    import os, signal
+    from foreglow.runtime.run import InterruptFlag
+    from foreglow.cli.signals import interruptible
+
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with interruptible(), InterruptFlag() as interrupt:
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert not interrupt.is_set
+    sys.exit(7)
+    """
+    assert ended(code, signal.SIGINT)[0] == 7
+
+
+def test_signals_that_come_together_are_one_wish() -> None:
+    code = """
+    import os, signal
+    from foreglow.cli.signals import interruptible
+
+    with interruptible():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
+        finally:
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(0.1)
+            print("tidied up", file=sys.stderr)
+    """
+    assert ended(code, signal.SIGINT) == (130, "tidied up\nforeglow: interrupted\n")
+
+
+def test_a_forked_process_ends_by_itself() -> None:
+    code = """
+    import os, signal
+    from foreglow.cli.signals import interruptible
+
+    with interruptible():
+        child = os.fork()
+        if not child:
+            time.sleep(60)
+        time.sleep(0.2)
+        os.kill(child, signal.SIGTERM)
+        sys.exit(0 if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM else 1)
+    """
+    assert ended(code, signal.SIGINT) == (0, "")
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_ros_2_node_that_is_interrupted_says_so(number: signal.Signals) -> None:
+    code = """
+    import types
+    import foreglow.cli.ros2
+
+    class Node:
+        def __init__(self, setting):
+            pass
+
+        def spin(self, should_stop):
+            print("now", flush=True)
+            while not should_stop():
+                time.sleep(0.01)
+
+    foreglow.cli.ros2._prepare = lambda *_: []
+    stages = types.ModuleType("foreglow.runtime.ros2.stages")
+    stages.NODES, stages.Setting = {"tracking": Node}, lambda *_: None
+    sys.modules[stages.__name__] = stages
+    """
+    assert ended(code, number, "ros2", "tracking") == (130, "")

@@ -1,0 +1,39 @@
+"""What ROS 2 reads from the environment is checked before it starts; it needs no ROS 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from foreglow.runtime.ros2.environment import MAX_DOMAIN, PROFILES, prepare
+
+
+@pytest.mark.parametrize("variable", PROFILES)
+def test_a_profile_that_fast_dds_would_pass_over_is_refused(variable: str, tmp_path: Path) -> None:
+    profile = tmp_path / "mine.xml"
+    with pytest.raises(FileNotFoundError, match=f"{variable}: .*mine.xml: no such Fast DDS profile"):
+        prepare(environment={variable: str(profile)})
+    profile.write_text("<dds>")
+    with pytest.raises(ValueError, match=f"{variable}: .*mine.xml: expected a Fast DDS profile in XML"):
+        prepare(environment={variable: str(profile)})
+    profile.write_text("<dds/>")
+    prepare(environment={variable: str(profile)})
+    prepare(environment={variable: str(tmp_path / "none.xml"), "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
+
+
+def test_our_own_profile_must_be_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foreglow.runtime.ros2.environment.__file__", str(tmp_path / "environment.py"))
+    with pytest.raises(FileNotFoundError, match="no such Fast DDS profile"):
+        prepare(environment={})
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "1.5", str(MAX_DOMAIN + 1), "9" * 5000])
+def test_a_domain_that_is_none(domain: str) -> None:
+    with pytest.raises(ValueError, match=f"ROS_DOMAIN_ID: expected a whole number from 0 to {MAX_DOMAIN}"):
+        prepare(environment={"ROS_DOMAIN_ID": domain})
+
+
+@pytest.mark.parametrize("domain", ["", "0", str(MAX_DOMAIN)])
+def test_a_domain(domain: str) -> None:
+    prepare(environment={"ROS_DOMAIN_ID": domain})
