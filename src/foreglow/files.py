@@ -191,13 +191,13 @@ MAX_TEXT_BYTES = 64 * MIB
 """Largest text file that is read as a whole: a map of a city, or the poses of a day."""
 
 MAX_JSON_BYTES = 64 * MIB
-"""Largest JSON text: the labels of all 60,000 images of PVDN take a third of it."""
+"""Largest JSON text: the labels of a data set, or the predictions for it, in some ten bytes a value."""
 
-MAX_JSON_VALUES = 4_000_000
-"""Values in a JSON text, as its commas and brackets count: each may take 300 bytes while it is checked."""
+MAX_JSON_VALUES = 3_000_000
+"""Values in a JSON text, as its commas and brackets count: a wrong one takes 400 bytes while it is checked."""
 
 MAX_TOML_BYTES = MIB
-"""Largest TOML file: people write them, and `tomllib` makes 200 bytes of each."""
+"""Largest TOML file: people write them, and `tomllib` may make some hundred bytes of each."""
 
 MAX_YAML_BYTES = MIB
 """Largest YAML file: the metadata of a bag with a thousand topics."""

@@ -19,6 +19,9 @@ Model = TypeVar("Model")
 adapter: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
 """Reads and writes the JSON of a pydantic model or a dataclass; made once for each."""
 
+MAX_ERRORS = 10_000
+"""Wrong values in a JSON text of which the first is told: pydantic makes a kilobyte of each at once."""
+
 MAX_LINES_BYTES = 1 << 29
 """Largest file of lines: what `live` writes in some hours."""
 
@@ -74,6 +77,8 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
     try:
         value: Model = adapter(model).validate_json(data)
     except ValidationError as error:
+        if error.error_count() > MAX_ERRORS:
+            raise ValueError(f"{origin}: expected another structure, {error.error_count()} values are wrong") from None
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
             raise ValueError(f"{origin}: expected JSON: {first['ctx']['error']}") from None

@@ -26,7 +26,7 @@ MAX_LINE_M = 100_000.0
 """The longest road of a map: a longer one has a number or a node that is wrong."""
 
 MAX_POINTS = 2_000_000
-"""Points of a map, one a metre, which take 64 bytes each and some hundred while they are made."""
+"""Points of a map, one a metre, which take 40 bytes each: 2,000 km of road."""
 
 _AXLES_M = 1.4
 """Half the distance between the axles, between which the slope under the vehicle is measured."""

@@ -13,7 +13,7 @@ MAX_XML_BYTES = 64 * MIB
 """Largest map: that of a city."""
 
 MAX_XML_ITEMS = MAX_XML_BYTES // 16
-"""Elements and attributes, which take up to 300 bytes each; maps have fewer than one in 16 bytes."""
+"""Elements and attributes, which take 160 bytes each; a map has a longer name and value for each than 16 bytes."""
 
 
 def read_xml(path: Path, root: str) -> Element:

@@ -30,7 +30,7 @@ MOTION_STALE_S = 0.5
 """Older speeds and yaw rates are not used."""
 
 MAX_DBC_BYTES = 4 * MIB
-"""Largest DBC, which takes 100 times its size while it is read; those of real cars have up to 2 MiB."""
+"""Largest DBC: it takes 100 times its size while it is read, and 3 s for each MiB."""
 
 MAX_MESSAGE_BYTES = 4096
 """Longest message of a DBC: one of CAN FD has 64 bytes, one of several frames 1785."""
