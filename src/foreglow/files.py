@@ -1,7 +1,12 @@
-"""Files that appear whole or not at all, errors that name their file, and values as JSON."""
+"""Files that appear whole or not at all, errors that name their file, values as JSON, and reading within bounds.
+
+Every reader goes through `check_file` or `read_bytes`, or a function that does: regular files only, of a size that the
+reader states.
+"""
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import dataclasses
 import fcntl
@@ -9,14 +14,17 @@ import json
 import math
 import os
 import re
+import reprlib
+import stat
 import threading
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import IO, Any, AnyStr, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel
-from pydantic_core import to_jsonable_python
+from pydantic_core import from_json, to_jsonable_python
 
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
@@ -177,16 +185,198 @@ def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def read_text(path: Path) -> str:
-    """The text in the UTF-8 file at `path`; a byte order mark is dropped.
+MIB = 1 << 20
+
+MAX_TEXT_BYTES = 64 * MIB
+"""Largest text file that is read as a whole: a map of a city, or the poses of a day."""
+
+MAX_JSON_BYTES = 64 * MIB
+"""Largest JSON text: the labels of a data set, or the predictions for it, in some ten bytes a value."""
+
+MAX_JSON_VALUES = 3_000_000
+"""Values in a JSON text, as its commas and brackets count: a wrong one takes 400 bytes while it is checked."""
+
+MAX_TOML_BYTES = MIB
+"""Largest TOML file: people write them, and `tomllib` may make some hundred bytes of each."""
+
+MAX_YAML_BYTES = MIB
+"""Largest YAML file: the metadata of a bag with a thousand topics."""
+
+MAX_KEY_PARTS = 16
+"""Parts of a dotted key in TOML: reading it takes their number squared."""
+
+MAX_DEPTH = 32
+"""Lists and objects in one another in YAML; files that we read have five."""
+
+MAX_SCALAR_CHARS = 1000
+"""A plain word of YAML: a long number in base 60 takes its length squared."""
+
+_TOML_TEXTS = re.compile(
+    r"""#[^\n]*|\"\"\"(?:[^\\"]|\\.|\"(?!\"\"))*(?:\"\"\")?|'''(?:[^']|'(?!''))*(?:''')?"""
+    r"""|"(?:[^\\"\n]|\\.)*"?|'[^'\n]*'?""",
+    re.DOTALL,
+)
+
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def check_file(path: Path, max_bytes: float = math.inf) -> None:
+    """Passes a regular file of at most `max_bytes`; opening another, such as a pipe, may wait for ever.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not UTF-8 text.
+        ValueError: If it is a folder, a pipe, a socket or a device, or is larger.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
+        raise ValueError(f"{path}: expected a file, is {_KINDS.get(stat.S_IFMT(state.st_mode), 'none')}")
+    _check_size(path, state.st_size, max_bytes)
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """What the regular file at `path` holds.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no regular file, larger than `max_bytes`, or cannot be read.
+    """
+    check_file(path, max_bytes)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+    _check_size(path, len(data), max_bytes)  # it may grow, and those of the kernel do not tell their size
+    return data
+
+
+def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-8-sig", errors: str = "strict") -> str:
+    """The text in the file at `path`, UTF-8 unless `encoding` says otherwise; a byte order mark is dropped.
+
+    `errors` is what undecodable bytes do, as in `bytes.decode`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no regular file, larger than `max_bytes`, or not such text.
+    """
+    try:
+        text = read_bytes(path, max_bytes).decode(encoding, errors)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected UTF-8 text: {error}") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def bounded_lines(file: IO[AnyStr], path: Path, max_bytes: int) -> Iterator[AnyStr]:
+    """The lines of an open file.
+
+    Raises:
+        ValueError: If one is longer than `max_bytes`; the message names `path` and the line.
+    """
+    number = 0
+    while line := file.readline(max_bytes + 1):
+        number += 1
+        if len(line) > max_bytes:
+            raise ValueError(f"{path}: line {number}: expected at most {max_bytes} bytes, got more")
+        yield line
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What the TOML file `path` holds.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, or beyond a bound; the message names the path and the place.
+    """
+    data = read_bytes(path, MAX_TOML_BYTES)
+    try:
+        text = data.decode().replace("\r\n", "\n")
+        for part in re.split(r"[=,{}\[\]\n]", _TOML_TEXTS.sub('""', text)):
+            if part.count(".") >= MAX_KEY_PARTS:
+                raise ValueError(f"keys of at most {MAX_KEY_PARTS} parts, got {shortened(part.strip())}")
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also for an integer of thousands of digits
+        raise ValueError(f"{path}: expected TOML: {error}") from error
+
+
+def read_yaml(path: Path) -> Any:
+    """What the YAML file `path` holds; aliases are refused, since a few make billions of values.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not YAML, has an alias, or is beyond a bound; the message names the path.
+    """
+    import yaml
+
+    text = read_text(path, MAX_YAML_BYTES)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        depth = 0
+        for event in yaml.parse(text, loader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError(f"expected no aliases, got *{shortened(event.anchor)}")
+            if depth > MAX_DEPTH:
+                raise ValueError(f"expected at most {MAX_DEPTH} lists and objects in one another, got more")
+            if isinstance(event, yaml.ScalarEvent) and not event.style and len(event.value) > MAX_SCALAR_CHARS:
+                raise ValueError(f"expected words of at most {MAX_SCALAR_CHARS} characters, got {len(event.value)}")
+        return yaml.load(text, loader)  # a safe one
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: expected YAML: {error}") from None
+
+
+def check_json(data: bytes | str, origin: str) -> None:
+    """Passes JSON text that is neither too long nor of too many values, as its commas and brackets count.
+
+    Raises:
+        ValueError: If it is; the message begins with `origin`.
+    """
+    if len(data) > MAX_JSON_BYTES:
+        raise ValueError(f"{origin}: expected JSON of at most {MAX_JSON_BYTES // MIB} MiB, got more")
+    num = data.count(b",") + data.count(b"[") if isinstance(data, bytes) else data.count(",") + data.count("[")
+    if num > MAX_JSON_VALUES:
+        raise ValueError(f"{origin}: expected JSON of at most {MAX_JSON_VALUES} values, got {num}")
+
+
+def read_plain_json(path: Path) -> Any:
+    """What the JSON file `path` holds, as lists, dicts, texts and numbers.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no JSON, or beyond a bound; the message names the path.
+    """
+    data = read_bytes(path, MAX_JSON_BYTES)
+    check_json(data, str(path))
+    try:
+        return from_json(data.removeprefix(codecs.BOM_UTF8))
+    except ValueError as error:
+        raise ValueError(f"{path}: expected JSON: {error}") from None
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 3, 4, 6, 6
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
+
+
+def shortened(value: object) -> str:
+    """`value` as Python writes it, cut for a message, whatever its size.
+
+    >>> shortened([1, "x" * 1000])[:6], len(shortened([1, "x" * 1000]))
+    ("[1, 'x", 80)
+    """
+    text = _SHORT.repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _check_size(path: Path, num_bytes: int, max_bytes: float) -> None:
+    if num_bytes > max_bytes:
+        limit = f"{max_bytes / MIB:g} MiB" if max_bytes >= MIB else f"{max_bytes:g} bytes"
+        raise ValueError(f"{path}: expected a file of at most {limit}, got {num_bytes} bytes or more")

@@ -119,7 +119,7 @@ def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options
         (["--recipe", "best"], "recipe: expected one of paper, foreglow, got 'best'"),
         (["--precision", "fp16"], "precision: Input should be 'fp32' or 'bf16'"),
         (["--device", "tpu"], "device: expected auto, cpu or cuda, got 'tpu'"),
-        (["--recipe-file", "none.toml"], "none.toml: no such configuration file"),
+        (["--recipe-file", "none.toml"], "none.toml: no such file"),
     ],
 )
 def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: list[str], message: str) -> None:

@@ -170,7 +170,7 @@ def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None
 def test_missing_files_and_folders(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such image"):
         read_image(tmp_path / "absent.png")
-    with pytest.raises(ValueError, match="expected an image file, is not a file"):
+    with pytest.raises(ValueError, match="expected a file, is a folder"):
         read_image(tmp_path)
 
 

@@ -85,7 +85,7 @@ def test_errors(tmp_path: Path, features: list[Any], message: str) -> None:
 
 
 def test_broken_files(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"town\.geojson: expected GeoJSON: .*line 1"):
+    with pytest.raises(ValueError, match=r"town\.geojson: expected JSON: .*line 1"):
         read_text(tmp_path, '{"type": ')
     with pytest.raises(ValueError, match="features: expected a list"):
         read_text(tmp_path, '{"type": "FeatureCollection"}')

@@ -136,5 +136,5 @@ def test_bad_files(tmp_path: Path, text: str, complaint: str) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no such IES file"):
+    with pytest.raises(FileNotFoundError, match="no such file"):
         read_ies(tmp_path / "absent.ies")

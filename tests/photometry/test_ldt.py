@@ -121,7 +121,7 @@ def test_bad_files(tmp_path: Path, lines: list[str], complaint: str) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no such EULUMDAT file"):
+    with pytest.raises(FileNotFoundError, match="no such file"):
         read_ldt(tmp_path / "absent.ldt")
 
 

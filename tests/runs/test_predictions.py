@@ -114,7 +114,7 @@ def test_what_is_written_comes_back(tmp_path: Path, is_scored: bool) -> None:
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected predictions"):
         read_predictions(tmp_path / "absent.json")
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(ValueError, match="expected a file, is a folder"):
         read_predictions(tmp_path)
 
 

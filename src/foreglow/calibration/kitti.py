@@ -18,8 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics
-from foreglow.files import read_text
+from foreglow.files import MIB, read_text
 from foreglow.geometry import Floats
+
+MAX_CALIBRATION_BYTES = MIB
+"""Largest file of KITTI's: theirs have 4 kB."""
 
 
 def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
@@ -48,7 +51,7 @@ class _Entries:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        lines = (line.partition(":") for line in read_text(path).splitlines())
+        lines = (line.partition(":") for line in read_text(path, MAX_CALIBRATION_BYTES).splitlines())
         self._texts = {key.strip(): text for key, colon, text in lines if colon}
 
     def has(self, key: str) -> bool:

@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-import yaml
 from pydantic import BeforeValidator, Field
 
 from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics, Side
 from foreglow.config import FrozenModel, validated
-from foreglow.files import read_text
+from foreglow.files import read_yaml
 
 MODELS = ("plumb_bob", "rational_polynomial")
 """Distortion models that can be read; the second only if its terms beyond k3 are 0."""
@@ -94,10 +93,7 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
 
 
 def _read(path: Path) -> _File:
-    try:
-        fields = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: expected YAML: {error}") from None
+    fields = read_yaml(path)
     if not isinstance(fields, dict):
         raise ValueError(f"{path}: expected the fields {', '.join(_File.model_fields)}, got {type(fields).__name__}")
     return validated(_File, fields, str(path))

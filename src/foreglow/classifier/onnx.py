@@ -18,6 +18,12 @@ from foreglow.types import Detections, Frame, Proposals
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
+MAX_MODEL_BYTES = 1 << 29
+"""Largest model file; ours has less than a megabyte."""
+
+MAX_CROP_PX = 1024
+"""Largest side of a model's crops, pixels; published ones have 64."""
+
 # Crops of one run: bounds the memory, and the activations of the first layers stay in the second-level cache.
 _MAX_BATCH = 8
 _HALF = np.float32(0.5)
@@ -113,6 +119,8 @@ def open_session(path: Path, num_threads: int) -> InferenceSession:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
+    if path.stat().st_size > MAX_MODEL_BYTES:
+        raise ValueError(f"{path}: expected a model of at most {MAX_MODEL_BYTES} bytes, got {path.stat().st_size}")
     # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort
@@ -158,7 +166,7 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         raise ValueError(f"{path}: input {name}: {expected}, got a fixed batch of {batch} in {shape}")
     if channels not in (1, 2):
         raise ValueError(f"{path}: input {name}: {expected}, got {channels} channels in {shape}")
-    if not isinstance(height, int) or height != width or height < 1:
+    if not isinstance(height, int) or height != width or not 1 <= height <= MAX_CROP_PX:
         raise ValueError(f"{path}: input {name}: {expected}, got {shape}")
     names = [name]
     for node in nodes[1:]:

@@ -2,7 +2,6 @@
 
 from foreglow.config.fields import (
     FrozenModel,
-    read_toml,
     validated,
 )
 from foreglow.config.live import LiveConfig
@@ -24,6 +23,7 @@ from foreglow.config.stages import (
     ProposalConfig,
     TrackerConfig,
 )
+from foreglow.files import read_toml
 
 __all__ = [
     "OUR_TRACKER",

@@ -1,12 +1,12 @@
-"""The base of all configurations: strict frozen fields, read from TOML, and errors of one line."""
+"""The base of all configurations: strict frozen fields, and errors of one line."""
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+
+from foreglow.files import shortened
 
 
 class FrozenModel(BaseModel):
@@ -14,21 +14,6 @@ class FrozenModel(BaseModel):
 
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The content of the TOML file `path`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML; the message names the path and the line.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such configuration file")
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected TOML: {error}") from error
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -60,4 +45,4 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
         owner = model if section is None else section.annotation
         known = owner.model_fields if isinstance(owner, type) and issubclass(owner, BaseModel) else {}
         return f"{field}: unknown" + (f", expected one of {', '.join(known)}" if known else "")
-    return f"{field}: {first['msg']}, got {first['input']!r}"
+    return f"{field}: {first['msg']}, got {shortened(first['input'])}"

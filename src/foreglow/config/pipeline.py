@@ -8,7 +8,7 @@ from typing import Any
 
 import tomli_w
 
-from foreglow.config.fields import FrozenModel, read_toml, validated
+from foreglow.config.fields import FrozenModel, validated
 from foreglow.config.live import LiveConfig
 from foreglow.config.stages import (
     OUR_TRACKER,
@@ -19,6 +19,7 @@ from foreglow.config.stages import (
     ProposalConfig,
     TrackerConfig,
 )
+from foreglow.files import read_toml
 
 
 class PipelineConfig(FrozenModel):

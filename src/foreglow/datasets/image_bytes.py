@@ -1,15 +1,21 @@
 """Checks that an encoded image is complete, and reads its size, before decoding: decoders are too tolerant.
 
 OpenCV returns a partly grey picture for a truncated JPEG (and, before version 5, PNG), and allocates whatever
-size a header claims. Other formats are not checked here: OpenCV refuses them when they are cut short.
+size a header claims. For other formats, only the size is read: OpenCV refuses them when they are cut short.
 """
 
 from __future__ import annotations
 
+import re
+import struct
 import zlib
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
+
+_PNM = re.compile(rb"P[1-6]\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s")
+_TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
+_TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height of a tile"}
 
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
@@ -81,3 +87,58 @@ def jpeg_size_px(data: bytes) -> tuple[int, int]:
     if size_px is None:
         raise ValueError("damaged JPEG, expected a start-of-frame segment before the scan")
     return size_px
+
+
+def size_px(data: bytes) -> tuple[int, int] | None:
+    """Height and width by the header of a PNG, JPEG, TIFF, BMP, PNM or WebP; None for another format.
+
+    Raises:
+        ValueError: If the header cannot be followed; the message says only what is wrong.
+    """
+    if data.startswith(PNG_SIGNATURE):
+        return png_size_px(data)
+    if data.startswith(JPEG_SIGNATURE):
+        return jpeg_size_px(data)
+    try:
+        if data.startswith((b"II", b"MM")):
+            return _tiff_size_px(data)
+        if data.startswith(b"BM"):
+            width, height = struct.unpack_from("<ii" if data[14] >= 40 else "<HH", data, 18)
+            return abs(height), abs(width)
+        if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+            return _webp_size_px(data)
+    except (struct.error, IndexError):
+        raise ValueError("truncated or damaged, its header ends early") from None
+    if found := _PNM.match(data):
+        return int(found[2]), int(found[1])
+    return None
+
+
+def _tiff_size_px(data: bytes) -> tuple[int, int]:
+    """Of the first image, or of its tiles, decoded whole, if these are larger. Source: TIFF 6.0, section 2."""
+    order = "<" if data.startswith(b"II") else ">"
+    is_big = struct.unpack_from(order + "H", data, 2)[0] == 43
+    (place,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
+    (num,) = struct.unpack_from(order + ("Q" if is_big else "H"), data, place)
+    sizes = dict.fromkeys(_TIFF_SIZES, 0)
+    head, step, inside = (8, 20, 12) if is_big else (2, 12, 8)
+    for entry in range(place + head, place + head + step * min(num, len(data) // step), step):
+        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        if tag in sizes:
+            if kind not in _TIFF_TYPES:
+                raise ValueError(f"damaged TIFF, expected a whole number as {_TIFF_SIZES[tag]}, got type {kind}")
+            (sizes[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, entry + inside)
+    width, height, tile_width, tile_height = sizes.values()
+    return max(height, tile_height), max(width, tile_width)
+
+
+def _webp_size_px(data: bytes) -> tuple[int, int]:
+    """Source: RFC 9649, sections 2.5 to 2.7, and RFC 6386, section 9.1."""
+    kind = data[12:16]
+    if kind == b"VP8X":
+        return int.from_bytes(data[27:30], "little") + 1, int.from_bytes(data[24:27], "little") + 1
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
+    width, height = struct.unpack_from("<HH", data, 26)
+    return height & 0x3FFF, width & 0x3FFF

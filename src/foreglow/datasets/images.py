@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_SIGNATURE, jpeg_size_px, png_size_px
+from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_SIGNATURE, size_px
+from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 
 MIN_SIDE_PX = 64
@@ -20,6 +21,9 @@ MIN_SIDE_PX = 64
 
 MAX_SIDE_PX = 8192
 """Largest height and width of a frame from a file, pixels: twice 4k, and a bound on what a header can allocate."""
+
+MAX_IMAGE_BYTES = 8 * MAX_SIDE_PX**2
+"""Largest file: the largest image in colour with 16 bits and alpha, 512 MiB."""
 
 # A .npy header is a Python literal, and reading a broken header raises whatever its parser does.
 NPY_ERRORS = (
@@ -47,32 +51,23 @@ def read_image(path: Path) -> Image:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such image")
-    if not path.is_file():
-        raise ValueError(f"{path}: expected an image file, is not a file")
-    try:
-        if path.suffix.lower() == ".npy":
-            return _checked_size(to_grey(_npy_array(path), str(path)), path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if path.suffix.lower() == ".npy":
+        return to_grey(_npy_array(path), str(path))
+    data = read_bytes(path, MAX_IMAGE_BYTES)
     if not data:
         raise ValueError(f"{path}: expected an image, the file is empty")
-    return _checked_size(to_grey(_decoded(data, str(path)), str(path), order="bgr"), path)
+    return to_grey(_decoded(data, str(path)), str(path), order="bgr")
 
 
 def decode_image(data: bytes, origin: str) -> Image:
     """The grey image in `data`, a whole PNG or JPEG, as `read_image` has it.
-
-    Other formats are refused: their size is not known before memory is allocated.
 
     Raises:
         ValueError: If it is neither, truncated, damaged, or of a size that is not accepted.
     """
     if not data.startswith((PNG_SIGNATURE, JPEG_SIGNATURE)):
         raise ValueError(f"{origin}: expected a PNG or a JPEG, got {data[:4].hex() or 'no data'}")
-    image = to_grey(_decoded(data, origin), origin, order="bgr")
-    check_size(image.shape[0], image.shape[1], origin)
-    return image
+    return to_grey(_decoded(data, origin), origin, order="bgr")
 
 
 def png(image: Image) -> bytes:
@@ -141,11 +136,6 @@ def _checked_floats(array: NDArray[Any], prefix: str) -> NDArray[Any]:
     return array.astype(np.float32)
 
 
-def _checked_size(image: Image, path: Path) -> Image:
-    check_size(image.shape[0], image.shape[1], str(path))
-    return image
-
-
 def check_size(height: int, width: int, origin: str) -> None:
     """Checks that the readers accept a frame size.
 
@@ -159,21 +149,24 @@ def check_size(height: int, width: int, origin: str) -> None:
 
 
 def _decoded(data: bytes, origin: str) -> NDArray[Any]:
-    """The complete image in `data`, decoded by OpenCV: grey or B, G, R, any depth."""
+    """The complete image in `data`, decoded by OpenCV: grey or B, G, R, any depth; its size is checked before."""
+    none = f"{origin}: expected an image ({known_formats()}), is none, or truncated or damaged"
     try:
-        if data.startswith(PNG_SIGNATURE):
-            check_size(*png_size_px(data), "header")
-        elif data.startswith(JPEG_SIGNATURE):
-            check_size(*jpeg_size_px(data), "header")
+        size = size_px(data)
+        if size is not None:
+            check_size(*size, "header")
     except ValueError as error:
         raise ValueError(f"{origin}: {error}") from None
+    if size is None:
+        raise ValueError(none)
     try:
         with quiet_opencv():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise ValueError(f"{origin}: expected an image, cannot be decoded: {error.err or error.code}") from None
     if array is None:
-        raise ValueError(f"{origin}: expected an image ({known_formats()}), is none, or truncated or damaged")
+        raise ValueError(none)
+    check_size(array.shape[0], array.shape[1], origin)
     return np.asarray(array)
 
 
@@ -195,6 +188,7 @@ def known_formats() -> str:
 
 def _npy_array(path: Path) -> NDArray[Any]:
     """The array in the file at `path`; mapped first, so that an exaggerated size in the header allocates nothing."""
+    check_file(path, MAX_IMAGE_BYTES + 4096)  # and a header; the array is no longer than its file
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected an image, the file is empty")
     try:
@@ -204,4 +198,6 @@ def _npy_array(path: Path) -> NDArray[Any]:
         raise ValueError(f"{path}: expected a complete .npy file with one array of numbers: {reason}") from error
     if not isinstance(mapped, np.ndarray):
         raise ValueError(f"{path}: expected a .npy file with one array, is an archive of arrays")
+    if mapped.ndim >= 2:
+        check_size(mapped.shape[0], mapped.shape[1], str(path))
     return np.array(mapped)

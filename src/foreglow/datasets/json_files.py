@@ -12,13 +12,24 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from foreglow.files import write_atomic
+from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, read_bytes, shortened, write_atomic
 
 Model = TypeVar("Model")
 
 adapter: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
 """Reads and writes the JSON of a pydantic model or a dataclass; made once for each."""
 
+MAX_ERRORS = 10_000
+"""Wrong values in a JSON text of which the first is told: pydantic makes a kilobyte of each at once."""
+
+MAX_LINES_BYTES = 1 << 29
+"""Largest file of lines: what `live` writes in some hours."""
+
+MAX_LINE_BYTES = 1 << 22
+"""Longest line: a frame with ten thousand boxes."""
+
+MAX_LINES = 1_000_000
+"""Lines that are read: the frames of 15 hours."""
 
 _MESSAGES = {
     "missing": "field is missing",
@@ -62,14 +73,17 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         ValueError: If it is not JSON, or a field is missing, of the wrong type or out of range; the message names
             `origin`, the field, what was expected and what is there.
     """
+    check_json(data, origin)
     try:
         value: Model = adapter(model).validate_json(data)
     except ValidationError as error:
+        if error.error_count() > MAX_ERRORS:
+            raise ValueError(f"{origin}: expected another structure, {error.error_count()} values are wrong") from None
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
             raise ValueError(f"{origin}: expected JSON: {first['ctx']['error']}") from None
         field = ".".join(_printable(str(part)) for part in first["loc"]) or "document"
-        got = "" if first["type"] == "missing" else f", got {_short(first['input'])}"
+        got = "" if first["type"] == "missing" else f", got {shortened(first['input'])}"
         plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
         message = _MESSAGES.get(first["type"], plain)
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
@@ -83,13 +97,7 @@ def read_json(path: Path, model: type[Model]) -> Model:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, is not JSON, or does not fit the model.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return parse_json(data, model, str(path))
+    return parse_json(read_bytes(path, MAX_JSON_BYTES), model, str(path))
 
 
 def read_json_lines(path: Path, model: type[Model]) -> Iterator[tuple[str, Model]]:
@@ -99,11 +107,24 @@ def read_json_lines(path: Path, model: type[Model]) -> Iterator[tuple[str, Model
         FileNotFoundError: If there is no such file.
         ValueError: If a line is not JSON or does not fit the model; the message names path, line and field.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         origin = f"{path}: line {number}"
         yield origin, parse_json(line, model, origin)
+
+
+def read_lines(path: Path) -> Iterator[bytes]:
+    """The lines of the file at `path`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no regular file, or it, a line or the number of lines is beyond a bound.
+    """
+    check_file(path, MAX_LINES_BYTES)
+    with path.open("rb") as file:
+        for number, line in enumerate(bounded_lines(file, path, MAX_LINE_BYTES), start=1):
+            if number > MAX_LINES:
+                raise ValueError(f"{path}: expected at most {MAX_LINES} lines, got more")
+            yield line
 
 
 def write_json(path: Path, record: BaseModel) -> None:
@@ -117,9 +138,4 @@ def write_json(path: Path, record: BaseModel) -> None:
 
 
 def _printable(key: str) -> str:
-    return key if key.isprintable() and len(key) <= 80 else _short(key)
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
+    return key if key.isprintable() and len(key) <= 80 else shortened(key)

@@ -14,12 +14,15 @@ from av.error import FFmpegError
 
 from foreglow.datasets.container_bytes import missing_bytes
 from foreglow.datasets.decoding import decoded
-from foreglow.datasets.images import check_size
+from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import OnError, checked_on_error
 from foreglow.types import Frame
 
 _LEAST_SHARE = 0.95
 """An MP4 that yields less than this share of its stated number of frames counts as damaged."""
+
+_CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
+"""A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
 
 
 class Video:
@@ -123,7 +126,7 @@ class Video:
     def _opened(self) -> Iterator[tuple[Any, Any]]:
         """The open container and its first video stream."""
         try:
-            container: Any = av.open(str(self.path))
+            container: Any = av.open(str(self.path), options=_CODEC_OPTIONS)
         except (FFmpegError, ValueError) as error:
             truncation = self._truncation or f"{self.path}: expected a video: {getattr(error, 'strerror', error)}"
             raise ValueError(truncation) from error
@@ -134,6 +137,7 @@ class Video:
             if stream.codec_context is None:
                 raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
             stream.thread_type = "AUTO"
+            stream.codec_context.options = _CODEC_OPTIONS
             yield container, stream
 
 

@@ -21,6 +21,13 @@ MIN_ALONG = 0.5
 """Nor on a road across our way: cosine of the largest angle between our heading and the road's, 60 degrees."""
 
 STEP_M = 1.0
+
+MAX_LINE_M = 100_000.0
+"""The longest road of a map: a longer one has a number or a node that is wrong."""
+
+MAX_POINTS = 2_000_000
+"""Points of a map, one a metre, which take 40 bytes each: 2,000 km of road."""
+
 _AXLES_M = 1.4
 """Half the distance between the axles, between which the slope under the vehicle is measured."""
 
@@ -156,6 +163,26 @@ class CentreLine:
         forward /= np.linalg.norm(forward)
         up = np.array([*-gradient, 1.0]) / np.sqrt(1.0 + gradient @ gradient)
         return Pose(position_m, np.stack([forward, np.cross(up, forward), up], -1))
+
+
+class PointCount:
+    """Counts the points of a map's lines, before they are made."""
+
+    def __init__(self) -> None:
+        self._num = 0
+
+    def add(self, length_m: float, origin: str, num_given: int = 0) -> None:
+        """Adds a line with a point each metre, or of `num_given` points if those are more.
+
+        Raises:
+            ValueError: If it is longer than `MAX_LINE_M`, or the map has more than `MAX_POINTS`; the message begins
+                with `origin`.
+        """
+        if not length_m <= MAX_LINE_M:
+            raise ValueError(f"{origin}: length: expected at most {MAX_LINE_M:g} m, got {length_m:g}")
+        self._num += max(num_given, 2 + math.ceil(length_m / STEP_M))
+        if self._num > MAX_POINTS:
+            raise ValueError(f"{origin}: expected a map of at most {MAX_POINTS} points, one a metre, got more")
 
 
 def without_repeats(points_m: Floats) -> Floats:

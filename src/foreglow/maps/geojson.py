@@ -12,7 +12,6 @@ Source: RFC 7946.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.files import read_text
+from foreglow.files import read_plain_json
 from foreglow.geometry import Floats
 from foreglow.maps.centre_line import CentreLine, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
@@ -36,10 +35,7 @@ def read_geojson(path: Path) -> RoadMap:
         ValueError: If it is not GeoJSON, has no line, a coordinate is not a number or out of range, only some points
             have heights, or a width is not positive; the message names path and feature.
     """
-    try:
-        document = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: expected GeoJSON: {error}") from None
+    document = read_plain_json(path)
     found = [line for line in _lines(document, str(path)) if len(line[1]) > 1]
     if not found:
         raise ValueError(f"{path}: expected at least one LineString with two points, got none")

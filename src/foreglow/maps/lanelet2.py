@@ -16,14 +16,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import CentreLine, without_repeats
+from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 
 DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
 SIDES = ("left", "right")
-STEP_M = 1.0
 
 
 def read_lanelet2(path: Path) -> RoadMap:
@@ -46,7 +45,8 @@ def read_lanelet2(path: Path) -> RoadMap:
         if not is_missing.all():
             raise ValueError(f"{path}: ele: expected a height at all nodes of borders, or at none")
         borders = {way: np.nan_to_num(border) for way, border in borders.items()}
-    lines = [_line(first, second) for first, second in _carriageways(lanelets, borders)]
+    count = PointCount()
+    lines = [_line(first, second, count, str(path)) for first, second in _carriageways(lanelets, borders)]
     return RoadMap(lines, earth, has_heights=not is_missing.any())
 
 
@@ -116,11 +116,13 @@ def _side(line: Floats, other: Floats) -> float:
     return 1.0 if along[0] * away[1] - along[1] * away[0] > 0 else -1.0
 
 
-def _line(first: Floats, second: Floats) -> CentreLine:
+def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> CentreLine:
     """The middle between two borders, which may have either direction."""
     if np.linalg.norm(first[0] - second[0]) > np.linalg.norm(first[0] - second[-1]):
         second = second[::-1]
-    num = 1 + math.ceil(max(_ways_m(first)[-1], _ways_m(second)[-1]) / STEP_M)
+    length_m = float(max(_ways_m(first)[-1], _ways_m(second)[-1]))
+    count.add(length_m, f"{origin}: lanelet near {first[0, :2].round().tolist()} m", max(len(first), len(second)))
+    num = 1 + math.ceil(length_m / STEP_M)
     first, second = _spread(first, num), _spread(second, num)
     points = (first + second) / 2
     across, along = second - first, np.gradient(points, axis=0)

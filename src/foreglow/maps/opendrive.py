@@ -15,12 +15,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import CentreLine, without_repeats
+from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, without_repeats
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 from foreglow.street import LANE_WIDTH_M
 
-STEP_M = 1.0
 DRIVEN_LANES = frozenset({"driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp"})
 _COEFFICIENTS = ("a", "b", "c", "d")
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -34,18 +33,19 @@ def read_opendrive(path: Path) -> RoadMap:
         ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, or there is
             no road; the message names path and road.
     """
-    roads = read_xml(path, "OpenDRIVE").findall("road")
-    lines = [line for road in roads if (line := _line(road, f"{path}: road {road.get('id')}")) is not None]
+    roads, count = read_xml(path, "OpenDRIVE").findall("road"), PointCount()
+    lines = [line for road in roads if (line := _line(road, count, f"{path}: road {road.get('id')}")) is not None]
     if not lines:
         raise ValueError(f"{path}: expected at least one <road> with a driving lane, got none of {len(roads)}")
     return RoadMap(lines)
 
 
-def _line(road: Element, origin: str) -> CentreLine | None:
+def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     """The middle of a road's driving lanes; None if it has other lanes only."""
     length_m = number_of(road, "length", origin)
     if length_m < 1e-3:
         return None
+    count.add(length_m, origin)
     ways_m = np.append(np.arange(0.0, length_m - 1e-3, STEP_M), length_m)
     reference = _reference(road, ways_m, origin)
     widths = _widths_m(road, ways_m, origin)
@@ -79,12 +79,13 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
     numbers = np.clip(np.searchsorted([s for s, _ in geometries], ways_m, side="right") - 1, 0, None)
     found = np.empty((len(ways_m), 3))
     for number in np.unique(numbers).tolist():
+        here = slice(*np.searchsorted(numbers, (number, number + 1)))
         begin_m, geometry = geometries[number]
         x, y, heading = (number_of(geometry, name, origin) for name in ("x", "y", "hdg"))
-        own = _curve(geometry, ways_m[numbers == number] - begin_m, origin)
+        own = _curve(geometry, ways_m[here] - begin_m, origin)
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
-        found[numbers == number] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
+        found[here] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
     return found
 
 
@@ -126,12 +127,13 @@ def _parametric(shape: Element, parameters: Floats, origin: str) -> Floats:
 
 def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> Floats:
     """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its `begin` on, shape (N,); 0 before the first."""
-    values = np.zeros(len(ways_m))
-    for piece in sorted(pieces, key=lambda piece: number_of(piece, begin, origin)):
-        ds_m = ways_m - number_of(piece, begin, origin)
-        a, b, c, d = (number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS)
-        values = np.where(ds_m >= -1e-9, a + ds_m * (b + ds_m * (c + ds_m * d)), values)
-    return values
+    pieces = sorted(pieces, key=lambda piece: number_of(piece, begin, origin))
+    begins_m = np.array([number_of(piece, begin, origin) for piece in pieces])
+    terms = [[number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS] for piece in pieces]
+    numbers = np.searchsorted(begins_m, ways_m + 1e-9, side="right")  # 0 before the first
+    a, b, c, d = np.array([[0.0] * 4, *terms])[numbers].T
+    ds_m = ways_m - np.concatenate([[0.0], begins_m])[numbers]
+    return np.asarray(a + ds_m * (b + ds_m * (c + ds_m * d)))
 
 
 def _widths_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
@@ -144,13 +146,11 @@ def _widths_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Float
     numbers = np.clip(np.searchsorted(begins_m, ways_m + 1e-9, side="right") - 1, 0, None)
     sides = {"left": np.zeros(len(ways_m)), "right": np.zeros(len(ways_m))}
     for number, section in enumerate(sections):
-        is_here = numbers == number
+        here = slice(*np.searchsorted(numbers, (number, number + 1)))
         for side, sums_m in sides.items():
             for lane in section.findall(f"{side}/lane"):
                 if lane.get("type", "driving") in DRIVEN_LANES:
-                    sums_m[is_here] += _cubics(
-                        lane.findall("width"), ways_m[is_here] - begins_m[number], "sOffset", origin
-                    )
+                    sums_m[here] += _cubics(lane.findall("width"), ways_m[here] - begins_m[number], "sOffset", origin)
     if not (sides["left"] + sides["right"] > 0).any():
         return None
     return sides["left"], sides["right"]

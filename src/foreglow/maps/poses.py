@@ -17,18 +17,25 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from foreglow.files import read_text
+from foreglow.files import bounded_lines, read_text
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.maps.geographic import GeographicOrigin, check_position
 
 MAX_GAP_S = 1.0
 """There is no interpolation between poses that are further apart in time."""
+
+MAX_POSES = 500_000
+"""Poses of a file, which take a kilobyte each while they are read: more than an hour at 100 Hz."""
+
+MAX_LINE_CHARS = 1000
+"""Longest line of a file of poses."""
 
 TUM_COLUMNS = ("timestamp_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 METRIC_COLUMNS = TUM_COLUMNS[1:]
@@ -123,15 +130,26 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
 
 def _csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Names of the columns, and each row with its line number."""
-    lines = list(csv.reader(io.StringIO(read_text(path)), skipinitialspace=True))
+    try:
+        lines = list(csv.reader(_lines(path), skipinitialspace=True))
+    except csv.Error as error:
+        raise ValueError(f"{path}: expected CSV: {error}") from None
     if not lines:
         raise ValueError(f"{path}: expected a header line, the file is empty")
     return [name.strip() for name in lines[0]], [(k, line) for k, line in enumerate(lines[1:], start=2) if line]
 
 
 def _tum(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    lines = (line.partition("#")[0].split() for line in read_text(path).splitlines())
+    lines = (line.partition("#")[0].split() for line in _lines(path))
     return list(TUM_COLUMNS), [(k, line) for k, line in enumerate(lines, start=1) if line]
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of a file of poses, which are not too many."""
+    for number, line in enumerate(bounded_lines(io.StringIO(read_text(path)), path, MAX_LINE_CHARS)):
+        if number > MAX_POSES:
+            raise ValueError(f"{path}: expected at most {MAX_POSES} poses, got more")
+        yield line
 
 
 def _numbers(columns: list[str], words: list[str], where: str) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import math
@@ -68,6 +69,7 @@ def _connected(address: str) -> Client:
     from distributed import Client
 
     try:
+        asyncio.run(_answers(address))
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError as error:
         raise ConnectionError(f"--cluster {address}: expected a dask scheduler, nothing answers there") from error
@@ -80,6 +82,20 @@ def _connected(address: str) -> Client:
             f"dask worker {address} --nthreads 1"
         ) from error
     return client
+
+
+async def _answers(address: str) -> None:
+    """Waits for a scheduler's first answer; a `Client` would wait for that of a mute listener for ever.
+
+    Raises:
+        OSError: If none comes within `CONNECT_S`.
+    """
+    from distributed import Security
+    from distributed.comm import connect
+
+    security = Security().get_connection_args("client")
+    comm = await asyncio.wait_for(connect(address, timeout=CONNECT_S, **security), CONNECT_S)
+    comm.abort()
 
 
 @dataclass(frozen=True, slots=True)

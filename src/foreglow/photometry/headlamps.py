@@ -16,7 +16,7 @@ from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.lookup import PairLookup
-from foreglow.photometry.matrix import Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
+from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
 from foreglow.photometry.opening import read_lamp_file
 
 SHIPPED = Path(__file__).with_name("headlamps.toml")
@@ -209,10 +209,18 @@ def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) 
     if lamp.led_files is None:
         if grid is None:
             raise ValueError(f"{path}: {side}.led_files: missing, and there is no [grid] either")
-        return grid_lamp(base, grid, lamp.turn_deg)
+        try:
+            return grid_lamp(base, grid, lamp.turn_deg)
+        except ValueError as error:
+            raise ValueError(f"{path}: grid: {error}") from error
     if grid is not None:
         raise ValueError(f"{path}: {side}.led_files: expected either these or [grid], got both")
-    leds = [_table(path, f"{side}.led_files", file) for row in lamp.led_files for file in row]
+    leds, num_cells = [], 0
+    for file in (file for row in lamp.led_files for file in row):
+        leds.append(_table(path, f"{side}.led_files", file))
+        num_cells += leds[-1].intensities_cd.size
+        if num_cells > MAX_LED_CELLS:
+            raise ValueError(f"{path}: {side}.led_files: expected at most {MAX_LED_CELLS} cells in all, got more")
     try:
         return measured_lamp(base, leds, len(lamp.led_files[0]))
     except ValueError as error:

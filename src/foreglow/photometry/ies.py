@@ -8,7 +8,7 @@ import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.number_fields import NumberFields
+from foreglow.photometry.number_fields import NumberFields, read_lamp_text
 from foreglow.photometry.resampling import Type, resampled
 
 TYPES: dict[float, Type] = {1.0: "C", 2.0: "B", 3.0: "A"}
@@ -38,9 +38,7 @@ def read_ies(path: Path) -> IntensityTable:
 
     Source: ANSI/IES LM-63-2019 and its older editions, after public descriptions of the format.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such IES file")
-    lines = path.read_text(encoding="latin-1").splitlines()
+    lines = read_lamp_text(path).splitlines()
     fields = NumberFields(path, _words(path, lines))
     multiplier = fields.take(3, "number of lamps, lumens, multiplier")[2]
     num_verticals = fields.whole("number of vertical angles", 1)
@@ -53,6 +51,8 @@ def read_ies(path: Path) -> IntensityTable:
     ballast, second_ballast = fields.take(3, "ballast factors and watts")[:2]
     verticals = _angles(path, fields, num_verticals, "vertical angles", at_least=2)
     horizontals = _angles(path, fields, num_horizontals, "horizontal angles", at_least=1 if kind == "C" else 2)
+    if kind == "A" and max(np.abs(verticals).max() - 90, np.abs(horizontals).max() - 180) > 0:
+        raise ValueError(f"{path}: angles: expected vertical ones within 90 degrees and horizontal ones within 180")
     candela = fields.take(num_verticals * num_horizontals, "candela values")
     # In the edition of 2019, the second factor has become a code for the origin of the file.
     candela = candela * multiplier * ballast * (1.0 if "LM-63-2019" in lines[0] else second_ballast)

@@ -13,7 +13,7 @@ import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.number_fields import NumberFields
+from foreglow.photometry.number_fields import NumberFields, read_lamp_text
 from foreglow.photometry.resampling import resampled
 
 SYMMETRY_LINE, GAMMAS_LINE, FACTOR_LINE, SETS_LINE, FLUX_LINE = 3, 6, 24, 26, 29
@@ -48,9 +48,7 @@ def read_ldt(path: Path) -> IntensityTable:
 
     Source: Stockmar, EULUMDAT, 1990 and 1998, after public descriptions of the format.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such EULUMDAT file")
-    lines = path.read_text(encoding="latin-1").split("\n")
+    lines = read_lamp_text(path).split("\n")
     fields = NumberFields(path, [(number, line.strip()) for number, line in enumerate(lines, 1)])
     fields.seek(SYMMETRY_LINE - 1)
     symmetry = fields.whole("symmetry Isym", 0)

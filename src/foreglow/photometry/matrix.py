@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.resampling import bilinear
+from foreglow.photometry.resampling import MAX_CELLS, bilinear
 
 NUM_LEDS = 84
 """LEDs of a built-in lamp: 3 rows of 28."""
@@ -23,6 +23,9 @@ STEPS_ACROSS = 3.0
 
 FINEST_STEP_DEG = 0.05
 """Smallest table step; finer structure of LEDs from files is lost."""
+
+MAX_LED_CELLS = 64_000_000
+"""Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
 
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
@@ -140,6 +143,7 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
     )
     columns = _reached(base.azimuths_deg, column_azimuths, grid.reach_width_deg)
     rows = _reached(base.elevations_deg, row_elevations, grid.reach_height_deg)
+    _check_num_cells(row_elevations.size * column_azimuths.size, rows, columns)
     across = _edged(base.azimuths_deg[columns] - column_azimuths[:, np.newaxis], grid.half_width_deg, grid)
     along = _edged(base.elevations_deg[rows] - row_elevations[:, np.newaxis], grid.half_height_deg, grid)
     to_the_side = np.exp(-0.5 * (column_azimuths / grid.side_sigma_deg) ** 2)
@@ -176,11 +180,20 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
     )
     columns = _reached(base.azimuths_deg, azimuth_spans, _step(base.azimuths_deg))
     rows = _reached(base.elevations_deg, elevation_spans, _step(base.elevations_deg))
+    _check_num_cells(len(leds), rows, columns)
     azimuths, elevations = base.azimuths_deg[columns], base.elevations_deg[rows]
     tables = np.stack([_sampled(led, azimuths, elevations) for led in leds])
     left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
     up = np.array([np.average(elevations, weights=table.sum(1)) for table in tables])
     return MatrixLamp(base, columns, rows, _frozen(tables), left, up, num_columns)
+
+
+def _check_num_cells(num_leds: int, rows: slice, columns: slice) -> None:
+    num_cells = num_leds * (rows.stop - rows.start) * (columns.stop - columns.start)
+    if num_cells > MAX_LED_CELLS:
+        raise ValueError(
+            f"LEDs: expected at most {MAX_LED_CELLS} cells in all tables, got {num_cells}: fewer LEDs, or coarser"
+        )
 
 
 def _edged(angles_deg: Floats, half_width_deg: float, grid: LedGrid) -> Floats:
@@ -204,6 +217,10 @@ def _fine_enough(
     elevations = _finer(table.elevations_deg, elevation_span_deg, steps_deg[1])
     if azimuths is table.azimuths_deg and elevations is table.elevations_deg:
         return table
+    if len(azimuths) * len(elevations) > MAX_CELLS:
+        raise ValueError(
+            f"LEDs: expected a table of at most {MAX_CELLS} cells, got {len(azimuths)} x {len(elevations)}"
+        )
     return IntensityTable(azimuths, elevations, _sampled(table, azimuths, elevations))
 
 
@@ -218,7 +235,10 @@ def _finer(grid_deg: Floats, span_deg: tuple[float, float], step_deg: float) -> 
     step = old_step / max(1, np.ceil(old_step / step_deg - 1e-6))
     num_before, num_after = (max(0, np.ceil(gap / step)) for gap in (grid_deg[0] - first, last - grid_deg[-1]))
     first, last = grid_deg[0] - num_before * step, grid_deg[-1] + num_after * step
-    return np.linspace(first, last, round((last - first) / step) + 1)
+    num = round((last - first) / step) + 1
+    if num > MAX_CELLS:
+        raise ValueError(f"LEDs: expected a table of at most {MAX_CELLS} cells, got {num} angles: too fine a step")
+    return np.linspace(first, last, num)
 
 
 def _step(grid_deg: Floats) -> float:

@@ -7,7 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
+from foreglow.files import MIB, read_text
 from foreglow.geometry import Floats
+
+MAX_LAMP_BYTES = 16 * MIB
+"""Largest photometric file: 3 million values, 45 by 20 degrees to either side in steps of .05 degrees have 1.4 million.
+"""
+
+
+def read_lamp_text(path: Path) -> str:
+    """The text of the photometric file at `path`, in whatever encoding its comments are.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no regular file, or larger than `MAX_LAMP_BYTES`.
+    """
+    return read_text(path, MAX_LAMP_BYTES, "latin-1")
 
 
 class NumberFields:

@@ -17,6 +17,12 @@ FINEST_STEP_DEG: dict[Type, float] = {"A": 0.05, "B": 0.25, "C": 0.25}
 COARSEST_STEP_DEG = 1.0
 """A table has the file's smallest step, limited to this interval; finer structure is lost."""
 
+MAX_CELLS = 8_000_000
+"""Cells of a table, 32 MB; over larger areas the finest step is longer: .09 degrees over the whole sphere."""
+
+_ROWS_AT_ONCE = 64
+"""Rows of a table that are resampled together: what is needed in between takes 100 bytes a cell."""
+
 
 def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Floats) -> IntensityTable:
     """A file's intensities over azimuth and elevation in equal steps, in the lamp's frame; 0 outside the file's angles.
@@ -33,18 +39,29 @@ def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Float
     """
     steps = np.concatenate([np.diff(verticals), np.diff(horizontals)])
     step = float(np.clip(steps.min(), FINEST_STEP_DEG[kind], COARSEST_STEP_DEG))
-    is_one_sided = kind != "C" and horizontals[0] == 0.0
     if kind == "A":
         elevation_span = (verticals[0], verticals[-1])
-        azimuth_span = (-horizontals[-1], horizontals[-1] if is_one_sided else -horizontals[0])
+        azimuth_span = (-horizontals[-1], horizontals[-1] if _is_one_sided(kind, horizontals) else -horizontals[0])
     else:
         reach = 90.0 if np.abs(verticals).max() <= 90.0 else 180.0
         elevation_span, azimuth_span = (-90.0, 90.0), (-reach, reach)
+    spans_deg = [last - first for first, last in (azimuth_span, elevation_span)]
+    step = max(step, float(np.sqrt(spans_deg[0] * spans_deg[1] / MAX_CELLS)))
     azimuths, elevations = (
         np.linspace(first, last, max(2, round((last - first) / step) + 1))
         for first, last in (azimuth_span, elevation_span)
     )
-    azimuth, elevation = np.meshgrid(azimuths, elevations)
+    table = np.empty((len(elevations), len(azimuths)), np.float32)
+    for begin in range(0, len(elevations), _ROWS_AT_ONCE):
+        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        azimuth, elevation = np.meshgrid(azimuths, elevations[rows])
+        vertical, horizontal = _file_angles(kind, azimuth, elevation, horizontals)
+        table[rows] = bilinear(candela, verticals, horizontals, vertical, horizontal)
+    return IntensityTable(azimuths, elevations, table)
+
+
+def _file_angles(kind: Type, azimuth: Floats, elevation: Floats, horizontals: Floats) -> tuple[Floats, Floats]:
+    """The file's vertical and horizontal angles of directions, degrees, within those that it has by symmetry."""
     x, y, z = _direction(azimuth, elevation)
     if kind == "A":
         vertical, horizontal = elevation, -azimuth
@@ -53,9 +70,13 @@ def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Float
     else:
         vertical, horizontal = np.degrees(np.arccos(np.clip(x, -1.0, 1.0))), np.degrees(np.arctan2(y, z)) % 360.0
         horizontal = _folded(horizontal, float(horizontals[0]), float(horizontals[-1]))
-    if is_one_sided:
+    if _is_one_sided(kind, horizontals):
         horizontal = np.abs(horizontal)
-    return IntensityTable(azimuths, elevations, bilinear(candela, verticals, horizontals, vertical, horizontal))
+    return vertical, horizontal
+
+
+def _is_one_sided(kind: Type, horizontals: Floats) -> bool:
+    return kind != "C" and float(horizontals[0]) == 0.0
 
 
 def _direction(azimuth_deg: Floats, elevation_deg: Floats) -> tuple[Floats, Floats, Floats]:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from foreglow.datasets.json_files import parse_json
+from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
+from foreglow.files import bounded_lines
 from foreglow.geometry import Floats
 from foreglow.runs.json_lines import checked, read_lines
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
@@ -284,7 +285,7 @@ def has_tracks(path: Path | str) -> bool:
     if path.suffix.lower() != ".jsonl" or not path.is_file():
         return False
     with path.open("rb") as file:
-        first = file.readline().strip()
+        first = next(bounded_lines(file, path, MAX_LINE_BYTES), b"").strip()
     return bool(first) and parse_json(first, FrameLineModel, f"{path}: line 1").root.get("tracks") is not None
 
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict, RootModel, with_config
 
+from foreglow.datasets import json_files
 from foreglow.datasets.json_files import parse_json
 from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
@@ -75,20 +76,19 @@ def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line
         ValueError: If a line does not fit the model, cannot be converted, or is about the same frame as another; the
             message names the line.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected one that a run wrote")
     values: dict[int, T] = {}
-    with path.open("rb") as file:
-        for number, text in enumerate(file, start=1):
-            if not text.strip():
-                continue
-            origin = f"{path}: line {number}"
-            line = parse_json(text, model, origin).root
-            frame = line["frame"]
-            if frame in values:
-                raise ValueError(f"{origin}: frame: expected each frame once, {frame} is there twice")
-            try:
-                values[frame] = convert(line)
-            except ValueError as error:
-                raise ValueError(f"{origin}: {error}") from error
+    for number, text in enumerate(json_files.read_lines(path), start=1):
+        if not text.strip():
+            continue
+        origin = f"{path}: line {number}"
+        line = parse_json(text, model, origin).root
+        frame = line["frame"]
+        if frame in values:
+            raise ValueError(f"{origin}: frame: expected each frame once, {frame} is there twice")
+        try:
+            values[frame] = convert(line)
+        except ValueError as error:
+            raise ValueError(f"{origin}: {error}") from error
     return values

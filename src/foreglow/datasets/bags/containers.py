@@ -11,6 +11,9 @@ from typing import Protocol, TypeAlias
 MAX_BYTES = 1 << 29
 """Largest record that is read, and largest chunk that is decompressed: twice an image of 8192x8192 px in colour."""
 
+MAX_TOPICS = 1 << 16
+"""Topics of a recording: as many as MCAP can number."""
+
 PARTIAL_SUFFIXES = (".partial", ".active")
 """Endings of incomplete recordings: ours of a killed run, and rosbag's."""
 
@@ -73,6 +76,16 @@ class Container(Protocol):
 def is_partial(path: Path) -> bool:
     """Whether its name says that it is incomplete."""
     return path.name.endswith(PARTIAL_SUFFIXES)
+
+
+def check_num_topics(topics: Collection[object]) -> None:
+    """Passes as many topics as are read.
+
+    Raises:
+        ValueError: If there are more.
+    """
+    if len(topics) > MAX_TOPICS:
+        raise ValueError(f"expected at most {MAX_TOPICS} topics, got more")
 
 
 def decompressed(data: memoryview, compression: str, size: int) -> memoryview:

@@ -5,6 +5,12 @@ from __future__ import annotations
 import struct
 from typing import Literal, TypeAlias
 
+MAX_TEXT_BYTES = 4096
+"""Longest text in a record or a message: names of topics, types, frames and encodings."""
+
+MAX_FIELDS = 1000
+"""Fields of a protobuf message or of a ROS 1 header; those that we read have ten."""
+
 Format: TypeAlias = Literal["B", "H", "I", "Q", "i"]
 """As in `struct`: unsigned of 1, 2, 4 and 8 bytes; signed of 4."""
 
@@ -100,6 +106,8 @@ def protobuf_fields(data: memoryview) -> dict[int, int | memoryview]:
             fields[number] = cursor.number("I", field)
         else:
             raise ValueError(f"{field}: expected a wire type of 0, 1, 2 or 5, got {kind}")
+        if len(fields) > MAX_FIELDS:
+            raise ValueError(f"expected at most {MAX_FIELDS} fields, got more")
     return fields
 
 
@@ -109,6 +117,8 @@ def text_of(data: memoryview, field: str) -> str:
     Raises:
         ValueError: If it is not UTF-8.
     """
+    if len(data) > MAX_TEXT_BYTES:
+        raise ValueError(f"{field}: expected at most {MAX_TEXT_BYTES} bytes, got {len(data)}")
     try:
         return str(data, "utf-8")
     except UnicodeDecodeError:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic
+from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic, check_num_topics
 from foreglow.datasets.bags.frame_message import FRAME_TOPIC, FRAME_TYPE, FrameMessage
 from foreglow.datasets.bags.image_messages import DECODERS, ImageMessage
 from foreglow.datasets.bags.mcap_file import McapFile
@@ -16,6 +16,7 @@ from foreglow.datasets.bags.ros1_bag import Ros1Bag
 from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.files import check_file
 from foreglow.types import Frame
 
 CONTAINERS: Mapping[str, Callable[[Path], Container]] = MappingProxyType(
@@ -108,9 +109,13 @@ class Recording:
         topics: dict[str, Topic] = {}
         for message in self._container.messages(None, self._refuse):
             topic = topics.setdefault(message.topic.name, message.topic)
+            check_num_topics(topics)
             if name in (None, topic.name) and (topic.type, topic.encoding) in DECODERS:
                 return topic
-        known = ", ".join(f"{topic.name} ({topic.type or topic.encoding})" for topic in topics.values()) or "none"
+        known = ", ".join(
+            f"{topic.name} ({topic.type or topic.encoding})" for topic in itertools.islice(topics.values(), 20)
+        )
+        known = known or "none"
         wanted = "a topic" if name is None else f"the topic {name}"
         raise ValueError(f"{self.path}: expected {wanted} with images ({', '.join(IMAGE_TYPES)}), found {known}")
 
@@ -144,6 +149,7 @@ def _opened(path: Path) -> Container:
         return Ros2Bag(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such recording")
+    check_file(path)
     ending = _ending(path)
     if ending not in CONTAINERS:
         raise ValueError(f"{path}: expected a recording that ends in {', '.join(CONTAINERS)}")

@@ -10,8 +10,19 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, decompressed, is_partial
-from foreglow.datasets.bags.cursor import Cursor, text_of
+from foreglow.datasets.bags.containers import (
+    MAX_BYTES,
+    Message,
+    Refuse,
+    Topic,
+    check_num_topics,
+    decompressed,
+    is_partial,
+)
+from foreglow.datasets.bags.cursor import MAX_FIELDS, Cursor, text_of
+
+MAX_HEADER_BYTES = 1 << 20
+"""Longest header of a record; that of a connection has the definition of its messages, some kilobytes."""
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -94,7 +105,7 @@ class Ros1Bag:
             if position + 8 + length > self._size:
                 return
             try:
-                header = _fields(memoryview(file.read(length)))
+                header = _fields(memoryview(file.read(min(length, MAX_HEADER_BYTES + 1))))
             except ValueError as error:
                 raise _HeaderError(f"byte {position}: {error}") from None
             data_length = int.from_bytes(file.read(4), "little")
@@ -134,6 +145,7 @@ class _Connections:
             self._topics[_field(header, "conn")] = Topic(
                 name, text_of(memoryview(_field(fields, "type")), "type"), "ros1"
             )
+            check_num_topics(self._topics)
         else:
             topic = self._topics.get(number := _field(header, "conn"))
             if topic is None:
@@ -152,8 +164,12 @@ def _fields(data: memoryview, *, needs_op: bool = True) -> dict[str, bytes]:
     Raises:
         ValueError: If `op` is missing, or the header is malformed.
     """
+    if len(data) > MAX_HEADER_BYTES:
+        raise ValueError(f"header: expected at most {MAX_HEADER_BYTES} bytes, got more")
     cursor, fields = Cursor(data), dict[str, bytes]()
     while not cursor.is_at_end:
+        if len(fields) > MAX_FIELDS:
+            raise ValueError(f"header: expected at most {MAX_FIELDS} fields, got more")
         name, is_field, value = bytes(cursor.block("header")).partition(b"=")
         if not is_field:
             raise ValueError(f"header: expected fields name=value, got {name[:20]!r}")

@@ -9,16 +9,29 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from urllib.parse import quote
 
-import yaml
-
-from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic
+from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic, check_num_topics
 from foreglow.datasets.bags.mcap_file import McapFile
-from foreglow.files import read_text
+from foreglow.files import read_yaml
 
 METADATA = "metadata.yaml"
 
 SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 """Errors about a damaged file: the second where the damage is in the error's own text."""
+
+MAX_STEPS = 10_000_000
+MAX_STEPS_A_BYTE = 100
+"""Instructions of SQLite's machine for a query, and more for each byte of the file. A message takes 20 of them and has
+20 bytes; pages that refer to each other take any number."""
+
+MAX_TOPIC_BYTES = 1 << 16
+"""Longest text of a topic, and of the table's definition."""
+
+_STEPS_AT_ONCE = 10_000
+
+_TABLES = {
+    "topics": ("id", "name", "type", "serialization_format"),
+    "messages": ("id", "topic_id", "timestamp", "data"),
+}
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
@@ -41,8 +54,12 @@ class SqliteBag:
             raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
         self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
         try:
-            with closing(self._connect()) as connection:
-                rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+            with closing(self._connect(MAX_TOPIC_BYTES)) as connection:
+                _check_tables(connection)
+                rows = []
+                for row in connection.execute("SELECT id, name, type, serialization_format FROM topics"):
+                    rows.append(row)
+                    check_num_topics(rows)
         except SQLITE_ERRORS as error:
             raise ValueError(f"{path}: expected a ROS 2 bag in SQLite: {error}") from None
         if not all([type(value) for value in row] == [int, str, str, str] for row in rows):
@@ -73,10 +90,26 @@ class SqliteBag:
         except SQLITE_ERRORS:
             return None
 
-    def _connect(self) -> sqlite3.Connection:
+    def _connect(self, max_bytes: int = MAX_BYTES) -> sqlite3.Connection:
         connection = sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro", uri=True)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max_bytes)
+        num_left = iter(range((MAX_STEPS + MAX_STEPS_A_BYTE * self._path.stat().st_size) // _STEPS_AT_ONCE))
+        connection.set_progress_handler(lambda: next(num_left, None) is None, _STEPS_AT_ONCE)
         return connection
+
+
+def _check_tables(connection: sqlite3.Connection) -> None:
+    """Passes a bag whose tables hold what is read: a view, and a column that is computed, can make any amount of it.
+
+    Raises:
+        sqlite3.DatabaseError: If it has others.
+    """
+    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
+    names = [name for (name,) in connection.execute(query).fetchmany(3)]
+    columns = [column for name in names for column in connection.execute(f"PRAGMA table_xinfo({name})")]
+    is_computed = any(column[6] for column in columns)
+    if sorted(names) != ["messages", "topics"] or is_computed:
+        raise sqlite3.DatabaseError("expected the tables topics and messages, neither views nor computed columns")
 
 
 STORAGES: Mapping[str, Callable[[Path], Container]] = MappingProxyType({".db3": SqliteBag, ".mcap": McapFile})
@@ -133,10 +166,7 @@ def _storage(path: Path) -> Container:
 def _files(folder: Path) -> list[Path]:
     """The files in the metadata, all in the folder itself."""
     path = folder / METADATA
-    try:
-        metadata = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: expected YAML: {error}") from None
+    metadata = read_yaml(path)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):

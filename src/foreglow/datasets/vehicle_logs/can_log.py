@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import re
 import struct
 import threading
 import zlib
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from foreglow.config import read_toml, validated
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
+from foreglow.files import MIB, bounded_lines, check_file, read_text
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 
@@ -25,6 +28,30 @@ STREET_STALE_S = 1.0
 
 MOTION_STALE_S = 0.5
 """Older speeds and yaw rates are not used."""
+
+MAX_DBC_BYTES = 4 * MIB
+"""Largest DBC: it takes 100 times its size while it is read, and 3 s for each MiB."""
+
+MAX_MESSAGE_BYTES = 4096
+"""Longest message of a DBC: one of CAN FD has 64 bytes, one of several frames 1785."""
+
+MAX_MULTIPLEX_VALUES = 65_536
+"""Values in all ranges of multiplexed signals of a DBC: cantools lists each."""
+
+MAX_LOG_BYTES = 1 << 32
+"""Largest log: that of hours on a busy bus."""
+
+MAX_LOG_LINE_BYTES = 1 << 16
+"""Longest line of a log in text."""
+
+MAX_LOG_FRAMES = 2_000_000
+"""Frames of interest in a log, which take half a kilobyte each: hours of motion and road."""
+
+MAX_OBJECT_BYTES = 1 << 24
+"""Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
+
+_BLF_CONTAINER = 10
+_OBJECT_HEAD = 16  # bytes: signature, size of the header, version, size and kind of the object
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
 """Vector's text and binary logs, and candump's."""
@@ -166,14 +193,37 @@ def read_dbc(path: Path) -> dict[str, Message]:
     """
     import cantools
 
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+    text = read_text(path, MAX_DBC_BYTES, "cp1252", "replace")
+    _check_dbc(text, str(path))
     try:
         # Not strict: public descriptions of real cars have signals that overlap.
-        database = cantools.database.load_file(path, database_format="dbc", strict=False)
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError) as error:
         raise ValueError(f"{path}: expected a DBC file: {error}") from None
     return {message.name: message for message in cast("Database", database).messages}
+
+
+def _check_dbc(text: str, origin: str) -> None:
+    """Passes a DBC whose messages are not too long, nor its ranges.
+
+    Raises:
+        ValueError: If one is; the message begins with `origin`.
+    """
+    ends = [(int(size[:20]), "a message") for size in re.findall(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", text)]
+    ends += [
+        ((int(place[:20]) + int(length[:20])) // 8, "a signal")
+        for place, length in re.findall(r":\s*(\d+)\s*\|\s*(\d+)\s*@", text)
+    ]
+    longest = max(ends, default=(0, ""))
+    if longest[0] > MAX_MESSAGE_BYTES:
+        raise ValueError(f"{origin}: {longest[1]}: expected at most {MAX_MESSAGE_BYTES} bytes, got {longest[0]}")
+    num_values = 0
+    for ranges in re.findall(r"\bSG_MUL_VAL_\s([^;]*)", text):
+        num_values += sum(
+            abs(int(last[:20]) - int(first[:20])) for first, last in re.findall(r"(\d+)\s*-\s*(\d+)", ranges)
+        )
+    if num_values > MAX_MULTIPLEX_VALUES:
+        raise ValueError(f"{origin}: SG_MUL_VAL_: expected ranges of at most {MAX_MULTIPLEX_VALUES}, got {num_values}")
 
 
 class CanDecoder:
@@ -266,20 +316,86 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+    check_file(path, MAX_LOG_BYTES)
     found = []
     try:
+        if reader is can.BLFReader:
+            _check_objects(path)
         # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
-        with path.open("rb") if reader is can.BLFReader else path.open(encoding="latin-1") as file, reader(file) as log:
+        with path.open("rb") if reader is can.BLFReader else _TextLog(path) as file, reader(file) as log:
             for frame in log:
                 key = frame.arbitration_id, bool(frame.is_extended_id)
                 if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
                     found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
+                if len(found) > MAX_LOG_FRAMES:
+                    raise ValueError(f"at most {MAX_LOG_FRAMES} frames of interest, got more")
     # The documentation does not say what python-can's readers raise for a broken file.
     except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError) as error:
         raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}: {error}") from None
     return found
+
+
+class _TextLog(io.TextIOWrapper):
+    """A log in text, whose lines are not too long."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.open("rb"), encoding="latin-1")
+        self._lines = bounded_lines(super(), path, MAX_LOG_LINE_BYTES)
+
+    def __next__(self) -> str:
+        return next(self._lines)
+
+
+def _check_objects(path: Path) -> None:
+    """Passes a .blf whose objects have a size that can be, unpacked too; python-can takes whatever there is.
+
+    Raises:
+        ValueError: If one has not; the message says where.
+
+    Source: the layout that python-can reads, can.io.blf.
+    """
+    with path.open("rb") as file:
+        header_size = int.from_bytes(file.read(8)[4:], "little")
+        _check_object(header_size, "header")
+        file.seek(header_size)
+        rest = b""
+        while len(head := file.read(_OBJECT_HEAD)) == _OBJECT_HEAD:
+            origin = f"byte {file.tell() - _OBJECT_HEAD}"
+            size, kind = struct.unpack_from("<II", head, 8)
+            _check_object(size, origin)
+            data = file.read(size - _OBJECT_HEAD)
+            file.seek(size % 4, 1)
+            if kind == _BLF_CONTAINER:
+                rest = _after_objects(rest + _unpacked(data, origin), origin)
+
+
+def _check_object(size: int, origin: str) -> None:
+    if not _OBJECT_HEAD <= size <= MAX_OBJECT_BYTES:
+        raise ValueError(f"{origin}: expected an object of {_OBJECT_HEAD} to {MAX_OBJECT_BYTES} bytes, got {size}")
+
+
+def _unpacked(data: bytes, origin: str) -> bytes:
+    """What is in a container; nothing where it is damaged, as the reader will say so."""
+    if data[:2] != b"\2\0":  # not deflated
+        return data[16:]
+    try:
+        unpacked = zlib.decompressobj().decompress(data[16:], MAX_OBJECT_BYTES + 1)
+    except zlib.error:
+        return b""
+    _check_object(max(len(unpacked), _OBJECT_HEAD), f"{origin}: unpacked")
+    return unpacked
+
+
+def _after_objects(data: bytes, origin: str) -> bytes:
+    """What follows the whole objects in `data`: the beginning of one that goes on in the next container."""
+    place = 0
+    while 0 <= (begin := data.find(b"LOBJ", place, place + 8)) <= len(data) - _OBJECT_HEAD:
+        (size,) = struct.unpack_from("<I", data, begin + 8)
+        _check_object(size, f"{origin}: object {begin} bytes into the container")
+        if begin + size > len(data):
+            break
+        place = begin + size
+    return data[place:]
 
 
 def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:

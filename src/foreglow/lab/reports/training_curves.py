@@ -6,7 +6,7 @@ import csv
 import importlib.util
 from pathlib import Path
 
-from foreglow.files import open_atomic
+from foreglow.files import MIB, open_atomic, read_text
 
 CURVES, PICTURE = "curves.csv", "curves.png"
 
@@ -30,8 +30,8 @@ def draw_curves(curves: Path, picture: Path) -> None:
     """
     from matplotlib.figure import Figure
 
-    with curves.open(newline="", encoding="utf-8") as file:
-        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    lines = read_text(curves, MIB).splitlines()
+    rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
     numbers = [row["number"] for row in rows]
     best = max(rows, key=lambda row: row["f1"] if row["f1"] == row["f1"] else -1.0)
     figure = Figure(figsize=(10, 4), layout="constrained")

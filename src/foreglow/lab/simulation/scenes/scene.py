@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from foreglow.config import read_toml, validated
 from foreglow.lab.simulation.scenes.surroundings import (
+    Listed,
     NonNegative,
     Positive,
     Profile,
@@ -46,7 +47,7 @@ class Branch(SpecModel):
 
     s_m: float
     angle_deg: Annotated[float, Field(ge=-180, le=180)]
-    length_m: Positive = 120.0
+    length_m: Annotated[float, Field(gt=0, le=5000)] = 120.0
 
 
 class RoadSpec(SpecModel):
@@ -77,7 +78,7 @@ class RoadSpec(SpecModel):
     wear: Share = 0.3
     wetness: Share = 0.0
     snow: Share = 0.0
-    branches: tuple[Branch, ...] = ()
+    branches: Listed[tuple[Branch, ...]] = ()
 
     @model_validator(mode="after")
     def _check(self) -> RoadSpec:
@@ -167,8 +168,8 @@ class WeatherSpec(SpecModel):
 
     scattering_per_m: NonNegative = 4e-4
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.75
-    rain_mm_h: NonNegative = 0.0
-    snow_mm_h: NonNegative = 0.0
+    rain_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
+    snow_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
     sky_cd_m2: NonNegative = 3e-4
 
 
@@ -296,7 +297,7 @@ class Scene(SpecModel):
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
     road: RoadSpec = RoadSpec()
     surroundings: SurroundingsSpec = SurroundingsSpec()
-    vehicles: tuple[VehicleSpec, ...] = ()
+    vehicles: Listed[tuple[VehicleSpec, ...]] = ()
     ego: EgoSpec = EgoSpec()
     weather: WeatherSpec = WeatherSpec()
     camera: CameraSpec = CameraSpec()

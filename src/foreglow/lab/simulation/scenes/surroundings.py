@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
 from foreglow.config import FrozenModel
 
-Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+T = TypeVar("T")
+
+Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length=1, max_length=10_000)]
 """Pairs (position, value) with growing positions."""
 
 
@@ -21,6 +23,18 @@ def _growing(span: tuple[float, float]) -> tuple[float, float]:
 Span: TypeAlias = Annotated[tuple[float, float], AfterValidator(_growing)]
 """From one arc length to another, metres."""
 
+MIN_SPACING_M = 0.5
+"""Between posts and trees: a road of 5 km has 10,000 of them."""
+
+MAX_TREES = 50_000
+"""Trees of one wood, by its size and their spacing: the densest that we draw has 15,000 on 5 km."""
+
+MAX_THINGS = 1000
+"""Things of one kind in a scene, such as signs; each is a mesh of its own."""
+
+Spacing: TypeAlias = Annotated[float, Field(ge=MIN_SPACING_M)]
+Size: TypeAlias = Annotated[float, Field(gt=0, le=500)]
+Listed: TypeAlias = Annotated[T, Field(max_length=MAX_THINGS)]
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -55,7 +69,7 @@ class Rail(SpecModel):
     side: Side
     span_m: Span
     offset_m: Positive = 0.8
-    post_spacing_m: Positive = 4.0
+    post_spacing_m: Spacing = 4.0
 
 
 class Wall(SpecModel):
@@ -115,11 +129,18 @@ class Woods(SpecModel):
     side: Side
     span_m: Span
     offset_m: Positive = 5.0
-    depth_m: NonNegative = 25.0
-    spacing_m: Positive = 4.0
+    depth_m: Annotated[float, Field(ge=0, le=500)] = 25.0
+    spacing_m: Spacing = 4.0
     leaves: Share = 0.5
     height_m: Positive = 12.0
     has_undergrowth: bool = True
+
+    @model_validator(mode="after")
+    def _check(self) -> Woods:
+        num_trees = (self.span_m[1] - self.span_m[0]) * max(self.depth_m, self.spacing_m) / self.spacing_m**2
+        if num_trees > MAX_TREES:
+            raise ValueError(f"spacing_m: expected at most {MAX_TREES} trees in a wood, got {num_trees:.0f}")
+        return self
 
 
 class House(SpecModel):
@@ -138,7 +159,7 @@ class House(SpecModel):
     side: Side
     s_m: float
     offset_m: Positive = 8.0
-    size_m: tuple[Positive, Positive, Positive] = (10.0, 8.0, 5.0)
+    size_m: tuple[Size, Size, Size] = (10.0, 8.0, 5.0)
     num_lit_windows: Annotated[int, Field(ge=0, le=8)] = 2
     window_cd_m2: NonNegative = 30.0
     yaw_deg: float = 0.0
@@ -202,11 +223,20 @@ class SurroundingsSpec(SpecModel):
 
     left: Verge = Verge()
     right: Verge = Verge()
-    rails: tuple[Rail, ...] = ()
-    walls: tuple[Wall, ...] = ()
-    signs: tuple[Sign, ...] = ()
-    woods: tuple[Woods, ...] = ()
-    houses: tuple[House, ...] = ()
-    street_lamps: tuple[StreetLamp, ...] = ()
+    rails: Listed[tuple[Rail, ...]] = ()
+    walls: Listed[tuple[Wall, ...]] = ()
+    signs: Listed[tuple[Sign, ...]] = ()
+    woods: Listed[tuple[Woods, ...]] = ()
+    houses: Listed[tuple[House, ...]] = ()
+    street_lamps: Listed[tuple[StreetLamp, ...]] = ()
     delineator_spacing_m: NonNegative = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> SurroundingsSpec:
+        if 0 < self.delineator_spacing_m < MIN_SPACING_M:
+            raise ValueError(
+                f"delineator_spacing_m: expected 0 for none, or at least {MIN_SPACING_M:g} m, "
+                f"got {self.delineator_spacing_m:g}"
+            )
+        return self

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import open_labelled, split_folder
+from foreglow.files import read_plain_json
 from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
 from foreglow.lab.studies.progress import Progress
 
@@ -211,7 +212,7 @@ def _note(folder: Path) -> str:
     """What the summary of a training says: epochs made of those allowed, the best epoch, the seed."""
     path = folder / "summary.json"
     try:
-        summary = json.loads(path.read_bytes())
+        summary = read_plain_json(path)
         planned, recipe = summary["recipe"]["epochs"], summary["recipe"]["network"]
         epochs, best = summary["num_epochs"], summary["best_epoch"]["number"]
         return f"network {recipe}, {epochs} of {planned} epochs, best {best}, seed {summary['seed']}"

@@ -31,6 +31,9 @@ from foreglow.geometry import Floats
 AREAS = ("own lane", "verge")
 """What the light on the road is measured on, 40 to 120 m ahead: the order of the areas in `RoadLight`."""
 
+MAX_DRIVE_BYTES = 1 << 30
+"""Largest drive, unpacked: ten eyes and the road for an hour at 18 Hz."""
+
 FORMAT = 1
 """Of the files of drives; a higher number means that earlier files can no longer be read."""
 
@@ -326,6 +329,8 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             if isinstance(loaded, np.ndarray):
                 raise ValueError("it holds one array, not an archive of arrays")
             with loaded:
+                if sum(part.file_size for part in loaded.zip.infolist()) > MAX_DRIVE_BYTES:
+                    raise ValueError(f"at most {MAX_DRIVE_BYTES} bytes unpacked, got more")
                 return {name: loaded[name] for name in loaded.files}
     except (zipfile.BadZipFile, zlib.error, RuntimeError, *NPY_ERRORS) as error:  # RuntimeError: an unknown compression
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

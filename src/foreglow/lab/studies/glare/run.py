@@ -13,7 +13,7 @@ from typing import Any
 
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
 from foreglow.datasets.simulated.files import sequence_name
-from foreglow.files import read_text, write_atomic, write_json_results
+from foreglow.files import read_plain_json, write_atomic, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, without_traffic
 from foreglow.lab.simulation.writing.dataset import Progress
@@ -135,7 +135,7 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
     about = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
     file = folder / "plan.json"
     if file.exists():
-        known = json.loads(read_text(file))
+        known = read_plain_json(file)
         if known.get("digest") != about["digest"]:
             raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
     write_json_results(file, about | provenance(), indent=2)
@@ -191,8 +191,6 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: st
         for found in scored
     )
     sightings = [
-        Sighting.from_json(row)
-        for named in wanted
-        for row in json.loads(read_text(_sightings_file(folder, named.name)))
+        Sighting.from_json(row) for named in wanted for row in read_plain_json(_sightings_file(folder, named.name))
     ]
     return GlareExperiment(results, (r123,), lead_scores(sightings), folder)
