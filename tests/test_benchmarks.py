@@ -17,7 +17,6 @@ from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
 from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
-from tests.lab.simulation.light.rendering import need_renderer
 from tests.shared_data import SHARED
 
 
@@ -67,8 +66,8 @@ def figures(value: Any) -> Iterator[float]:
         yield value
 
 
+@pytest.mark.torch
 def test_benchmarks_write_their_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch")
     from benchmarks import classifier, detector, material
 
     monkeypatch.setattr(material, "VARIANTS", {"all channels": None, "folded": 0.0})  # no probes, so no minute
@@ -139,8 +138,8 @@ def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
     assert results["num_counter_examples"] == 0
 
 
+@pytest.mark.ros
 def test_the_ros_network_is_timed(tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
     ros2.main(["--quick", "--out", str(tmp_path / "ros2.json")])
     rows = json.loads((tmp_path / "ros2.json").read_text())["network"]
     assert [row["what"] for row in rows] == ["in process", "one node", "five processes"]
@@ -154,8 +153,8 @@ def test_estimators_are_timed(tmp_path: Path) -> None:
     assert all(row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 
+@pytest.mark.renderer
 def test_the_simulator_is_timed_by_scenario() -> None:
-    need_renderer()
     drawn = scenario("straight", 1)
     row = simulator.measure_drive(adapted(drawn, (64, 48), 2.0 / drawn.duration_s, "night"))
     assert row["scenario"] == "straight"

@@ -14,6 +14,8 @@ from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import make_data, make_model
 from tests.lab.studies.ranged_drives import make_split
 
+pytestmark = pytest.mark.torch
+
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:

@@ -34,8 +34,8 @@ def test_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "pip install 'foreglow[train]'" in line
 
 
+@pytest.mark.torch
 def test_import_of_weights_that_are_none(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     (tmp_path / "weights.pt").write_bytes(b"no weights")
     line = complaint("import-weights", tmp_path / "weights.pt", "--out", tmp_path / "model.onnx")
     assert "weights.pt" in line

@@ -11,8 +11,8 @@ from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
 
 
+@pytest.mark.torch
 def test_a_fitted_model_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch")
     monkeypatch.setattr("foreglow.lab.learning.ranges.EPOCHS", 1)
     for split in ("train", "val"):
         shutil.copytree(shipped_drive(), tmp_path / "data" / split)

@@ -14,7 +14,6 @@ from foreglow.cli import app
 from foreglow.lab.simulation import Scene, read_scene, scene_to_toml
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
-from tests.lab.simulation.light.rendering import need_renderer
 
 
 def foreglow(*arguments: object) -> Result:
@@ -45,7 +44,6 @@ def scene_of(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated data set of two copies of that drive."""
-    need_renderer()
     out = tmp_path_factory.mktemp("data") / "DATA"
     result = foreglow(
         "simulate", "--out", out, "--scene", scene_file, "--scene", scene_file, "--size", "160x120", "--quality", "fast"
@@ -54,6 +52,7 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.renderer
 def test_the_data_set_is_read_by_the_other_commands(data: Path, tmp_path: Path) -> None:
     assert (data / "day" / "train" / "scenes.jsonl").is_file()
     result = foreglow("run", data, "--out", tmp_path / "results")
@@ -62,6 +61,7 @@ def test_the_data_set_is_read_by_the_other_commands(data: Path, tmp_path: Path) 
     assert "recall" in result.stdout
 
 
+@pytest.mark.renderer
 def test_running_again_keeps_what_is_there(data: Path, scene_file: Path) -> None:
     arguments = ("--scene", scene_file, "--scene", scene_file, "--size", "160x120", "--quality", "fast")
     before = (data / "day" / "train" / "images" / "S00001" / "010000.png").stat().st_mtime_ns
@@ -69,11 +69,13 @@ def test_running_again_keeps_what_is_there(data: Path, scene_file: Path) -> None
     assert (data / "day" / "train" / "images" / "S00001" / "010000.png").stat().st_mtime_ns == before
 
 
+@pytest.mark.renderer
 def test_other_scenes_do_not_mix_with_those_there(data: Path, scene_file: Path) -> None:
     said = complaint("simulate", "--out", data, "--scene", scene_file, "--size", "80x60", "--quality", "fast")
     assert "choose another folder" in said
 
 
+@pytest.mark.renderer
 def test_the_report_on_a_data_set(data: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     image = data / "day" / "train" / "images" / "S00001" / "010000.png"
@@ -90,8 +92,8 @@ def test_the_report_on_a_data_set(data: Path, tmp_path: Path) -> None:
         assert f"({name})" in report
 
 
+@pytest.mark.renderer
 def test_a_preview(scene_file: Path, tmp_path: Path) -> None:
-    need_renderer()
     arguments = ("--preview", "mine", "--size", "160x120", "--quality", "fast")
     result = foreglow("simulate", "--scene", scene_file, "--out", tmp_path, *arguments)
     assert "4 frames of mine" in result.stdout
@@ -110,6 +112,7 @@ def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     assert foreglow("simulate", "--print", "crest", "--seed", 5).stdout == path.read_text()
 
 
+@pytest.mark.renderer
 def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -> None:
     plain, changed = (
         foreglow("simulate", "--print", "curve", "--seed", 5, *options).stdout
@@ -122,7 +125,6 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
     assert any(one.beam != "off" for one in before.vehicles)
     assert all(one.beam == "off" for one in after.vehicles)
     assert after.road == before.road
-    need_renderer()
     small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast")
     result = foreglow("simulate", "--out", tmp_path / "DATA", *small, "--ego-beam", "matrix", "--empty")
     assert "1 drive, 4 images, 4 of them without any instance" in result.stdout

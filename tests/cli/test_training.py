@@ -26,6 +26,8 @@ from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
 
+pytestmark = pytest.mark.torch
+
 QUICK = """
 patience = 40
 batch_size = 8

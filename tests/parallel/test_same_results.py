@@ -17,7 +17,6 @@ from foreglow.runtime import Opening, OutputFolder, run_apart
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.lab.learning.night_set import make_night_set
 from tests.lab.simulation import stub_drive
-from tests.lab.simulation.light.rendering import need_renderer
 from tests.parallel.dask_cluster import DaskCluster
 from tests.parallel.tasks import DeadlySplit
 
@@ -153,9 +152,9 @@ def test_simulate(tmp_path: Path, drives: Path, workers: Workers) -> None:
     assert contents(root) == contents(drives)
 
 
+@pytest.mark.renderer
 def test_simulate_with_the_renderer(tmp_path: Path, cluster: DaskCluster) -> None:
     options = ("--cluster", cluster.address)
-    need_renderer()
     command = ("simulate", "--scenes", 2, "--size", "64x48", "--fps", 0.2, "--quality", "fast", "--out")
     run(*command, tmp_path / "one")
     run(*command, tmp_path / "many", *options)

@@ -13,6 +13,8 @@ from scipy import ndimage
 from foreglow.lab.learning.augmentation import affine_maps, augment, stretched
 from foreglow.lab.learning.recipes import RECIPES, Augmentation
 
+pytestmark = pytest.mark.torch
+
 NO_FEATURES = torch.zeros(8, 0)
 
 

@@ -18,6 +18,8 @@ from foreglow.lab.learning.layers import layers_from_state
 from foreglow.lab.learning.probes import render_probes
 from tests.lab.learning.networks import onnx_logits, random_layers, random_network, torch_logits
 
+pytestmark = pytest.mark.torch
+
 
 @pytest.mark.parametrize(
     "channels",

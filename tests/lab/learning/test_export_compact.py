@@ -20,6 +20,8 @@ from foreglow.lab.learning.model_export import calibrated, write_model  # noqa: 
 from foreglow.lab.learning.networks import CompactNetwork  # noqa: E402
 from foreglow.lab.learning.score_calibrator import Calibrator  # noqa: E402
 
+pytestmark = pytest.mark.torch
+
 SPEC = InputSpec(32, 2, 0.25, len(FEATURES))
 
 

@@ -15,6 +15,8 @@ from foreglow.lab.learning.layers import Layers
 from foreglow.lab.learning.probes import render_probes
 from tests.lab.learning.networks import random_layers, torch_logits
 
+pytestmark = pytest.mark.torch
+
 CHANNELS = (6, 7, 8, 7, 8, 6, 6, 5)
 
 

@@ -15,6 +15,8 @@ from foreglow.lab.learning.export import write_onnx
 from foreglow.lab.learning.model_counts import count_model
 from tests.lab.learning.networks import random_layers
 
+pytestmark = pytest.mark.torch
+
 
 def test_the_published_architecture(tmp_path: Path) -> None:
     """Wide layers are written as they are; only the rows and columns that nothing reads are cut off before."""

@@ -87,6 +87,7 @@ def test_cosine_with_warm_up() -> None:
     assert rates({"epochs": 2, "schedule": "cosine", "warmup_epochs": 2.0}, [1.0, 2.0]) == pytest.approx([0.5, 1.0])
 
 
+@pytest.mark.torch
 def test_plateau_is_that_of_torch() -> None:
     torch = pytest.importorskip("torch")
     import numpy as np

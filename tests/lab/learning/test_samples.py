@@ -29,6 +29,8 @@ from foreglow.types import Frame
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
 from tests.lab.learning.tiny_training import make_samples
 
+pytestmark = pytest.mark.torch
+
 PLAIN = SampleConfig(proposals=CONFIG)
 FRAME = Frame(np.zeros((120, 160), np.uint8), timestamp_ns=0)
 JITTERED = SampleConfig(proposals=CONFIG, jitter=Jitter(num_copies=2, seed=5))

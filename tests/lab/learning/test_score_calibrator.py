@@ -55,6 +55,7 @@ def test_scores_by_hand() -> None:
     assert np.isnan([nothing.precision, nothing.recall, nothing.f1]).all()
 
 
+@pytest.mark.torch
 def test_log_loss_by_hand_and_by_torch() -> None:
     assert log_loss(np.zeros(4), np.array([1, 1, 0, 0], np.int8)) == pytest.approx(np.log(2))
     assert log_loss(np.array([1000.0, -1000.0]), np.array([0, 0], np.int8)) == pytest.approx(500.0)

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+pytest.importorskip("torch")
+
 import torch
 
 from foreglow.lab.learning import training
@@ -15,6 +18,8 @@ from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.scores import direct_accuracy
 from foreglow.lab.learning.training import Epoch, TrainingResult, train
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
+
+pytestmark = pytest.mark.torch
 
 TRAIN, VAL = make_samples(300, seed=1), make_samples(150, seed=2)
 

@@ -28,6 +28,8 @@ from foreglow.types import Frame, Proposals
 from tests.lab.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
 
+pytestmark = pytest.mark.torch
+
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> dict[float | None, ImportedModel]:

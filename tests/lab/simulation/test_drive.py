@@ -18,16 +18,12 @@ from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, 
 from foreglow.lab.simulation.scenes.surroundings import Rail, SurroundingsSpec, Verge
 from foreglow.parallel import Local
 from foreglow.photometry import NUM_LEDS
-from tests.lab.simulation.light.rendering import need_renderer
+
+pytestmark = pytest.mark.renderer
 
 BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
 OPEN = SurroundingsSpec(left=BARE, right=BARE, delineator_spacing_m=0.0)
 ONCOMING = VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0)))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _ready() -> None:
-    need_renderer()
 
 
 def scene(**changes: object) -> Scene:

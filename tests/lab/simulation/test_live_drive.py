@@ -13,7 +13,6 @@ from foreglow.lab.simulation.live_drive import LiveDrive, open_drive
 from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.types import BeamCommand, BeamMode
-from tests.lab.simulation.light.rendering import need_renderer
 
 
 def test_a_scene_in_a_file(tmp_path: Path) -> None:
@@ -24,8 +23,8 @@ def test_a_scene_in_a_file(tmp_path: Path) -> None:
         open_drive(str(path), CameraOptions(quality="best"))
 
 
+@pytest.mark.renderer
 def test_our_own_light_in_closed_loop() -> None:
-    need_renderer()
     scene = resized(scenario("curve", 1), 160, 120)
     drive = LiveDrive(scene, "fast")
     means = []

@@ -11,6 +11,8 @@ pytest.importorskip("rclpy")  # its header is ROS's
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.join import Join
 
+pytestmark = pytest.mark.ros
+
 MS = 1_000_000
 FRAME = 55 * MS
 

@@ -33,6 +33,8 @@ from foreglow.runtime.ros2.messages import (
 )
 from foreglow.types import EgoMotion, RoadAhead
 
+pytestmark = pytest.mark.ros
+
 HEADER = Header(1_700_000_000_123_456_789, "S00001")
 finite = st.floats(allow_nan=False, allow_infinity=False)
 IMAGE = np.random.default_rng(0).integers(0, 256, (64, 80), np.uint8)

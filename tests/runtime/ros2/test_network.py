@@ -26,6 +26,7 @@ from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Answer, Network
 from foreglow.runtime.ros2.node import INPUT_MISSING
 
 pytestmark = [
+    pytest.mark.ros,
     pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning"),  # rclpy's own
     pytest.mark.usefixtures("domain"),
 ]

@@ -33,6 +33,8 @@ from foreglow.runtime.ros2.results import (
 )
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks
 
+pytestmark = pytest.mark.ros
+
 HEADER = Header(1_700_000_000_123_456_789, "S00001")
 
 

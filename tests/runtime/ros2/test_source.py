@@ -18,6 +18,8 @@ from foreglow.runtime.ros2.environment import prepare
 from foreglow.runtime.ros2.source import PAUSE_NS, Due, Player, repeated, timed
 from tests.stand_ins import night_frames
 
+pytestmark = pytest.mark.ros
+
 NOW_NS = 1_700_000_000_123_456_789
 
 

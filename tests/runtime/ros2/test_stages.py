@@ -33,6 +33,7 @@ from foreglow.runtime.ros2.source import Due, FramePublisher
 from foreglow.runtime.ros2.stages import PipelineNode, Setting
 
 pytestmark = [
+    pytest.mark.ros,
     pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning"),  # rclpy's own
     pytest.mark.usefixtures("domain"),
 ]

@@ -8,6 +8,10 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import pytest
+
+pytest.importorskip("torch")
+
 import torch
 from torch import nn
 

@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
+
+pytest.importorskip("torch")
+
+import torch
 
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import read_predictions
@@ -24,6 +27,8 @@ from foreglow.runs.predictions import write_predictions
 from foreglow.types import Frame
 from tests.lab.learning.yolo.fakes import BOXES, SCORES, Calls, fake_libreyolo, fake_ultralytics, small_network
 from tests.lab.learning.yolo.night_data import HEIGHT_PX, WIDTH_PX, make_night_data
+
+pytestmark = pytest.mark.torch
 
 FAKES: dict[str, Callable[[Calls], ModuleType]] = {"libreyolo": fake_libreyolo, "ultralytics": fake_ultralytics}
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.light.lamps import PlacedLamp
-from foreglow.lab.simulation.light.llvm import prepare
 from foreglow.lab.simulation.light.render import Renderer, RenderSettings
 from foreglow.lab.simulation.scenes.scene import RoadSpec, WeatherSpec
 from foreglow.lab.simulation.world.materials import material_number
@@ -24,15 +22,6 @@ NO_AIR = WeatherSpec(scattering_per_m=0.0, sky_cd_m2=0.0)
 PLAIN = RenderSettings(extra_samples=0, haze_cells=(8, 6, 8), darkest_cd_m2=1e-9)
 EVERYWHERE = IntensityTable(np.arange(-180.0, 181.0, 30.0), np.arange(-90.0, 91.0, 30.0), np.full((7, 13), 1000.0))
 """1000 cd in every direction."""
-
-
-def need_renderer() -> None:
-    """Skips the test where the extra `sim` is not installed, or there is no LLVM for it."""
-    pytest.importorskip("mitsuba", reason="the extra `sim` is not installed")
-    try:
-        prepare()
-    except OSError as error:
-        pytest.skip(str(error))
 
 
 def camera(width_px: int = 160, height_px: int = 120, distortion: Sequence[float] = (0.0,) * 5) -> Camera:

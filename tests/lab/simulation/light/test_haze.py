@@ -12,17 +12,12 @@ from foreglow.lab.simulation.scenes.scene import WeatherSpec
 from foreglow.lab.simulation.world.mesh import joined
 from tests.lab.simulation.light import rendering as small
 
-pytestmark = pytest.mark.usefixtures("_ready")
+pytestmark = pytest.mark.renderer
 
 CAMERA = small.camera()
 AIR = WeatherSpec(scattering_per_m=2e-3, asymmetry=0.7, sky_cd_m2=0.0)
 SETTINGS = RenderSettings(extra_samples=0, haze_cells=(41, 31, 24), darkest_cd_m2=1e-9)
 POSE = small.looking([0.0, 0.0, 1.5])
-
-
-@pytest.fixture(scope="module")
-def _ready() -> None:
-    small.need_renderer()
 
 
 def integral(lamp_m: Floats, row: int, column: int, end_m: float) -> float:
@@ -45,7 +40,7 @@ def test_equals_the_integral_along_the_ray(lamp_m: list[float]) -> None:
 
 
 @pytest.fixture(scope="module")
-def half_hidden(_ready: None) -> Renderer:
+def half_hidden() -> Renderer:
     """A wall 10 m ahead that covers the left half of the picture."""
     static = small.quad([[10, 0, -50], [10, 50, -50], [10, 50, 50], [10, 0, 50]])
     return small.renderer(static, settings=SETTINGS)

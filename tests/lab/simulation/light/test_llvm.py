@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.light import llvm
-from tests.lab.simulation.light.rendering import need_renderer
 
 
 def test_importing_the_simulator_loads_no_renderer() -> None:
@@ -28,16 +27,15 @@ def test_missing_mitsuba_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert raised.value.name == "mitsuba"
 
 
+@pytest.mark.renderer
 def test_unknown_variant(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_renderer()
     monkeypatch.setenv(llvm.VARIANT_VARIABLE, "scalar_rgb")
     with pytest.raises(ValueError, match=r"FOREGLOW_RENDER_VARIANT: expected one of .*got 'scalar_rgb'"):
         llvm.prepare.__wrapped__()
 
 
+@pytest.mark.renderer
 def test_missing_llvm_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_renderer()
-
     def absent(name: str) -> None:
         raise metadata.PackageNotFoundError(name)
 
@@ -58,8 +56,8 @@ def test_newest_system_library_wins(monkeypatch: pytest.MonkeyPatch) -> None:
     assert llvm._system_llvm() == "libLLVM-17.so.1"
 
 
+@pytest.mark.renderer
 def test_angles() -> None:
-    need_renderer()
     angles = np.linspace(-np.pi, np.pi, 1001)[:-1]
     found = llvm.angle_rad(
         llvm.mi.Float(np.sin(angles).astype(np.float32)), llvm.mi.Float(np.cos(angles).astype(np.float32))
@@ -68,8 +66,8 @@ def test_angles() -> None:
     assert float(llvm.angle_rad(llvm.mi.Float(0.0), llvm.mi.Float(0.0))[0]) == 0
 
 
+@pytest.mark.renderer
 def test_least_and_greatest() -> None:
-    need_renderer()
     values = llvm.mi.Float(np.array([-2.0, 0.5, 3.0], np.float32))
     assert np.array(llvm.clipped(values, -1.0, 1.0)).tolist() == [-1.0, 0.5, 1.0]
     assert np.array(llvm.least(values, 0.0)).tolist() == [-2.0, 0.0, 0.0]

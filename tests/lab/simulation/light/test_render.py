@@ -19,19 +19,14 @@ from foreglow.lab.simulation.world.mesh import Mesh, joined, surface
 from foreglow.photometry import IntensityTable
 from tests.lab.simulation.light import rendering as small
 
-pytestmark = pytest.mark.usefixtures("_ready")
+pytestmark = pytest.mark.renderer
 
 CAMERA = small.camera()
 ABOVE = small.looking([0.0, 0.0, 3.0], pitch_deg=-12)
 
 
 @pytest.fixture(scope="module")
-def _ready() -> None:
-    small.need_renderer()
-
-
-@pytest.fixture(scope="module")
-def plain(_ready: None) -> Renderer:
+def plain() -> Renderer:
     """Level ground and nothing else."""
     return small.renderer(small.ground())
 

@@ -11,9 +11,8 @@ from foreglow.geometry import Floats
 from foreglow.lab.simulation.light.llvm import dr, mi
 from foreglow.lab.simulation.light.shading import reflectance_per_sr
 from foreglow.lab.simulation.light.surfaces import Surface
-from tests.lab.simulation.light import rendering as small
 
-pytestmark = pytest.mark.usefixtures("_ready")
+pytestmark = pytest.mark.renderer
 
 LOOKS: dict[str, dict[str, Any]] = {
     "lambert": {"albedo": 0.5},
@@ -25,11 +24,6 @@ LOOKS: dict[str, dict[str, Any]] = {
     "sheeting": {"albedo": 0.45, "retroreflection": 120.0},
     "beads": {"albedo": 0.45, "is_rough": True, "is_beaded": True, "retroreflection": 0.12},
 }
-
-
-@pytest.fixture(scope="module")
-def _ready() -> None:
-    small.need_renderer()
 
 
 def reflectances(material: dict[str, Any], to_lamps: Floats, views: Floats) -> Floats:

@@ -13,17 +13,12 @@ from foreglow.lab.simulation.scenes.scene import RoadSpec, WeatherSpec
 from foreglow.lab.simulation.world.mesh import Mesh
 from tests.lab.simulation.light import rendering as small
 
-pytestmark = pytest.mark.usefixtures("_ready")
+pytestmark = pytest.mark.renderer
 
 DOWN = small.looking([0.0, 0.0, 30.0], pitch_deg=-90)  # the picture's top is +x, its left is +y
 SKY = WeatherSpec(scattering_per_m=0.0, sky_cd_m2=1.0)
 CAMERA = small.camera(320, 240)
 M_PER_PX = 30.0 / CAMERA.focal_px[0]
-
-
-@pytest.fixture(scope="module")
-def _ready() -> None:
-    small.need_renderer()
 
 
 def albedos(static: Mesh, seed: int = 7, **road: Any) -> Floats:

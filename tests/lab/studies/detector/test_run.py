@@ -22,6 +22,8 @@ from foreglow.proposals import make_proposer
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
 
+pytestmark = pytest.mark.torch
+
 pytest.importorskip("onnx")
 
 

@@ -28,16 +28,12 @@ from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experime
 from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
-from tests.lab.simulation.light.rendering import need_renderer
+
+pytestmark = pytest.mark.renderer
 
 BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
 ONCOMING = VehicleSpec(timetable=((0.0, 150.0), (10.0, -50.0)))
 AHEAD = VehicleSpec(lane="own", timetable=((0.0, 60.0), (10.0, 260.0)))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _ready() -> None:
-    need_renderer()
 
 
 def scene(duration_s: float = 3 / 18, **changes: object) -> Scene:

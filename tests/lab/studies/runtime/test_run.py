@@ -92,8 +92,8 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "100.00% within 55.6 ms, 0 dropped" in summary_lines(results)[0]
 
 
+@pytest.mark.ros
 def test_over_ros2(tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
     pytest.importorskip("matplotlib")
     done = foreglow_command(
         "experiment", "runtime", shipped_drive(), "--out", tmp_path, "--on", "ros2", "--on", "node", "--frames", 6

@@ -1,0 +1,57 @@
+"""What the markers mean: what a test is skipped without, what `--quick` leaves out, what stays in one process."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
+"""The markers that say which extra a test needs, and the module that is missing without it."""
+
+NOT_QUICK = {*EXTRAS, "process", "slow"}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    help_text = "leave out all that is slow, starts processes, or needs torch, the renderer or ROS 2"
+    parser.addoption("--quick", action="store_true", help=help_text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--quick"):
+        sys.modules.update(dict.fromkeys(EXTRAS.values()))  # type: ignore[arg-type]  # None: as if not installed
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    for marker in EXTRAS.keys() & markers_of(item):
+        pytest.importorskip(EXTRAS[marker])
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--quick"):
+        config.hook.pytest_deselected(items=[item for item in items if NOT_QUICK & markers_of(item)])
+        items[:] = [item for item in items if not NOT_QUICK & markers_of(item)]
+    if hasattr(config, "workerinput"):  # one of several processes of pytest-xdist
+        share_out(items)
+
+
+def share_out(items: list[pytest.Item]) -> None:
+    """Gives every process whole files, those that take long first, for the sake of what their tests set up.
+
+    All tests with ROS 2 stay together, since they meet on one network, and so do those with a dask cluster.
+    """
+    groups = {item: group_of(item) for item in items}
+    long = {group for item, group in groups.items() if NOT_QUICK & markers_of(item)}
+    items.sort(key=lambda item: (groups[item] != "ros", groups[item] != "dask", groups[item] not in long))
+    for item, group in groups.items():
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+def group_of(item: pytest.Item) -> str:
+    if "ros" in markers_of(item):
+        return "ros"
+    return "dask" if "cluster" in getattr(item, "fixturenames", ()) else str(item.path)
+
+
+def markers_of(item: pytest.Item) -> set[str]:
+    return {mark.name for mark in item.iter_markers()}
