@@ -1,4 +1,4 @@
-# make demo [SOURCE=path], make test, make check, make docs, make bench, make data [DATA=folder], make drives,
+# make demo [SOURCE=path], make quick, make test, make check, make docs, make bench, make data [DATA=folder], make drives,
 # make model, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test check docs bench data drives model simulator-pictures simulator-report drive clean
+.PHONY: demo quick test check docs bench data drives model simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -24,6 +24,11 @@ $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@ $(VENV)/.run
 
+# What the quick loop needs: neither torch nor the renderer nor ROS 2.
+$(VENV)/.quick: $(BIN)/python pyproject.toml $(NATIVE)
+	$(BIN)/python -m pip install --quiet --editable '.[quick]'
+	touch $@ $(VENV)/.run
+
 $(VENV)/.docs: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	touch $@
@@ -31,14 +36,21 @@ $(VENV)/.docs: $(BIN)/python pyproject.toml
 demo: $(VENV)/.run
 	$(BIN)/foreglow demo $(if $(SOURCE),"$(SOURCE)")
 
+# Format, types of the package, and the tests that need neither torch, renderer, ROS 2 nor further processes.
+quick: $(VENV)/.quick
+	$(BIN)/ruff format --check src tests benchmarks
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/mypy src
+	$(BIN)/python -m pytest --quiet --quick -n 2 --dist loadgroup
+
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --quiet
+	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup
 	$(BIN)/cmake -S native -B build/sanitized -DFOREGLOW_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
 	MAKEFLAGS= $(BIN)/cmake --build build/sanitized
 	build/sanitized/core_test

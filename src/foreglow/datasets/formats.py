@@ -87,10 +87,15 @@ def open_source(
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
-    chosen = next(each for each in FORMATS.values() if each.is_at(path))
+    chosen = FORMATS[format_of(path)]
     if topic is not None and not chosen.has_topics:
         raise ValueError(f"{path}: expected a recording, as a topic was named ({topic}), is none")
     return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, cache=cache, topic=topic))
+
+
+def format_of(path: Path) -> str:
+    """The name of the format of an existing path."""
+    return next(name for name, each in FORMATS.items() if each.is_at(path))
 
 
 def open_labelled(path: Path | str) -> LabelledSource:

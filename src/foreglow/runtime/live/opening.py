@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Protocol
 
 from foreglow.datasets import Equipped, open_source
+from foreglow.datasets.formats import format_of
 from foreglow.plugins import imported
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.runtime.live.sources import LiveSource, Paced
@@ -50,7 +52,9 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
     opened = _opened(text, options)
     if opened is not None:
         return opened
-    frames = open_source(text, topic=topic, on_error="mark")
+    # A video goes on after damage, as a camera's stream does; an image or a recording that cannot be read is an error.
+    is_video = Path(text).exists() and format_of(Path(text)) == "video"
+    frames = open_source(text, topic=topic, on_error="mark" if is_video else "stop")
     return Paced(frames if options.data is None else Equipped(frames, options.data), speed)
 
 
