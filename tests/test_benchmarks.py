@@ -19,6 +19,8 @@ from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
 from tests.shared_data import SHARED
 
+pytestmark = pytest.mark.process
+
 
 @pytest.fixture(scope="module")
 def frame() -> Any:

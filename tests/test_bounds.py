@@ -22,6 +22,8 @@ from foreglow.datasets.bags.mcap_file import MAGIC as MCAP_MAGIC
 from foreglow.datasets.bags.ros1_bag import MAGIC as BAG_MAGIC
 from tests import bounded_reads
 
+pytestmark = pytest.mark.process
+
 GIB = 1 << 30
 
 

@@ -9,9 +9,12 @@ from configparser import ConfigParser
 from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 
 from foreglow.cli import app
+
+pytestmark = pytest.mark.process
 
 ROOT = Path(__file__).resolve().parents[1]
 DEPLOY = ROOT / "docs" / "deploy"

@@ -24,6 +24,8 @@ from foreglow.beam.faults import GuardFault
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.types import Image
 
+pytestmark = pytest.mark.slow
+
 H264 = [coding for coding in CODINGS.values() if coding is not None and coding.codec == "libx264"]
 
 NOT_SEEN = {

@@ -18,6 +18,8 @@ from foreglow.lab.simulation.writing.dataset import simulate_dataset
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.simulation.stub_drive import drive, scene
 
+pytestmark = pytest.mark.slow
+
 
 def demo(*arguments: object) -> Result:
     result = CliRunner().invoke(app, ["demo", *(str(argument) for argument in arguments)])

@@ -15,6 +15,8 @@ from foreglow.datasets import shipped_drive
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.test_process import subprocess_command
 
+pytestmark = pytest.mark.slow
+
 
 def test_replay_into_a_folder_and_onto_a_bus(tmp_path: Path) -> None:
     pytest.importorskip("can")

@@ -14,6 +14,8 @@ import pytest
 
 from tests.cli.commands import PNG, RESULTS, names, num_lines
 
+pytestmark = pytest.mark.process
+
 
 def subprocess_command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "foreglow.cli", *map(str, arguments)]

@@ -12,6 +12,8 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 
+pytestmark = pytest.mark.process
+
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 

@@ -15,6 +15,8 @@ from foreglow.lab.simulation import Scene, read_scene, scene_to_toml
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
 
+pytestmark = pytest.mark.slow
+
 
 def foreglow(*arguments: object) -> Result:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])

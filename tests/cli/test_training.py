@@ -26,7 +26,7 @@ from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
 
-pytestmark = pytest.mark.torch
+pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
 QUICK = """
 patience = 40

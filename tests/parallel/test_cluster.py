@@ -16,6 +16,8 @@ from tests.parallel import tasks
 from tests.parallel.dask_cluster import DaskCluster, dask_cluster
 from tests.parallel.test_local import folders, nobody, wait_for
 
+pytestmark = pytest.mark.process
+
 pytest.importorskip("distributed")
 
 

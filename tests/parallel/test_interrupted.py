@@ -19,6 +19,8 @@ from tests.lab.simulation import stub_drive
 from tests.parallel.tasks import SlowSplit
 from tests.parallel.test_local import wait_for
 
+pytestmark = pytest.mark.process
+
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -14,6 +14,8 @@ import pytest
 from foreglow.parallel import MAX_DEATHS, Cluster, Local, workers_at
 from tests.parallel import tasks
 
+pytestmark = pytest.mark.process
+
 
 def nobody(*_: object) -> None:
     pass

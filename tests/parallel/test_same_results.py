@@ -20,6 +20,8 @@ from tests.lab.simulation import stub_drive
 from tests.parallel.dask_cluster import DaskCluster
 from tests.parallel.tasks import DeadlySplit
 
+pytestmark = pytest.mark.process
+
 SCENES = [stub_drive.scene(seed, num_frames=3) for seed in (1, 2, 3)]
 
 

@@ -11,6 +11,8 @@ from foreglow.proposals import NativeProposer, ReferenceProposer
 from foreglow.types import Image
 from tests.proposals.frames import WIDTHS_PX, any_config, night_like_frame
 
+pytestmark = pytest.mark.slow
+
 LEVELS = _native.available_dispatch()
 
 

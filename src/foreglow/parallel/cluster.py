@@ -91,7 +91,7 @@ async def _answers(address: str) -> None:
         OSError: If none comes within `CONNECT_S`.
     """
     from distributed import Security
-    from distributed.comm import connect
+    from distributed.comm.core import connect
 
     security = Security().get_connection_args("client")
     comm = await asyncio.wait_for(connect(address, timeout=CONNECT_S, **security), CONNECT_S)

@@ -19,7 +19,7 @@ from foreglow.lab.learning.scores import direct_accuracy
 from foreglow.lab.learning.training import Epoch, TrainingResult, train
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
 
-pytestmark = pytest.mark.torch
+pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
 TRAIN, VAL = make_samples(300, seed=1), make_samples(150, seed=2)
 

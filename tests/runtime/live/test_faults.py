@@ -15,6 +15,8 @@ from foreglow.runtime.live import LiveEndedError, LiveFault, LiveLoop
 from foreglow.types import BeamMode, Frame
 from tests.runtime.live.stand_ins import Keeper, run_live
 
+pytestmark = pytest.mark.slow
+
 BEGIN, END = 20, 30
 """In these frames something is wrong; there are 60."""
 

@@ -14,6 +14,8 @@ import pytest
 from foreglow.datasets import Recording
 from tests.runtime.mcap.drives import full_frame
 
+pytestmark = pytest.mark.process
+
 pytest.importorskip("foxglove")
 
 RECORDING = """

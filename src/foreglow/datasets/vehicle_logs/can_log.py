@@ -9,7 +9,7 @@ import struct
 import threading
 import zlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
@@ -322,7 +322,8 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
         if reader is can.BLFReader:
             _check_objects(path)
         # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
-        with path.open("rb") if reader is can.BLFReader else _TextLog(path) as file, reader(file) as log:
+        opened: Any = path.open("rb") if reader is can.BLFReader else _TextLog(path)
+        with opened as file, reader(file) as log:
             for frame in log:
                 key = frame.arbitration_id, bool(frame.is_extended_id)
                 if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
@@ -340,9 +341,10 @@ class _TextLog(io.TextIOWrapper):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path.open("rb"), encoding="latin-1")
-        self._lines = bounded_lines(super(), path, MAX_LOG_LINE_BYTES)
+        lines: Any = super()
+        self._lines: Iterator[str] = bounded_lines(lines, path, MAX_LOG_LINE_BYTES)
 
-    def __next__(self) -> str:
+    def __next__(self) -> str:  # type: ignore[override]  # typeshed has bytes there, for all files
         return next(self._lines)
 
 

@@ -29,7 +29,7 @@ from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 
-pytestmark = pytest.mark.renderer
+pytestmark = [pytest.mark.renderer, pytest.mark.slow]
 
 BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
 ONCOMING = VehicleSpec(timetable=((0.0, 150.0), (10.0, -50.0)))
