@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
@@ -15,11 +13,6 @@ NOT_QUICK = {*EXTRAS, "process", "slow"}
 def pytest_addoption(parser: pytest.Parser) -> None:
     help_text = "leave out all that is slow, starts processes, or needs torch, the renderer or ROS 2"
     parser.addoption("--quick", action="store_true", help=help_text)
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--quick"):
-        sys.modules.update(dict.fromkeys(EXTRAS.values()))  # type: ignore[arg-type]  # None: as if not installed
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -11,6 +11,8 @@ from foreglow.datasets import shipped_drive
 from foreglow.distance.hypotheses import parameters_of, read_hypotheses
 from foreglow.lab.learning.ranges import FITTED, PRIOR, fit_ranges, ranged_views, write_hypotheses
 
+pytestmark = pytest.mark.torch
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
