@@ -41,16 +41,16 @@ quick: $(VENV)/.quick
 	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/mypy src
-	$(BIN)/python -m pytest --quiet --quick -n 2 --dist loadgroup
+	$(BIN)/python -m pytest --quiet --quick -n 2 --dist loadgroup --no-loadscope-reorder
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup
+	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup --no-loadscope-reorder
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup
+	$(BIN)/python -m pytest --quiet -n 2 --dist loadgroup --no-loadscope-reorder
 	$(BIN)/cmake -S native -B build/sanitized -DFOREGLOW_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
 	MAKEFLAGS= $(BIN)/cmake --build build/sanitized
 	build/sanitized/core_test

@@ -16,8 +16,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    for marker in EXTRAS.keys() & markers_of(item):
+    markers = markers_of(item)
+    for marker in EXTRAS.keys() & markers:
         pytest.importorskip(EXTRAS[marker])
+    if "renderer" in markers:
+        from foreglow.lab.simulation.light.llvm import prepare
+
+        try:
+            prepare()
+        except OSError as error:  # no LLVM for it
+            pytest.skip(str(error))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -9,30 +9,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 
-RESULT_FILES = frozenset(
-    {
-        "frames.jsonl",
-        "times.jsonl",
-        "summary.json",
-        "config.toml",
-        "overlay.mp4",
-        "overlay.png",
-        "beam.mp4",
-        "beam.png",
-        "beam.asc",
-        "beam.blf",
-        "beam.log",
-        "moments.png",
-        "results.json",
-        "report.md",
-        "report.html",
-        "plan.json",
-        "model.onnx",
-        "scenes.jsonl",
-    }
+RESULT_NAMES = (
+    "frames.jsonl",
+    "times.jsonl",
+    "overlay.mp4",
+    "overlay.png",
+    "beam.mp4",
+    "beam.png",
+    "beam.asc",
+    "beam.blf",
+    "beam.log",
+    "moments.png",
+    "config.toml",
+    "summary.json",
 )
-"""Names that commands write into their output folders. An input of such a name in that folder would be lost."""
+"""Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
+`moments.png`, which `foreglow demo` makes from the results, comes after it."""
 
+RESULT_FILES = (*RESULT_NAMES, "results.json", "report.md", "report.html", "plan.json", "model.onnx", "scenes.jsonl")
+"""Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -112,7 +107,7 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
     """
     for name, path in files.items():
         for other, read in inputs.items():
-            if _is_same(path, read) or _is_same(_partial(path), read):
+            if _is_same(path, read) or _is_same(partial_path(path), read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
         if path.is_dir():
             raise ValueError(f"{name} {path}: expected a file to write, got a folder")
@@ -151,6 +146,6 @@ def _is_same(path: Path, other: Path) -> bool:
         return False
 
 
-def _partial(path: Path) -> Path:
+def partial_path(path: Path) -> Path:
     """Where a file is written until it is whole."""
     return path.with_name(f"{path.name}.partial")

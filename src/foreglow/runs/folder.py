@@ -11,7 +11,7 @@ from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text, naming
-from foreglow.outputs import FolderLock
+from foreglow.outputs import RESULT_NAMES, FolderLock, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary import LiveSummary, RunSummary
@@ -19,23 +19,6 @@ from foreglow.runs.times_file import frame_to_times
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""
-
-RESULT_NAMES = (
-    "frames.jsonl",
-    "times.jsonl",
-    "overlay.mp4",
-    "overlay.png",
-    "beam.mp4",
-    "beam.png",
-    "beam.asc",
-    "beam.blf",
-    "beam.log",
-    "moments.png",
-    "config.toml",
-    "summary.json",
-)
-"""Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
-`moments.png`, which `foreglow demo` makes from the results, comes after it."""
 
 PARTS = "parts-*.partial"
 """Pattern of the folders that hold pieces of results while a run is under way."""
@@ -82,7 +65,7 @@ class OutputFolder:
         """Path of the result called `name` until it is published."""
         if name not in RESULT_NAMES:
             raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
-        return self._partials.setdefault(name, _partial(self.path, name))
+        return self._partials.setdefault(name, partial_path(self.path / name))
 
     def write_text(self, name: str, text: str) -> None:
         """Writes the whole result called `name`.
@@ -138,7 +121,7 @@ class OutputFolder:
                 partial.replace(self.path / name)
             else:
                 (self.path / name).unlink(missing_ok=True)
-                _partial(self.path, name).unlink(missing_ok=True)  # of a run that was killed
+                partial_path(self.path / name).unlink(missing_ok=True)  # of a run that was killed
         self._partials.clear()
         self._lock.release()
 
@@ -156,7 +139,3 @@ class OutputFolder:
 def part_sinks(parts: Path, name: str) -> list[LineSink]:
     """As `OutputFolder.line_sinks`, but for the part of a run called `name`, into the folder for parts."""
     return [LineSink(parts / f"{name}.{result}", to_line) for result, to_line in LINES.items()]
-
-
-def _partial(folder: Path, name: str) -> Path:
-    return folder / f"{name}.partial"

@@ -9,15 +9,8 @@ import pytest
 
 from foreglow.files import to_json
 from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.scores import (
-    POLICIES,
-    GlareResults,
-    Interval,
-    Moments,
-    SensitivityPoint,
-    score_glare,
-    typical_drives,
-)
+from foreglow.lab.studies.glare.pooled import Interval, Moments
+from foreglow.lab.studies.glare.scores import POLICIES, GlareResults, SensitivityPoint, score_glare, typical_drives
 from tests.lab.studies.glare_drives import approach, empty_drive
 
 DRIVES = (*(approach(seed) for seed in range(4)), approach(9, is_oncoming=False), empty_drive(0), empty_drive(1))

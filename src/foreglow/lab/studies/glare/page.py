@@ -16,6 +16,7 @@ from foreglow.lab.reports.numbers import number, percent, signed
 from foreglow.lab.reports.occurrence import REMARK, occurrence_table
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive
+from foreglow.lab.studies.glare.drive_score import DriveScore
 from foreglow.lab.studies.glare.figures import (
     README_WIDTH_IN,
     bin_figure,
@@ -25,20 +26,9 @@ from foreglow.lab.studies.glare.figures import (
     sensitivity_figure,
 )
 from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
+from foreglow.lab.studies.glare.pooled import BinGlare, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.run import GlareExperiment
-from foreglow.lab.studies.glare.scores import (
-    POLICIES,
-    PRODUCTION,
-    BinGlare,
-    DriveScore,
-    GlareResults,
-    GroupGlare,
-    Interval,
-    Moments,
-    PolicyScore,
-    WrongDimming,
-    typical_drives,
-)
+from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
 
 Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
 """By head, what stands in a policy's cell."""
