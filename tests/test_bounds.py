@@ -27,16 +27,16 @@ pytestmark = pytest.mark.process
 GIB = 1 << 30
 
 
-def text(content: str) -> Callable[[Path], None]:
-    return lambda path: path.write_text(content) and None
+def text(content: str) -> Callable[[Path], object]:
+    return lambda path: path.write_text(content)
 
 
-def many(num: int, content: str, before: str = "", after: str = "") -> Callable[[Path], None]:
+def many(num: int, content: str, before: str = "", after: str = "") -> Callable[[Path], object]:
     """A text of which a part is there many times."""
-    return lambda path: path.write_text(before + num * content + after) and None
+    return lambda path: path.write_text(before + num * content + after)
 
 
-def sparse(size: int, head: bytes = b"") -> Callable[[Path], None]:
+def sparse(size: int, head: bytes = b"") -> Callable[[Path], object]:
     def make(path: Path) -> None:
         path.write_bytes(head)
         os.truncate(path, size)
@@ -67,7 +67,7 @@ def ies(vertical_deg: tuple[float, ...], horizontal_deg: tuple[float, ...], kind
     return "\n".join(["IESNA:LM-63-2002", "TILT=NONE", counts, *angles, candela, ""])
 
 
-def tiff(side: int) -> Callable[[Path], None]:
+def tiff(side: int) -> Callable[[Path], object]:
     """A white picture of one bit a pixel, deflated."""
 
     def make(path: Path) -> None:
@@ -81,7 +81,7 @@ def tiff(side: int) -> Callable[[Path], None]:
     return make
 
 
-def npy(*shape: int, dtype: str) -> Callable[[Path], None]:
+def npy(*shape: int, dtype: str) -> Callable[[Path], object]:
     def make(path: Path) -> None:
         header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}".ljust(117).encode() + b"\n"
         size = 128 + int(np.prod(shape)) * np.dtype(dtype).itemsize
@@ -90,7 +90,7 @@ def npy(*shape: int, dtype: str) -> Callable[[Path], None]:
     return make
 
 
-def blf(start: bytes, size: int) -> Callable[[Path], None]:
+def blf(start: bytes, size: int) -> Callable[[Path], object]:
     """A log of a container with these bytes and then zeros."""
 
     def make(path: Path) -> None:
@@ -154,8 +154,8 @@ def chunk(size: int, content: bytes) -> bytes:
     )
 
 
-def mcap(content: bytes) -> Callable[[Path], None]:
-    return lambda path: path.write_bytes(MCAP_MAGIC + content + MCAP_MAGIC) and None
+def mcap(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(MCAP_MAGIC + content + MCAP_MAGIC)
 
 
 def long_topic(path: Path) -> None:
@@ -171,7 +171,7 @@ def bag_header(path: Path) -> None:
     sparse(6 * GIB, BAG_MAGIC + struct.pack("<I", 4 * GIB - 1))(path)
 
 
-def one_split(sequences: Callable[[Path], None]) -> Callable[[Path], None]:
+def one_split(sequences: Callable[[Path], object]) -> Callable[[Path], object]:
     def make(path: Path) -> None:
         (path / "images").mkdir(parents=True)
         (path / "labels").mkdir()
@@ -214,7 +214,7 @@ def changed(content: str, **fields: str) -> str:
     return "\n".join([*lines, *(f"{name} = {value}" for name, value in fields.items()), ""])
 
 
-BOMBS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
+BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a road of a million kilometres": ("road map", "a.xodr", text(road("1e9")), "length: expected at most 100000 m"),
     "a thousand long roads": (
         "road map", "a.xodr", many(100, road("99999")[11:-12], "<OpenDRIVE>", "</OpenDRIVE>"), "at most 2000000 points",

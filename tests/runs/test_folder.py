@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from foreglow.config import config_to_toml, read_config
-from foreglow.runs.folder import RESULT_NAMES, OutputFolder, part_sinks
+from foreglow.outputs import RESULT_NAMES
+from foreglow.runs.folder import OutputFolder, part_sinks
 from foreglow.runs.summary import read_summary
 from foreglow.runs.tally import Tally
 from tests.stand_ins import REFERENCE, night_frames, result_of

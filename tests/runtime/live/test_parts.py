@@ -209,7 +209,12 @@ def test_service_notifier_whose_socket_fails(tmp_path: Path, monkeypatch: pytest
         never_read.bind(str(path))
         monkeypatch.setenv("NOTIFY_SOCKET", str(path))
         notifier = ServiceNotifier()
-        ending = threading.Thread(target=lambda: [notifier.stop() for _ in range(5000)], daemon=True)
+
+        def stop_often() -> None:
+            for _ in range(5000):
+                notifier.stop()
+
+        ending = threading.Thread(target=stop_often, daemon=True)
         ending.start()
         ending.join(30)
         assert not ending.is_alive()
