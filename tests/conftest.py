@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+
 import pytest
+import typer.testing
+from hypothesis import settings
+
+# Hundreds of tests call a command, and building all of them takes a quarter of a second.
+typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 
 EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
 """The markers that say which extra a test needs, and the module that is missing without it."""
@@ -13,6 +20,12 @@ NOT_QUICK = {*EXTRAS, "process", "slow"}
 def pytest_addoption(parser: pytest.Parser) -> None:
     help_text = "leave out all that is slow, starts processes, or needs torch, the renderer or ROS 2"
     parser.addoption("--quick", action="store_true", help=help_text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--quick"):
+        settings.register_profile("quick", max_examples=15)
+        settings.load_profile("quick")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -69,6 +69,7 @@ def read_text(text: str, base: PipelineConfig | None = None) -> PipelineConfig:
         return read_config(path, base)
 
 
+@pytest.mark.slow
 @given(configs)
 def test_what_is_written_reads_back_equal(config: PipelineConfig) -> None:
     assert read_text(config_to_toml(config)) == config

@@ -24,6 +24,8 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((SOURCE / "models").glob("*.md")),
 ]
+COMMAND = typer.main.get_command(app)
+
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)(#[^)\s]+)?\)")
 NAME = re.compile(r"(?<![\w./-])foreglow(?:\.[A-Za-z_]\w*)+")
@@ -121,7 +123,7 @@ def commands(text: str) -> Iterator[str]:
 
 def unknown(line: str) -> list[str]:
     """What the command line names that the program does not know: commands and options, not their values."""
-    command: Any = typer.main.get_command(app)
+    command: Any = COMMAND
     words = shlex.split(line, comments=True)[1:]
     while words and hasattr(command, "commands"):
         name = words.pop(0)
@@ -136,7 +138,8 @@ def unknown(line: str) -> list[str]:
 def test_commands_and_their_options_exist() -> None:
     lines = {(page, line) for page in PAGES for line in commands(page.read_text(encoding="utf-8"))}
     assert len(lines) > 50
-    assert not [f"{short(page)}: {line}: {unknown(line)}" for page, line in sorted(lines) if unknown(line)]
+    findings = {f"{short(page)}: {line}": unknown(line) for page, line in sorted(lines)}
+    assert not {line: names for line, names in findings.items() if names}
 
 
 def test_what_is_not_there_is_noticed() -> None:
@@ -166,6 +169,7 @@ def test_the_readme_is_short_and_says_how_to_test() -> None:
     assert {"`make demo`", "`make test`"} <= set(re.findall(r"`make \w+`", "\n".join(lines)))
 
 
+@pytest.mark.slow
 def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
     exec(compile(example, "README.md", "exec"), {})

@@ -221,6 +221,7 @@ def test_package_is_imported_lazily() -> None:
     assert not HEAVY & modules_after("import foreglow\nforeglow.__version__")
 
 
+@pytest.mark.slow
 def test_inference_needs_nothing_of_training() -> None:
     assert not {"torch", "onnx"} & modules_after("import foreglow.pipeline, foreglow.runtime, foreglow.datasets")
 

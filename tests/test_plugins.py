@@ -27,6 +27,8 @@ from tests.runtime.live.stand_ins import run_live
 from tests.stand_ins import ListSource
 from tests.test_pipeline import identity
 
+pytestmark = pytest.mark.slow
+
 GROUP = "foreglow.trackers"
 
 

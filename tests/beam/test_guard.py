@@ -43,6 +43,7 @@ SMALL = guard_sweep.Grid(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "replacement", "invariant"),
     [
@@ -183,6 +184,7 @@ def test_lamps_that_shine_anywhere_are_refused() -> None:
 small = st.floats(0, 1)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(st.data(), st.integers(1, 4), st.integers(1, 6))
 def test_dimmed(data: st.DataObject, num_spans: int, num_leds: int) -> None:
@@ -237,6 +239,7 @@ _steps = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(_steps)
 def test_over_time(steps: list[tuple[int, float, float, float, bool]]) -> None:

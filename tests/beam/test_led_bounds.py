@@ -31,6 +31,7 @@ def bound(least_deg: Floats, most_deg: Floats) -> Floats:
     return np.asarray(BOUNDS.towards(np.broadcast_to(span, (1, 2, 4)))[0], np.float64)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=120, deadline=None)
 @given(st.floats(-30, 30), st.floats(-6, 10), st.floats(0, 12), st.floats(0, 8))
 def test_above_what_is_shone(azimuth: float, elevation: float, width: float, height: float) -> None:

@@ -253,6 +253,7 @@ def _traffic(draw: st.DrawFn) -> list[tuple[int, tuple[CanFrame, ...]]]:
     return traffic
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=80, deadline=None)
 @given(_traffic())
 def test_light_only_while_something_fresh_came(traffic: list[tuple[int, tuple[CanFrame, ...]]]) -> None:

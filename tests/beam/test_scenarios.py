@@ -110,6 +110,7 @@ class Car:
         return float(self.lamps.shining(self.now_ns)[0].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_fault_ends_in_low_beam(name: str) -> None:
     car = Car()
@@ -130,6 +131,7 @@ def test_fault_ends_in_low_beam(name: str) -> None:
     assert car.light(car.now_ns) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(DISTURBANCES) - {"pipeline hangs behind"}))
 def test_light_returns_once_all_is_well(name: str) -> None:
     """Slowly after a fault that the guard sees; after one of the bus alone as soon as four commands came."""

@@ -104,6 +104,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
 ANGLES = st.integers(-179_999, 180_000).map(lambda thousandths: thousandths / 1000)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.tuples(ANGLES, ANGLES, ANGLES), st.floats(1, 1e4), st.floats(-1e3, 1e3))
 def test_any_camera_comes_back(

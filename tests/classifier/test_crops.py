@@ -45,6 +45,7 @@ def test_golden_crops(name: str) -> None:
     np.testing.assert_allclose(crops[:, 0], expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),

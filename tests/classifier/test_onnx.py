@@ -166,6 +166,7 @@ def test_truncated_model(tmp_path: Path) -> None:
             OnnxClassifier(ClassifierConfig(model=model))
 
 
+@pytest.mark.slow
 def test_classifier_reports_to_nobody(tmp_path: Path) -> None:
     model, home = write_model(tmp_path / "model.onnx"), tmp_path / "home"
     home.mkdir()

@@ -61,6 +61,7 @@ def equipment(tmp_path: Path) -> tuple[object, ...]:
 CALIBRATION = shipped_drive() / "simulation/S00001/camera.toml"
 
 
+@pytest.mark.slow
 def test_from_frames(tmp_path: Path, images: Path, equipment: tuple[object, ...]) -> None:
     said = beam(images, "--out", tmp_path / "out", *equipment)
     assert names(tmp_path / "out") == RESULTS
@@ -84,6 +85,7 @@ def test_from_frames(tmp_path: Path, images: Path, equipment: tuple[object, ...]
         assert all(isinstance(level, int) and 0 <= level <= 1000 for level in left + right)
 
 
+@pytest.mark.slow
 def test_from_an_earlier_run_it_is_the_same(tmp_path: Path, images: Path, equipment: tuple[object, ...]) -> None:
     beam(images, "--out", tmp_path / "frames", *equipment)
     assert foreglow_command("run", images, "--out", tmp_path / "earlier", *equipment[:2]).exit_code == 0
@@ -107,6 +109,7 @@ def test_limit_of_an_earlier_run(tmp_path: Path, run: Path) -> None:
     assert len(lines(tmp_path / "out")) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("policy", "level"), [("low", 0), ("high", 1000)])
 def test_plain_beams(tmp_path: Path, run: Path, policy: str, level: int) -> None:
     (tmp_path / "own.toml").write_text("[beam]\npolicy = 'paper'\n[guard]\nled_limits_cd = [[0.0, 1e9]]\n")
@@ -122,6 +125,7 @@ def test_the_files_policy_counts_where_none_is_given(tmp_path: Path, run: Path) 
     assert read_config(tmp_path / "out" / "config.toml").beam.policy == "paper"
 
 
+@pytest.mark.slow
 def test_pictures_and_a_can_log(tmp_path: Path, run: Path) -> None:
     cantools, can = pytest.importorskip("cantools"), pytest.importorskip("can")
     from foreglow.beam.messages import OWN_DBC
@@ -154,6 +158,7 @@ def test_compact_can_log(tmp_path: Path, run: Path) -> None:
         assert [one.arbitration_id for one in log] == [0x3B4] * 4
 
 
+@pytest.mark.slow
 def test_one_image_with_its_picture(tmp_path: Path, images: Path, equipment: tuple[object, ...]) -> None:
     beam(sorted(images.iterdir())[0], "--out", tmp_path / "out", *equipment, "--video")
     assert names(tmp_path / "out") == {*RESULTS, "beam.png"}
@@ -226,6 +231,7 @@ def test_frames_without_calibration_or_speed(tmp_path: Path, images: Path) -> No
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_runs_that_cannot_be_used(tmp_path: Path, run: Path) -> None:
     def broken(name: str, file: str, old: str, new: str) -> Path:
         copy = Path(shutil.copytree(run, tmp_path / name))

@@ -83,6 +83,7 @@ def fixture_config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_report_on_predictions(tmp_path: Path, split: Path, predictions: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"
@@ -131,6 +132,7 @@ def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> Non
     assert json.loads((out / "results.json").read_text())["ranking"] is None
 
 
+@pytest.mark.slow
 def test_a_model_is_run_on_the_split(tmp_path: Path, split: Path, model: Path, config: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"

@@ -70,6 +70,7 @@ def test_every_study_is_a_command() -> None:
     assert set(STUDIES) == {names[1] for names in COMMANDS if names[:1] == ("experiment",) and len(names) == 2}
 
 
+@pytest.mark.slow
 def test_help_loads_no_heavy_module() -> None:
     code = (
         "import sys, typer.testing, foreglow.cli\n"

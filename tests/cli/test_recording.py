@@ -21,6 +21,7 @@ def records(out: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_a_recorded_drive_runs_again_with_the_same_results(tmp_path: Path) -> None:
     recording, first, second = tmp_path / "drive.mcap", tmp_path / "first", tmp_path / "second"
     result = foreglow_command("run", shipped_drive(), "--out", first, "--record", recording, "--limit", 8)
@@ -64,6 +65,7 @@ def test_a_damaged_recording(tmp_path: Path, config: Path) -> None:
     assert num_lines(tmp_path / "out") == 3
 
 
+@pytest.mark.slow
 def test_a_recording_is_not_its_own_source(tmp_path: Path) -> None:
     recording = tmp_path / "drive.mcap"
     assert foreglow_command("record", shipped_drive(), "--out", recording, "--limit", 2).exit_code == 0

@@ -87,6 +87,7 @@ def test_every_considered_detection_has_a_track_of_its_own(name: str) -> None:
         assert (found.scores[taken] > 0.1).all()
 
 
+@pytest.mark.slow
 def test_the_same_frames_give_the_same_tracks_also_after_a_reset(name: str) -> None:
     tracker = make_tracker(CONFIGS[name])
     first = followed(tracker, crowd(4))

@@ -257,6 +257,7 @@ def _read_or_refused(data: bytes, suffix: str) -> None:
         assert "\n" not in message
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=250, deadline=None)
 @given(st.sampled_from(_SEEDS), st.data())
 def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.DataObject) -> None:
@@ -270,6 +271,7 @@ def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.Dat
     _read_or_refused(bytes(damaged), suffix)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=100, deadline=None)
 @given(
     st.sampled_from([".png", ".jpg", ".npy"]),

@@ -152,6 +152,7 @@ def test_random_damage_is_read_or_refused(clip: Path, tmp_path: Path, seed: int)
     assert message.startswith(str(path))
 
 
+@pytest.mark.slow
 def test_a_real_clip() -> None:
     video = Video(shared_file("data/night_motorway_640x360.mp4"))
     times = [frame.timestamp_ns for frame in video]

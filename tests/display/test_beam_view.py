@@ -40,6 +40,7 @@ def columns_with(picture: Picture, colour: tuple[int, int, int]) -> np.ndarray:
     return np.flatnonzero((np.abs(picture.astype(int) - colour) < 40).all(axis=2).any(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width_px", "height_px"), [(128, 96), (640, 360), (65, 99), (1280, 960)])
 @pytest.mark.parametrize("wanted_px", [360, 541])
 def test_any_size_gives_an_even_picture(width_px: int, height_px: int, wanted_px: int) -> None:

@@ -85,6 +85,7 @@ def where(picture: np.ndarray, colour_bgr: tuple[int, int, int]) -> Floats:
     return np.asarray(np.argwhere(is_line)[:, ::-1] + 0.5, np.float64)
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_level_camera() -> None:
     picture = draw_check(LEVEL, dark())
     horizon = where(picture, HORIZON_BGR)

@@ -23,6 +23,7 @@ def has_colour(picture: np.ndarray, colour_bgr: tuple[int, int, int]) -> bool:
     return bool((picture == colour_bgr).all(axis=2).any())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width_px", "height_px"), SIZES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_any_size_gives_an_even_picture_with_the_frame_at_its_top(width_px: int, height_px: int, dtype: type) -> None:

@@ -23,6 +23,7 @@ def write_video(path: Path, frames: list[Frame], fps: float | None = None) -> No
     sink.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fps", "rate"), [(None, Fraction(18)), (25.0, Fraction(25)), (30000 / 1001, Fraction(30000, 1001))]
 )

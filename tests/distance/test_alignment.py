@@ -76,6 +76,7 @@ def test_without_road_or_motion_the_map_is_believed() -> None:
     assert math.isinf(map_alignment(frame(NOTHING, None, None)).shift_sigma_m)
 
 
+@pytest.mark.slow
 def test_yaw_and_offset_come_from_the_markings_and_fade() -> None:
     aligner = RoadAligner()
     for number in range(8):

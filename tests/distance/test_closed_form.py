@@ -14,6 +14,7 @@ from tests.distance.places import aimed, frame, range_m, straight_road
 METHODS = [name for name, kind in ESTIMATORS.items() if issubclass(kind, PixelwiseEstimator)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 @settings(derandomize=True, max_examples=100)
 @given(

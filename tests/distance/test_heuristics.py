@@ -55,6 +55,7 @@ def tables(draw: st.DrawFn) -> tuple[Floats, Floats]:
     return ranges, np.where(np.isnan(ranges), INF, ranges / 10)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=200)
 @given(tables())
 def test_in_order_and_unknown_together(table: tuple[Floats, Floats]) -> None:

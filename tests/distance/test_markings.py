@@ -44,6 +44,7 @@ def seen(image: Image, ahead: RoadAhead | None = None) -> LaneView:
     return MarkingFinder().find(frame(image, camera(), ahead or straight()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("yaw_deg", "left_m", "pitch_deg"),
     [(0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.4, 0.0), (0.0, 0.0, 0.3), (0.8, -0.3, -0.3), (-0.5, 0.4, 0.2)],

@@ -29,6 +29,7 @@ def winding(length_m: float = 400.0, radius_m: float = 300.0, slope: float = 0.0
     return np.column_stack([level, slope * radius_m * angles])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IN_SPACE)
 @settings(derandomize=True, max_examples=60)
 @given(st.floats(30.0, 380.0))
@@ -39,6 +40,7 @@ def test_a_point_of_a_bend_has_its_range(name: str, place_m: float) -> None:
     assert range_m(name, seen) == pytest.approx(np.linalg.norm(target - [1.9, 0.0, 1.4]), rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=60)
 @given(st.floats(-0.01, 0.25), st.floats(-0.08, 0.01))
 def test_psd_3d_is_the_least_distance_of_ray_and_line(yaw: float, pitch: float) -> None:

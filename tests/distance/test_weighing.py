@@ -61,6 +61,7 @@ def assert_as_specified(parameters: Parameters, cells: Cells, boxes: BoxEvidence
     np.testing.assert_allclose(found, weighed_ranges(parameters, cells, boxes), rtol=1e-6)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 30), st.sampled_from([0.1, 1.0, 3.0]))
 def test_random_boxes_along_a_road(seed: int, count: int, stretch: float) -> None:

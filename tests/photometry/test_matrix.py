@@ -24,6 +24,7 @@ def test_linear_in_the_levels(led: int, other: int, share: float) -> None:
     np.testing.assert_allclose(mixed, share * first + (1 - share) * second, rtol=1e-5, atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
 def test_all_on_is_the_sum_of_each_one(side: Side) -> None:
     lamp = matrix_beam(side)

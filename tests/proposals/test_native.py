@@ -30,6 +30,7 @@ def test_generators_in_several_threads_do_not_disturb_one_another() -> None:
             assert together == alone * 10
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow() -> None:
     resident_before_mib = resident_mib()
     if resident_before_mib is None:

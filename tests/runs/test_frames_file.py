@@ -223,6 +223,7 @@ def results(draw: st.DrawFn) -> FrameResult:
     )
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=200, deadline=None)
 @given(result=results())
 def test_a_line_that_is_read_and_written_again_is_the_same(result: FrameResult) -> None:

@@ -118,6 +118,7 @@ def test_no_file(tmp_path: Path) -> None:
         read_predictions(tmp_path)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(st.sampled_from([".json", ".jsonl"]), st.data())
 def test_damaged_files_are_read_or_refused(suffix: str, data: st.DataObject) -> None:

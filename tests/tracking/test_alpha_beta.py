@@ -38,6 +38,7 @@ def test_prediction_is_a_line() -> None:
     np.testing.assert_allclose(predict(np.array([[1.0, 2.0]]), np.array([[3.0, -4.0]]), 0.5), [[2.5, 0.0]])
 
 
+@pytest.mark.slow
 @given(st.floats(-100, 100), st.floats(-50, 50), st.integers(0, 2**32 - 1))
 def test_a_line_is_followed_exactly_in_the_end_whatever_the_steps(start: float, rate: float, seed: int) -> None:
     """Constant velocity leaves no lag; dropped frames and jitter do not matter, since rates are per second."""

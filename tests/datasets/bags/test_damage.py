@@ -63,6 +63,7 @@ def check(path: Path) -> None:
     assert all(line.startswith(str(path)) and "\n" not in line for line in source.skipped)
 
 
+@pytest.mark.slow
 @QUICK
 @given(share=st.floats(0.0, 1.0))
 def test_a_file_cut_anywhere(whole: Path, share: float) -> None:
@@ -80,6 +81,7 @@ def test_a_file_cut_anywhere(whole: Path, share: float) -> None:
             Recording(cut)
 
 
+@pytest.mark.slow
 @QUICK
 @given(share=st.floats(0.0, 0.999), value=st.binary(min_size=1, max_size=8))
 def test_bytes_changed_anywhere(whole: Path, share: float, value: bytes) -> None:
@@ -154,6 +156,7 @@ def test_damage_where_the_topic_is_defined(tmp_path: Path) -> None:
     assert len(source.skipped) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
 def test_a_chunk_takes_no_more_memory_than_it_says(compression: str) -> None:
     import bz2

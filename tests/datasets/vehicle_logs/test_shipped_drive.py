@@ -28,6 +28,7 @@ def drive() -> SequenceTruth:
     return only
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".log"])
 def test_its_messages_as_a_can_log(drive: SequenceTruth, tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("can")
@@ -49,6 +50,7 @@ def test_its_messages_as_a_can_log(drive: SequenceTruth, tmp_path: Path, suffix:
         assert back.yaw_rate_radps == pytest.approx(motion.yaw_rate_radps, abs=0.000051)
 
 
+@pytest.mark.slow
 def test_its_road_as_a_map(drive: SequenceTruth, tmp_path: Path) -> None:
     """Full poses find the road to a centimetre; a heading alone leaves out the body's pitch and the road's crown."""
     geojson, full, level = tmp_path / "road.geojson", tmp_path / "full.csv", tmp_path / "level.csv"

@@ -86,6 +86,7 @@ def test_a_window_gets_what_is_logged(tmp_path: Path) -> None:
     assert notes == []
 
 
+@pytest.mark.slow
 def test_a_closed_window_is_noted_once_and_the_run_goes_on() -> None:
     notes: list[str] = []
     window = ViewerWindow(ARRANGED, notes.append, command=["true"])
@@ -98,6 +99,7 @@ def test_a_closed_window_is_noted_once_and_the_run_goes_on() -> None:
     assert notes == ["the viewer is closed: the run goes on without it"]
 
 
+@pytest.mark.slow
 def test_a_window_that_takes_nothing_is_noted_once_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outputs, "NUM_WAITING", 2)
     notes: list[str] = []

@@ -19,6 +19,8 @@ from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import edit
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
+pytestmark = pytest.mark.slow
+
 PAPER = preset("paper")
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 

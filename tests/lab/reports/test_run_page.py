@@ -21,6 +21,8 @@ from tests.cli.commands import foreglow_command
 from tests.runs.test_recorded_run import made_up, write_run
 from tests.stand_ins import night_image, result_of
 
+pytestmark = pytest.mark.slow
+
 VOID = {"meta", "img", "br", "link"}
 
 

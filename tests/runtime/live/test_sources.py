@@ -65,6 +65,7 @@ def test_impossible_speed(speed: float) -> None:
         Paced(ListSource([]), speed)
 
 
+@pytest.mark.slow
 def test_live_results_are_those_of_a_run_off_line(drive: list[Frame]) -> None:
     keeper = Keeper()
     source = Paced(ListSource(drive), math.inf)
@@ -199,6 +200,7 @@ def test_stream_that_is_not_there() -> None:
         next(iter(open_live(f"tcp://127.0.0.1:{port}", CameraOptions())))
 
 
+@pytest.mark.slow
 def test_paths_and_scenarios(tmp_path: Path) -> None:
     assert isinstance(open_live(str(shipped_drive()), CameraOptions()), Paced)
     drive = open_live("simulate:curve", CameraOptions(seed=3))
@@ -251,6 +253,7 @@ def damaged_clip(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_damaged_file_goes_on_with_low_beam(tmp_path: Path) -> None:
     path = damaged_clip(tmp_path / "night.ts")
     keeper = Keeper()
@@ -269,6 +272,7 @@ def test_a_damaged_file_goes_on_with_low_beam(tmp_path: Path) -> None:
     assert all(command.mode == BeamMode.LOW for command in lamps.commands if command.faults)
 
 
+@pytest.mark.slow
 def test_a_damaged_stream_goes_on_with_marked_frames(tmp_path: Path) -> None:
     data = damaged_clip(tmp_path / "night.ts").read_bytes()
     server = socket.create_server(("127.0.0.1", 0))

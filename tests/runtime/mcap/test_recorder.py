@@ -177,6 +177,7 @@ def test_sequences_follow_each_other_and_keep_their_times(tmp_path: Path) -> Non
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["uint8", "uint16"])
 def test_a_replay_gives_the_same_results(tmp_path: Path, kind: str) -> None:
     drive = open_source(shipped_drive())
@@ -300,6 +301,7 @@ def test_a_full_disk_at_the_end(tmp_path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_images_are_not_kept(tmp_path: Path) -> None:
     """Memory of Python objects is flat over many frames; that of the writer is bounded by its chunk."""
     recorder = McapRecorder(tmp_path / "drive.mcap")

@@ -25,6 +25,8 @@ from foreglow.lab.evaluation import (
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.shared_data import shared_file
 
+pytestmark = pytest.mark.slow
+
 Keypoints = dict[int, NDArray[Any]]
 
 

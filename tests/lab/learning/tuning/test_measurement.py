@@ -67,6 +67,7 @@ def test_nothing_to_rate_is_nan() -> None:
     assert found.to_json()["recall_lamps"] is None
 
 
+@pytest.mark.slow
 def test_last_part_is_the_metric_on_all_images(val: PVDN, tmp_path: Path) -> None:
     material = read_material(val, 1000, tmp_path)
     parts = list(Bench(material).measure(PAPER))

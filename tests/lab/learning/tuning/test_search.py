@@ -20,6 +20,8 @@ from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
+pytestmark = pytest.mark.slow
+
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 SEED = 3
 

@@ -74,6 +74,7 @@ def test_noise_is_as_stated(dark_frames: np.ndarray) -> None:
     assert dark_frames.std(0, ddof=1).mean() == pytest.approx(stated, rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_is_correlated_as_in_the_real_frame(dark_frames: np.ndarray) -> None:
     noises = dark_frames - dark_frames.mean(0)
     for first, second, real in (

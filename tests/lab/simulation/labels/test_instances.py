@@ -137,6 +137,7 @@ def test_one_while_hidden_and_more_in_sight() -> None:
     assert [one.is_doubtful for one in tracker.update(0, [*pair, lamp_artifact()])] == [False, False, False]
 
 
+@pytest.mark.slow
 @given(st.lists(st.lists(st.tuples(st.floats(0, 1280), st.booleans()), max_size=6), max_size=8))
 def test_ids_are_unique_and_everything_else_stays(frames: list[list[tuple[float, bool]]]) -> None:
     tracker = InstanceTracker(RULE)

@@ -97,6 +97,7 @@ def test_a_plateau_is_one_peak_at_its_first_pixel() -> None:
     assert places(np.full((5, 6), 3, np.float32), 1.0, 1.0) == {(0, 0)}
 
 
+@pytest.mark.slow
 @given(hnp.arrays(np.float32, shapes, elements=st.sampled_from([0.0, 1.0, 2.0, 3.0, 4.0, 8.0])), st.data())
 def test_area_is_the_island_at_half_height(field: Field, data: st.DataObject) -> None:
     row, column = (data.draw(st.integers(0, size - 1)) for size in field.shape)

@@ -21,6 +21,8 @@ from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge, Wall
 from foreglow.lab.simulation.world.road import Road
 
+pytestmark = pytest.mark.slow
+
 WIDE = Corridor(60.0, 60.0)
 
 

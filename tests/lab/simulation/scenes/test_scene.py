@@ -8,6 +8,7 @@ from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, scenario
 from foreglow.lab.simulation.scenes.scene import Scene, read_scene, scene_to_toml
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenario_survives_toml_and_json(name: str, tmp_path: Path) -> None:
     scene = scenario(name, seed=3)

@@ -70,6 +70,7 @@ def test_ground_height_is_the_terrains(world: World) -> None:
     assert world.ground_height_m(10.0, 0.0) == pytest.approx(float(world.road.points(10.0)[2]))
 
 
+@pytest.mark.slow
 def test_same_scene_same_bytes(world: World) -> None:
     again = build_world(FULL.model_copy())
     for name in ("vertices_m", "faces", "materials", "normals", "coordinates_m"):
@@ -77,6 +78,7 @@ def test_same_scene_same_bytes(world: World) -> None:
     assert [light.intensity_cd for light in again.lights] == [light.intensity_cd for light in world.lights]
 
 
+@pytest.mark.slow
 def test_another_seed_changes_plants_and_ground_but_not_the_carriageway(world: World) -> None:
     other = build_world(FULL.model_copy(update={"seed": 1}))
     assert other.mesh.vertices_m.shape != world.mesh.vertices_m.shape
@@ -84,6 +86,7 @@ def test_another_seed_changes_plants_and_ground_but_not_the_carriageway(world: W
     assert other.ground_height_m(30.0, 1.0) == world.ground_height_m(30.0, 1.0)
 
 
+@pytest.mark.slow
 def test_a_sign_more_moves_no_tree(world: World) -> None:
     signs = (*FULL.surroundings.signs, Sign(side="left", s_m=90, kind="triangle"))
     more = build_world(FULL.model_copy(update={"surroundings": FULL.surroundings.model_copy(update={"signs": signs})}))

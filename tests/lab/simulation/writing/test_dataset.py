@@ -22,6 +22,8 @@ from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_data
 from foreglow.parallel import Local
 from tests.lab.simulation.stub_drive import drive, scene
 
+pytestmark = pytest.mark.slow
+
 SCENES = [scene(1), scene(2, num_frames=2)]
 
 

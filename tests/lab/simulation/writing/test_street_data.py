@@ -67,6 +67,7 @@ def test_ids_come_round_again() -> None:
     assert ids == set(range(1, NUM_SEGMENT_IDS + 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error_class", range(6))
 def test_the_offset_keeps_to_its_class_and_wanders_slowly(error_class: int) -> None:
     places_m = np.arange(0.0, 2000.0)
@@ -97,6 +98,7 @@ def test_the_same_seed_gives_the_same_messages() -> None:
     assert messages != [street_map(WINDING, 3, seed=6).message(s_m) for s_m in (10.0, 50.0, 90.0)]
 
 
+@pytest.mark.slow
 def test_a_class_is_drawn_by_its_share() -> None:
     rngs = [np.random.default_rng([seed, 1]) for seed in range(15)]
     road = Road(RoadSpec(length_m=50.0))

@@ -28,6 +28,7 @@ def share_of(picture: np.ndarray, colour_bgr: tuple[int, int, int]) -> float:
     return float((np.abs(picture.astype(int) - colour_bgr).max(axis=2) <= 12).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width_px", "height_px"), [(1280, 960), (96, 72), (1600, 64), (200, 700)])
 def test_three_moments_side_by_side_whatever_the_size(width_px: int, height_px: int) -> None:
     picture = moments_picture(STORY, frames(width_px, height_px), BOXES, 0.5)

@@ -43,6 +43,7 @@ class Checked(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 def test_a_whole_report(tmp_path: Path) -> None:
     data = make_data(tmp_path / "data")
     given = {name: make_model(tmp_path / f"{name}.onnx") for name in ("paper", "compact")}

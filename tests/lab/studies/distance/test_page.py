@@ -12,6 +12,8 @@ from foreglow.lab.studies.distance.page import headline, write_report
 from foreglow.lab.studies.distance.run import DistancePlan, DistanceResults, run_experiment
 from tests.lab.studies.ranged_drives import make_split
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("matplotlib")
 
 

@@ -51,6 +51,7 @@ def one(findings: tuple[Finding, ...], axis: str, method: Method, light: str, gr
     return found[0]
 
 
+@pytest.mark.slow
 def test_lights_with_a_box_and_a_range_count(results: DistanceResults) -> None:
     assert (results.name, results.num_images, results.rate_hz) == ("night/test", 6, 18.0)
     assert [(light.sequence_id, light.instance_id) for light in results.lights] == [(1, 0), (1, 1)] * 3 + [

@@ -107,6 +107,7 @@ def test_a_first_sight_that_nobody_saw() -> None:
     assert math.isnan(first_glare_s(values, values, values, np.array([], np.intp), rate_hz=4.0))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 9), st.floats(0.0, 1.0), st.sampled_from([FMVSS_108, R123]))
 def test_more_light_is_never_less_glare(seed: int, share: float, limits: Any) -> None:
     drive = approach(seed, duration_s=8.0)

@@ -18,6 +18,8 @@ from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
 from tests.lab.studies.glare_drives import approach, empty_drive
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("matplotlib")
 
 DRIVES = (approach(0), approach(1), approach(9, is_oncoming=False), empty_drive(0))

@@ -19,6 +19,8 @@ from foreglow.lab.studies.runtime.page import summary_lines, write_report
 from foreglow.lab.studies.runtime.run import KINDS, run_experiment
 from tests.cli.commands import complaint, foreglow_command, names
 
+pytestmark = pytest.mark.slow
+
 
 def no_progress(step: str, num_done: int, num_all: int) -> None:
     assert step

@@ -24,6 +24,8 @@ from foreglow.lab.studies.time_benefit.run import (
 from foreglow.pipeline import Pipeline
 from tests.datasets.tiny_pvdn import make_pvdn, write
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(name="results", scope="module")
 def fixture_results() -> TimeBenefitResults:
