@@ -1,70 +1,133 @@
-"""The live loop over many frames, a drive again and again: memory, open files, threads, and the same results."""
+"""The live loop over many frames, a drive again and again: memory, open files, threads, and the same results.
+
+With `--faults-every N` something goes wrong every N frames for a while, each time another thing: how soon is low beam?
+"""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import functools
 import hashlib
 import json
 import math
 import threading
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faulty import Lamps, live_config
+from benchmarks.faulty import STAGES, WRONG_FRAMES, Lamps, live_config, spoil
+from benchmarks.image_faults import FAULTS
 from benchmarks.memory import resident_mib
-from benchmarks.timing import CONSOLE, options, write_results
-from foreglow.datasets import open_source, shipped_drive
+from benchmarks.timing import CONSOLE, RESULTS, write_results
+from foreglow.datasets import FrameSource, open_source, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import LiveLoop, Paced
-from foreglow.types import BeamCommand, Frame, FrameResult
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
 
 NUM_FRAMES, NUM_QUICK = 200_000, 900
 SETTLED_SHARE = 0.1
 """Memory is compared from here on: run-times of so many frames are kept, and scratch memory finds its size."""
 
 
+NUM_WRONG = 12
+"""Frames in a row with something wrong."""
+
+IMAGE_FAULTS = ("white", "half stuck", "rows repeated", "cut JPEG")
+"""Those of `image_faults` that `WRONG_FRAMES` does not have."""
+
+CAMERA_FAULTS = (*WRONG_FRAMES, *IMAGE_FAULTS)
+ALL_FAULTS = (*map(str, CAMERA_FAULTS), *(f"{stage} fails" for stage in STAGES))
+
+
 class Again:
-    """A drive in memory, as one sequence after another."""
+    """A drive in memory, as one sequence after another, with times that go on, and now and then something wrong.
+
+    Attributes:
+        wrong: By the time of a frame in which something is wrong, what it is, and the how many-th such frame in a row
+            it is, from 0.
+    """
 
     rate_hz: float | None = 18.0
     skipped: Sequence[str] = ()
 
-    def __init__(self, name: str, frames: Sequence[Frame], num_loops: int) -> None:
-        self.name = name
-        self._frames = frames
-        self._num_loops = num_loops
-        self.num_frames: int | None = num_loops * len(frames)
+    def __init__(self, drive: FrameSource, num_frames: int, faults_every: int | None = None) -> None:
+        self.name = drive.name
+        self._frames = list(drive)
+        self.num_loops = math.ceil(num_frames / len(self._frames))
+        self.num_frames: int | None = self.num_loops * len(self._frames)
+        self._faults_every = faults_every
+        self.wrong: dict[int, tuple[str, int]] = {}
+        step_ns = self._frames[1].timestamp_ns - self._frames[0].timestamp_ns
+        self.loop_ns = self._frames[-1].timestamp_ns - self._frames[0].timestamp_ns + step_ns
+
+    def __len__(self) -> int:
+        return len(self._frames)
 
     def __iter__(self) -> Iterator[Frame]:
-        for loop in range(self._num_loops):
-            for frame in self._frames:
-                yield dataclasses.replace(frame, sequence=f"loop {loop}")
+        next_fault, num_faults = self._faults_every or math.inf, 0
+        for loop in range(self.num_loops):
+            begin = loop * len(self._frames)
+            frames = [
+                dataclasses.replace(
+                    frame, sequence=f"loop {loop}", timestamp_ns=frame.timestamp_ns + loop * self.loop_ns
+                )
+                for frame in self._frames
+            ]
+            if begin >= next_fault and loop < self.num_loops - 1:
+                next_fault += self._faults_every or 0
+                fault = ALL_FAULTS[num_faults % len(ALL_FAULTS)]
+                first = 20 + num_faults % (len(frames) - 2 * NUM_WRONG - 20)
+                frames[first : first + NUM_WRONG] = self._spoiled(
+                    fault, frames[first : first + NUM_WRONG], frames[first - 1]
+                )
+                num_faults += 1
+            yield from frames
+
+    def _spoiled(self, fault: str, frames: Sequence[Frame], latest: Frame) -> list[Frame]:
+        self.wrong |= {frame.timestamp_ns: (fault, number) for number, frame in enumerate(frames)}
+        if fault in IMAGE_FAULTS:
+            images = FAULTS[fault]([frame.image for frame in frames], latest.image)
+            return [dataclasses.replace(frame, image=image) for frame, image in zip(frames, images, strict=True)]
+        for known, wrong in WRONG_FRAMES.items():
+            if fault == str(known):
+                return wrong([latest, *frames])[1:]  # so that a frozen image is the latest one from the first on
+        return list(frames)  # a stage fails
+
+    def fail(self, now_ns: int, stage: str) -> None:
+        """Raises if this is the stage that fails at this time."""
+        if self.wrong.get(now_ns, ("", 0))[0] == f"{stage} fails":
+            raise ArithmeticError("told to fail")
 
 
 class Digests:
     """A live sink that keeps what came of the first and the last loop, and looks at the process now and then."""
 
-    def __init__(self, num_loops: int, num_frames_a_loop: int) -> None:
-        self._ends = {"loop 0": hashlib.sha256(), f"loop {num_loops - 1}": hashlib.sha256()}
-        self._every = max(1, num_loops // 40) * num_frames_a_loop
+    def __init__(self, source: Again) -> None:
+        self._starts_ns = {f"loop {loop}": loop * source.loop_ns for loop in (0, source.num_loops - 1)}
+        self._ends = {sequence: hashlib.sha256() for sequence in self._starts_ns}
+        self._every = max(1, source.num_loops // 40) * len(source)
         self._count = 0
         self.rows: list[dict[str, Any]] = []
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         digest = self._ends.get(frame.sequence)
         if digest is not None:
-            record = frame_to_line(dataclasses.replace(frame, sequence=""), result)
+            start_ns = self._starts_ns[frame.sequence]
+            of_first = dataclasses.replace(frame, sequence="", timestamp_ns=frame.timestamp_ns - start_ns)
+            result = dataclasses.replace(result, timestamp_ns=result.timestamp_ns - start_ns)
+            record = frame_to_line(of_first, result)
             digest.update(json.dumps(record).encode())
         self._count += 1
         if self._count % self._every == 0:
             files = len(list(Path("/proc/self/fd").iterdir()))
             threads = threading.active_count()
-            self.rows.append(
-                {"frames": self._count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
-            )
+            row = {"frames": self._count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
+            self.rows.append(row)
+            CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
 
     def write_health(self, health: Health) -> None: ...
 
@@ -77,23 +140,48 @@ class Digests:
         return len({digest.hexdigest() for digest in self._ends.values()}) == 1
 
 
-class Forgetful(Lamps):
-    """Lamps that keep only the latest command."""
+class Checking(Lamps):
+    """Lamps that keep only the latest command, and in the how many-th wrong frame of a row low beam came for good.
+
+    Attributes:
+        first_low: By fault, for how many rows low beam came in this frame; None if it never came, or light came back.
+    """
+
+    def __init__(self, source: Again) -> None:
+        super().__init__()
+        self._source = source
+        self._low_since: int | None = None
+        self.first_low: defaultdict[str, Counter[int | None]] = defaultdict(Counter)
 
     def send(self, command: BeamCommand) -> None:
         self.commands, self.times_s = [], []
         super().send(command)
+        fault, number = self._source.wrong.get(command.timestamp_ns, (None, 0))
+        if fault is None:
+            return
+        if number == 0:
+            self._low_since = None
+        if command.mode != BeamMode.LOW:
+            self._low_since = None
+        elif self._low_since is None:
+            self._low_since = number
+        if number == NUM_WRONG - 1:
+            self.first_low[fault][self._low_since] += 1
 
 
-def measure(num_frames: int) -> dict[str, Any]:
-    """What happened to the process, and whether the last loop's results are the first one's."""
-    drive = open_source(shipped_drive())
-    frames = list(drive)
-    num_loops = math.ceil(num_frames / len(frames))
+def measure(num_frames: int, faults_every: int | None = None) -> dict[str, Any]:
+    """What happened to the process, whether the last loop's results are the first one's, and what came of faults."""
+    source = Again(open_source(shipped_drive()), num_frames, faults_every)
     configuration = live_config()
-    sink = Digests(num_loops, len(frames))
-    source = Paced(Again(drive.name, frames, num_loops), math.inf)
-    loop = LiveLoop(source, lambda: Pipeline(configuration), configuration, outputs=[Forgetful()], sinks=[sink])
+    sink, lamps = Digests(source), Checking(source)
+
+    def pipeline() -> Pipeline:
+        made = Pipeline(configuration)
+        for stage in STAGES if faults_every else ():
+            spoil(made, stage, functools.partial(source.fail, stage=stage))
+        return made
+
+    loop = LiveLoop(Paced(source, math.inf), pipeline, configuration, outputs=[lamps], sinks=[sink])
     summary = loop.run()
     settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames]
     sizes = [row["resident_mib"] for row in settled]
@@ -101,6 +189,9 @@ def measure(num_frames: int) -> dict[str, Any]:
         "num_frames": summary.run.num_frames,
         "is_same": sink.is_same,
         "faults": dict(summary.fault_counts),
+        "first_low": {
+            fault: {str(key): num for key, num in counts.items()} for fault, counts in lamps.first_low.items()
+        },
         "resident_mib": [sizes[0], min(sizes), max(sizes), sizes[-1]],
         "largest_change": max(abs(size - sizes[0]) for size in sizes) / sizes[0],
         "open_files": sorted({row["open_files"] for row in settled}),
@@ -110,8 +201,13 @@ def measure(num_frames: int) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, "soak", arguments)
-    figures = measure(NUM_QUICK if given.quick else NUM_FRAMES)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS / "soak.json", help="the figures as JSON")
+    parser.add_argument("--frames", type=int, default=NUM_FRAMES, help="at least so many frames, in whole drives")
+    parser.add_argument("--faults-every", type=int, help="something goes wrong every so many frames")
+    parser.add_argument("--quick", action="store_true", help="few frames: shows that it runs")
+    given = parser.parse_args(arguments)
+    figures = measure(NUM_QUICK if given.quick else given.frames, given.faults_every)
     first, least, most, last = figures["resident_mib"]
     CONSOLE.print(
         f"{figures['num_frames']} frames; resident memory {first:.1f} MiB after a tenth, then {least:.1f} to "
@@ -119,6 +215,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"threads {figures['threads']}; last loop's results {'equal' if figures['is_same'] else 'DIFFER FROM'} the "
         f"first one's; faults {figures['faults']}"
     )
+    if figures["first_low"]:
+        CONSOLE.print("low beam for good in the n-th wrong frame (from 0), by fault: how often")
+        for fault, counts in figures["first_low"].items():
+            CONSOLE.print(f"  {fault}: {counts}")
     write_results(given.out, {"soak": figures})
     CONSOLE.print(f"look in {given.out}")
 

@@ -175,6 +175,7 @@ def test_exactly_one_detector_is_needed(split: Path, predictions: Path, tmp_path
 
 
 def test_a_missing_model_is_one_line(tmp_path: Path, split: Path) -> None:
+    pytest.importorskip("matplotlib")
     out = tmp_path / "out"
     assert "none.onnx" in complaint("evaluate", split, "--model", tmp_path / "none.onnx", "--out", out)
     assert not out.exists()
