@@ -17,6 +17,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from benchmarks.faulty import STAGES, WRONG_FRAMES, Lamps, live_config, spoil
 from benchmarks.image_faults import FAULTS
 from benchmarks.memory import resident_mib
@@ -40,6 +42,9 @@ IMAGE_FAULTS = ("white", "half stuck", "rows repeated", "cut JPEG")
 """Those of `image_faults` that `WRONG_FRAMES` does not have."""
 
 CAMERA_FAULTS = (*WRONG_FRAMES, *IMAGE_FAULTS)
+MAX_FRAMES_TO_LOW = 2
+"""Frames within which every fault has to be answered."""
+
 ALL_FAULTS = (*map(str, CAMERA_FAULTS), *(f"{stage} fails" for stage in STAGES))
 
 
@@ -54,12 +59,21 @@ class Again:
     rate_hz: float | None = 18.0
     skipped: Sequence[str] = ()
 
-    def __init__(self, drive: FrameSource, num_frames: int, faults_every: int | None = None) -> None:
+    def __init__(
+        self,
+        drive: FrameSource,
+        num_frames: int,
+        faults_every: int | None = None,
+        faults: Sequence[str] = ALL_FAULTS,
+        first: int = 20,
+        width_px: int | None = None,
+    ) -> None:
+        """Repeats `drive`; every `faults_every` frames the next of `faults` comes, from frame `first` or so of it."""
         self.name = drive.name
-        self._frames = list(drive)
+        self._frames = [frame if width_px is None else reduced(frame, width_px) for frame in drive]
         self.num_loops = math.ceil(num_frames / len(self._frames))
         self.num_frames: int | None = self.num_loops * len(self._frames)
-        self._faults_every = faults_every
+        self._faults_every, self._faults, self._first = faults_every, faults, first
         self.wrong: dict[int, tuple[str, int]] = {}
         step_ns = self._frames[1].timestamp_ns - self._frames[0].timestamp_ns
         self.loop_ns = self._frames[-1].timestamp_ns - self._frames[0].timestamp_ns + step_ns
@@ -79,8 +93,8 @@ class Again:
             ]
             if begin >= next_fault and loop < self.num_loops - 1:
                 next_fault += self._faults_every or 0
-                fault = ALL_FAULTS[num_faults % len(ALL_FAULTS)]
-                first = 20 + num_faults % (len(frames) - 2 * NUM_WRONG - 20)
+                fault = self._faults[num_faults % len(self._faults)]
+                first = self._first + num_faults % (len(frames) - 2 * NUM_WRONG - self._first)
                 frames[first : first + NUM_WRONG] = self._spoiled(
                     fault, frames[first : first + NUM_WRONG], frames[first - 1]
                 )
@@ -101,6 +115,14 @@ class Again:
         """Raises if this is the stage that fails at this time."""
         if self.wrong.get(now_ns, ("", 0))[0] == f"{stage} fails":
             raise ArithmeticError("told to fail")
+
+
+def reduced(frame: Frame, width_px: int) -> Frame:
+    """The frame as a smaller imager behind the same lens would give it."""
+    height_px = round(frame.image.shape[0] * width_px / frame.image.shape[1])
+    image = cv2.resize(frame.image, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    camera = None if frame.camera is None else frame.camera.scaled(width_px, height_px)
+    return dataclasses.replace(frame, image=image, camera=camera)
 
 
 class Digests:
@@ -169,9 +191,9 @@ class Checking(Lamps):
             self.first_low[fault][self._low_since] += 1
 
 
-def measure(num_frames: int, faults_every: int | None = None) -> dict[str, Any]:
+def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> dict[str, Any]:
     """What happened to the process, whether the last loop's results are the first one's, and what came of faults."""
-    source = Again(open_source(shipped_drive()), num_frames, faults_every)
+    source = Again(open_source(shipped_drive()), num_frames, faults_every, **faults)
     configuration = live_config()
     sink, lamps = Digests(source), Checking(source)
 
@@ -205,9 +227,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "soak.json", help="the figures as JSON")
     parser.add_argument("--frames", type=int, default=NUM_FRAMES, help="at least so many frames, in whole drives")
     parser.add_argument("--faults-every", type=int, help="something goes wrong every so many frames")
+    parser.add_argument("--width", type=int, help="reduce the images to so many columns: quicker")
     parser.add_argument("--quick", action="store_true", help="few frames: shows that it runs")
     given = parser.parse_args(arguments)
-    figures = measure(NUM_QUICK if given.quick else given.frames, given.faults_every)
+    figures = measure(NUM_QUICK if given.quick else given.frames, given.faults_every, width_px=given.width)
     first, least, most, last = figures["resident_mib"]
     CONSOLE.print(
         f"{figures['num_frames']} frames; resident memory {first:.1f} MiB after a tenth, then {least:.1f} to "

@@ -1,0 +1,371 @@
+"""The probes, by class."""
+
+from __future__ import annotations
+
+import functools
+import os
+import resource
+import shlex
+import shutil
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from benchmarks.knocks.faults import FAULT_PROBES, live_fault
+from benchmarks.knocks.materials import MATERIALS, ON_VIDEO, beam, run
+from benchmarks.knocks.mutations import DAMAGE, NO_FILES, TEXT_DAMAGE
+from benchmarks.knocks.probe import Outcome, Probe, orderly, refused
+
+Words = Sequence[str]
+
+
+def laid_out(materials: Path, folder: Path, command: Words) -> list[str]:
+    """Copies the materials into `folder/inputs`, and gives the command line with their paths."""
+    shutil.copytree(materials, folder / "inputs", dirs_exist_ok=True, symlinks=True)
+    return [word.replace("@", "inputs/", 1) if word.startswith("@") else word for word in command]
+
+
+class Campaign:
+    """All probes on the sound files in a folder; the same seed gives the same probes."""
+
+    def __init__(self, materials: Path, seed: int) -> None:
+        self._materials = materials
+        self._seed = seed
+
+    def probes(self) -> Iterator[Probe]:
+        """Every probe, class by class."""
+        yield from self.sound()
+        yield from self.damaged(DAMAGE, "damaged bytes", 2, is_text=False)
+        yield from self.damaged(TEXT_DAMAGE, "damaged texts", 3, is_text=True)
+        yield from self.no_files()
+        yield from self.wrong_kinds()
+        yield from self.numbers()
+        yield from self.overwriting()
+        yield from self.names()
+        yield from self.signals()
+        yield from self.limits()
+        yield from self.two_at_once()
+        yield from self.misuse()
+        yield from (Probe("live faults", name, functools.partial(live_fault, name)) for name in FAULT_PROBES)
+
+    def _laid_out(self, command: Words) -> Callable[[Path], list[str]]:
+        return lambda folder: laid_out(self._materials, folder, command)
+
+    def sound(self) -> Iterator[Probe]:
+        """What is sound is done: otherwise the others would prove nothing."""
+
+        def done(folder: Path, outcome: Outcome) -> list[str]:
+            return orderly(folder, outcome) + ([] if outcome.code == 0 else ["sound, and refused"])
+
+        for name, material in MATERIALS.items():
+            yield Probe("sound files", name, self._laid_out(material.command), done)
+
+    def damaged(
+        self, kinds: dict[str, Callable[[bytes, np.random.Generator], bytes]], kind: str, num: int, is_text: bool
+    ) -> Iterator[Probe]:
+        for number, (name, material) in enumerate(MATERIALS.items()):
+            if is_text and not material.is_text:
+                continue
+            for position, (what, damage) in enumerate(kinds.items()):
+                for again in range(1 if what == "empty" else num):
+
+                    def prepare(
+                        folder: Path, *, change: Any = damage, on: Any = material, seed: Any = (number, position, again)
+                    ) -> Words:
+                        words = laid_out(self._materials, folder, on.command)
+                        path = folder / "inputs" / on.file
+                        path.write_bytes(change(path.read_bytes(), np.random.default_rng([self._seed, *seed])))
+                        return words
+
+                    yield Probe(kind, f"{name}: {what}, {again}", prepare)
+
+    def no_files(self) -> Iterator[Probe]:
+        for name, material in MATERIALS.items():
+            for what, make in NO_FILES.items():
+
+                def prepare(folder: Path, *, make: Any = make, on: Any = material) -> Words:
+                    words = laid_out(self._materials, folder, on.command)
+                    path = folder / "inputs" / on.file
+                    path.unlink()
+                    make(path)
+                    return words
+
+                yield Probe("no regular files", f"{name}: {what}", prepare)
+
+    def wrong_kinds(self) -> Iterator[Probe]:
+        """Every file in place of another, the next but so many of the table."""
+        names = list(MATERIALS)
+        for step in (1, 7, 13):
+            for number, name in enumerate(names):
+                other = MATERIALS[names[(number + step) % len(names)]]
+
+                def prepare(folder: Path, *, on: Any = MATERIALS[name], other: Any = other) -> Words:
+                    words = laid_out(self._materials, folder, on.command)
+                    shutil.copy(self._materials / other.file, folder / "inputs" / on.file)
+                    return words
+
+                yield Probe("files of another kind", f"{name}: {other.file}", prepare)
+
+    def numbers(self) -> Iterator[Probe]:
+        """Every option with a number, with what is none or far off."""
+        from foreglow.cli import app
+
+        for path, option in numeric_options(typer.main.get_command(app)):
+            for value in ("nan", "-1e30", "1e400", "9" * 400, ""):
+                words = [*path.split()[1:], f"{option}={value}"]
+                yield Probe("numbers", f"{path} {option}={value[:12]}", self._laid_out(words), refused)
+
+    def overwriting(self) -> Iterator[Probe]:
+        """Outputs that are, hold or lie in what is read."""
+        for line in OVERWRITING.splitlines():
+            words = shlex.split(line)
+            yield Probe("outputs over inputs", " ".join(words), self._laid_out(words), refused)
+            linked = [
+                word.replace("@", "@linked/", 1) if words[index - 1] in OUTPUTS else word
+                for index, word in enumerate(words)
+            ]
+            yield Probe("outputs over inputs", f"{' '.join(words)}, by a link", self._through_link(linked), refused)
+
+    def _through_link(self, words: Words) -> Callable[[Path], list[str]]:
+        def prepare(folder: Path) -> list[str]:
+            prepared = laid_out(self._materials, folder, words)
+            (folder / "inputs" / "linked").symlink_to(".")
+            return prepared
+
+        return prepare
+
+    def names(self) -> Iterator[Probe]:
+        """Odd names of a source and of an output."""
+        odd = [
+            "a b",
+            "a\nb",
+            "-x",
+            "--out",
+            "a:b",
+            "http",
+            "ä" * 80,
+            "x" * 250,
+            "\udcff\udcfe",
+            "%Y%n",
+            "$(touch x)",
+            "a'b\"c",
+            "~",
+            "*",
+            "a/../b",
+            "[red]a",
+            "con",
+            "\x1b[31m",
+            "{}",
+            "camera:0",
+        ]
+        for name in odd:
+            for command in (("run", "SOURCE.png", "--out", "out"), ("run", "@night.png", "--out", "./NAME")):
+
+                def prepare(folder: Path, *, name: str = name, command: Words = command) -> Words:
+                    words = laid_out(self._materials, folder, command)
+                    source = folder / "inputs" / f"{name}.png"
+                    if "SOURCE.png" in words:
+                        source.parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copy(self._materials / "night.png", source)
+                    return [word.replace("SOURCE", f"inputs/{name}").replace("NAME", name) for word in words]
+
+                yield Probe("odd names", f"{name!r} as {command[1]}", prepare)
+        for option in ("--out", "--record", "--save"):
+            yield Probe("odd names", f"no name for {option}", self._laid_out((*ON_VIDEO, option, "")), refused)
+
+    def signals(self) -> Iterator[Probe]:
+        """Ended at any moment: exit code 130, or done before; nothing half-written."""
+        commands = {
+            "run": run("images", "--video"),
+            "live": ("live", "@images", "--speed", "0.5", "--out", "out"),
+            "record": ("record", "@images", "--out", "out.mcap"),
+            "beam": beam("--can", "blf"),
+            "report": ("report", "@results", "--out", "out.html"),
+        }
+        moments_s = (0.02, 0.1, 0.3, 0.6, 1.0)
+        for name, words in commands.items():
+            for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                for after_s in moments_s:
+                    yield Probe(
+                        "signals",
+                        f"{name}: {kind.name} after {after_s} s",
+                        self._laid_out(words),
+                        ended,
+                        (kind, after_s),
+                    )
+
+    def limits(self) -> Iterator[Probe]:
+        """A disk that is full, few open files, a folder that cannot be written."""
+        commands = [
+            run("images", "--video"),
+            ("record", "@images", "--out", "out.mcap"),
+            ("report", "@results", "--out", "out.html"),
+            beam("--can", "blf"),
+            ("live", "@images", "--speed", "0", "--out", "out", "--record", "o.mcap"),
+        ]
+        for words in commands:
+            for size in (0, 100, 5_000, 40_000):
+                limit = ((resource.RLIMIT_FSIZE, size),)
+                yield Probe("limits", f"{' '.join(words)}: files of {size} bytes", self._laid_out(words), limits=limit)
+            files = ((resource.RLIMIT_NOFILE, 12),)
+            yield Probe("limits", f"{' '.join(words)}: 12 open files", self._laid_out(words), limits=files)
+            small = [word if word not in ("out", "out.html", "out.mcap") else f"/proc/{word}" for word in words]
+            yield Probe("limits", f"{' '.join(small)}", self._laid_out(small))
+
+    def two_at_once(self) -> Iterator[Probe]:
+        """Two commands into one output: one of them says so, and the results are of the other."""
+        commands = [
+            run("images"),
+            ("live", "@images", "--speed", "0", "--out", "out"),
+            beam(),
+            ("record", "@images", "--out", "out.mcap"),
+        ]
+        for number, words in enumerate(commands):
+            for again in range(5):
+
+                def prepare(folder: Path, *, words: Words = words) -> Callable[[], int]:
+                    prepared = laid_out(self._materials, folder, words)
+                    return functools.partial(together, prepared)
+
+                yield Probe("two at once", f"{number}: {' '.join(words)}, {again}", prepare)
+
+    def misuse(self) -> Iterator[Probe]:
+        """Arguments that do not go together, are missing, or come twice."""
+        for line in MISUSE.splitlines():
+            words = shlex.split(line.replace("ON_VIDEO", " ".join(ON_VIDEO)))
+            yield Probe("misuse", " ".join(words) or "(nothing)", self._laid_out(words), refused)
+
+
+OVERWRITING = """\
+run @night.mp4 --out @night.mp4
+run @images --out @images
+run @night/val --out @night/val/labels
+run @night/val --out @night
+run @night.mp4 --out out --record @night.mp4
+run @night.mp4 --out out --config @results/config.toml --record @results/config.toml
+run @night.mp4 --out out --model @model.onnx --save @model.onnx
+run @night.mp4 --out @camera.toml --calibration @camera.toml
+run @night.mcap --out out --record @night.mcap
+record @night.mcap --out @night.mcap
+record @images --out @images/000001.png
+record @images --out @images/new.mcap
+live @night.mcap --speed 0 --record @night.mcap
+live @night.mcap --speed 0 --out @night.mcap
+beam @results --out @results
+beam @results --out @results/frames.jsonl
+beam @results --out out --lamps @lamps.toml --save @lamps.toml
+report @results --out @results/frames.jsonl
+report @results --out @results/summary.json
+evaluate @night/val --predictions @predictions.jsonl --json @predictions.jsonl
+evaluate @night/val --predictions @predictions.jsonl --out @night/val
+evaluate @night/val --predictions @predictions.jsonl --json @night/val/labels/sequences.json
+export-mot @of_split @night/val --out @night/val
+calibrate check @camera.toml @night.png --out @night.png
+calibrate check @camera.toml @night.png --out @camera.toml
+calibrate convert @camera.toml --out @camera.toml --mount-forward 1 --mount-height 1
+simulate --scene @lamps.toml --out @lamps.toml
+annotate @night/val --out @night/val/labels/sequences.json"""
+"""Command lines of which an output is an input, holds one or lies in one."""
+
+MISUSE = """\
+run
+run @night.png
+nothing
+run @night.png --out
+run --nothing
+run @night.png @night.jpg --out out
+beam @night.png
+live
+live camera:99 --give-up 0.5
+live rtsp://127.0.0.1:1/x --give-up 0.5
+live camera:x
+live simulate:nothing
+live 'gstreamer:nothing at all' --give-up 1
+evaluate @night/val
+evaluate @images --preset paper
+report @images
+report @night.png
+export-mot @images @night/val --out out
+ON_VIDEO --preset nobody
+ON_VIDEO --map @town.geojson
+ON_VIDEO --poses @drive.csv
+ON_VIDEO --dbc @street.dbc
+ON_VIDEO --topic /none
+ON_VIDEO --cluster tcp://127.0.0.1:1
+run @night.mcap --topic /none --out out
+beam @results --out out --policy none:Such
+beam @results --out out --policy os:system
+beam @results --out out --policy json:tool
+live @images --speed 0 --can nothing:x
+live @images --speed 0 --can :::
+run @night.png --out out --limit 1.5
+run / --out out
+run /dev/null --out out
+run /proc/self --out out
+record @night.png --out out.txt
+simulate
+simulate --preview nothing --out out
+simulate --scene @lamps.toml --out out
+simulate --out out --size 0x0
+simulate --out out --size 1e9x1
+train @images --out out
+train @night --out out
+tune @images --out out
+annotate @images
+experiment
+experiment nothing
+experiment detector @images --out out
+experiment glare @night --out out
+calibrate check @night.png @camera.toml --out out.png
+download nothing
+import-weights @night.png --out out.onnx
+fit-ranges @images --out out"""
+"""Command lines that make no sense."""
+
+OUTPUTS = {"--out", "--record", "--save", "--json"}
+
+
+def numeric_options(command: Any, path: str = "foreglow") -> Iterator[tuple[str, str]]:
+    for name, child in getattr(command, "commands", {}).items():
+        yield from numeric_options(child, f"{path} {name}")
+    for parameter in command.params:
+        if getattr(parameter.type_descriptor, "annotation", None) in (int, float) and not parameter.hidden:
+            yield path, parameter.opts[0]
+
+
+def ended(folder: Path, outcome: Outcome) -> list[str]:
+    """As `orderly`; a signal that comes while the process begins may end it at once."""
+    wrong = orderly(folder, outcome)
+    return wrong if outcome.code in (0, 130) else [*wrong, f"exit code {outcome.code} after a signal"]
+
+
+def together(words: list[str]) -> int:
+    """Two processes with the same command line; 0 if each is done, or says in one line that the other is at it."""
+    pids = []
+    for number in range(2):
+        pid = os.fork()
+        if pid == 0:
+            os.dup2(os.open(f"stderr_{number}", os.O_WRONLY | os.O_CREAT, 0o600), 2)
+            import sys
+
+            from foreglow.cli import main
+
+            sys.argv, sys.stderr = ["foreglow", *words], os.fdopen(2, "w", buffering=1)
+            try:
+                main()
+                os._exit(0)
+            except SystemExit as ending:
+                sys.stderr.flush()
+                os._exit(ending.code if isinstance(ending.code, int) else 0)
+        pids.append(pid)
+    codes = [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
+    lines = [Path(f"stderr_{number}").read_text().splitlines() for number in range(2)]
+    sound = all(code == 0 or (code == 2 and len(said) == 1) for code, said in zip(codes, lines, strict=True))
+    if not sound or 0 not in codes:
+        print(codes, lines)
+        return 1
+    return 0

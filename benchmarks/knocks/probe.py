@@ -1,0 +1,245 @@
+"""A probe: a command on hostile input, and what must hold after it, whatever the input."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import os
+import re
+import resource
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+MAX_ADDRESSES = 8 << 30
+"""Bytes of addresses that a probe's process may take; its threads and libraries alone reserve 2 to 3 GiB."""
+
+MAX_RESIDENT_MIB = 1500
+"""Memory that a probe may really use."""
+
+MAX_S = 60.0
+"""Wall-clock time of a probe; a run of a few frames takes one or two seconds."""
+
+MAX_LINE_CHARS = 2000
+"""A message that is longer helps nobody."""
+
+DONE, REFUSED, INTERRUPTED = 0, 2, 130
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How a command ended.
+
+    Attributes:
+        code: Its exit code; minus the signal's number if a signal ended it; None if it was ended for its time.
+        stdout: What it printed.
+        stderr: What it complained of.
+        seconds: Wall-clock time.
+        resident_mib: The most memory that it used.
+        is_input_changed: Whether a file that was there before is another one now, or gone.
+        left: Files that should not have stayed: partial and hidden ones.
+    """
+
+    code: int | None
+    stdout: str
+    stderr: str
+    seconds: float
+    resident_mib: float
+    is_input_changed: bool
+    left: tuple[str, ...]
+
+
+Check = Callable[[Path, Outcome], list[str]]
+
+
+def orderly(folder: Path, outcome: Outcome) -> list[str]:
+    """What is wrong with how a command ended: it has to be done, or refuse with one line, and leave no mess."""
+    wrong = []
+    if outcome.code is None:
+        wrong.append(f"still busy after {MAX_S:.0f} s")
+    elif outcome.code not in (DONE, REFUSED, INTERRUPTED):
+        wrong.append(f"exit code {outcome.code}")
+    if "Traceback" in outcome.stdout + outcome.stderr:
+        wrong.append("a traceback")
+    if outcome.code == REFUSED:
+        lines = outcome.stderr.splitlines()
+        if len(lines) != 1 or not lines[0].startswith("foreglow: "):
+            wrong.append(f"{len(lines)} lines where one is expected")
+        if len(outcome.stderr) > MAX_LINE_CHARS:
+            wrong.append(f"a message of {len(outcome.stderr)} characters")
+    if outcome.resident_mib > MAX_RESIDENT_MIB:
+        wrong.append(f"{outcome.resident_mib:.0f} MiB of memory")
+    if outcome.is_input_changed:
+        wrong.append("an input was changed")
+    if outcome.left:
+        wrong.append(f"left behind: {', '.join(outcome.left[:3])}")
+    return wrong + incomplete(folder)
+
+
+def refused(folder: Path, outcome: Outcome) -> list[str]:
+    """As `orderly`, and it must not have been done."""
+    wrong = orderly(folder, outcome)
+    return wrong if outcome.code == REFUSED else [*wrong, f"exit code {outcome.code} where a refusal is expected"]
+
+
+def incomplete(folder: Path) -> list[str]:
+    """Results that say to be complete, and are none."""
+    wrong = []
+    for path in sorted(folder.rglob("summary.json")):
+        if path.is_file() and "inputs" not in path.parts:
+            try:
+                summary = json.loads(path.read_text())
+                num_lines = len((path.parent / "frames.jsonl").read_text().splitlines())
+            except (OSError, ValueError) as error:
+                wrong.append(f"{path.relative_to(folder)}: {error}")
+                continue
+            if summary.get("num_frames") not in (None, num_lines):
+                wrong.append(f"{path.relative_to(folder)}: {summary['num_frames']} frames, {num_lines} lines")
+    return wrong
+
+
+@dataclasses.dataclass(frozen=True)
+class Probe:
+    """A command line on files that `prepare` makes.
+
+    Attributes:
+        kind: The class of knocks that it belongs to.
+        name: What is done to what; the same in every campaign with the same seed.
+        prepare: Fills the empty folder `inputs` below the given folder, in which the command then runs, and returns the
+            command line, or a function to be called in place of a command.
+        check: What is wrong with how it ended.
+        interrupt: A signal and the seconds after which it comes.
+        limits: Further limits of the process: the `resource`'s number and the limit.
+    """
+
+    kind: str
+    name: str
+    prepare: Callable[[Path], Sequence[str] | Callable[[], int]]
+    check: Check = orderly
+    interrupt: tuple[signal.Signals, float] | None = None
+    limits: tuple[tuple[int, int], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """A probe's result: what was wrong, nothing if all held, and how to see it again."""
+
+    kind: str
+    name: str
+    command: str
+    wrong: tuple[str, ...]
+    code: int | None
+    seconds: float
+    resident_mib: float
+    stderr: str
+
+
+def try_out(probe: Probe, folder: Path) -> Verdict:
+    """Runs a probe in the empty `folder`, in a process that is a copy of this one."""
+    (folder / "inputs").mkdir(parents=True)
+    command = probe.prepare(folder)
+    before = digests(folder / "inputs")
+    code, seconds, resident_mib = _run(probe, folder, command)
+    stdout, stderr = ((folder / name).read_text(errors="replace") for name in (".stdout", ".stderr"))
+    outcome = Outcome(
+        code,
+        stdout,
+        stderr,
+        seconds,
+        resident_mib,
+        digests(folder / "inputs") != before,
+        tuple(str(path.relative_to(folder)) for path in sorted(folder.rglob("*")) if is_left(path, folder)),
+    )
+    words = "function" if callable(command) else " ".join(command)
+    wrong = tuple(probe.check(folder, outcome))
+    return Verdict(probe.kind, probe.name, words[:400], wrong, code, seconds, resident_mib, stderr[:400])
+
+
+def is_left(path: Path, folder: Path) -> bool:
+    """Whether a file is one that only an unfinished command has."""
+    if (folder / "inputs") in path.parents or path.name in (".stdout", ".stderr"):
+        return False
+    return path.name.endswith((".partial", ".tmp")) or (
+        path.name.startswith(".") and path.is_file() and not _is_lock(path)
+    )
+
+
+def _is_lock(path: Path) -> bool:
+    return bool(re.search(r"lock", path.name))
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """By path, what is in each regular file of a folder."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder)).encode(errors="surrogateescape").hex()
+        if path.is_symlink():
+            found[name] = f"link to {str(path.readlink())!r}"
+        elif path.is_file() and path.stat().st_size < 64 << 20:
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        else:
+            found[name] = "" if path.is_dir() else f"{path.stat().st_size} bytes"
+    return found
+
+
+def _run(probe: Probe, folder: Path, command: Any) -> tuple[int | None, float, float]:
+    process = multiprocessing.get_context("fork").Process(target=_child, args=(probe, folder, command))
+    began_s = time.monotonic()
+    process.start()
+    pid: int = process.pid  # type: ignore[assignment]
+    if probe.interrupt is not None:
+        kind, after_s = probe.interrupt
+        process.join(after_s)
+        if process.is_alive():
+            os.kill(pid, kind)
+    process.join(MAX_S)
+    is_late = process.is_alive()
+    if is_late:
+        process.kill()
+        process.join()
+    usage = folder / ".usage"
+    resident_mib = float(usage.read_text()) if usage.exists() else 0.0
+    usage.unlink(missing_ok=True)
+    return None if is_late else process.exitcode, time.monotonic() - began_s, resident_mib
+
+
+def _child(probe: Probe, folder: Path, command: Any) -> None:
+    """What the copied process does: limits, own streams, the command; its peak of memory goes to `.usage`."""
+    os.setsid()
+    for number, name in ((1, ".stdout"), (2, ".stderr")):
+        os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), number)
+    sys.stdin = open(os.devnull)  # noqa: PTH123, SIM115
+    sys.stdout, sys.stderr = (os.fdopen(number, "w", buffering=1) for number in (1, 2))
+    os.chdir(folder)
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_ADDRESSES, MAX_ADDRESSES))
+    for kind, limit in probe.limits:
+        resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
+    code = 1
+    try:
+        if callable(command):
+            code = command()
+        else:
+            from foreglow.cli import main
+
+            sys.argv = ["foreglow", *command]
+            main()
+            code = DONE
+    except SystemExit as ending:
+        code = ending.code if isinstance(ending.code, int) else 0 if ending.code is None else 1
+    except BaseException:  # the command's own edge should have turned it into a line
+        traceback.print_exc()
+    finally:
+        resource.setrlimit(
+            resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
+        )
+        peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        (folder / ".usage").write_text(str(peak_kib / 1024))
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
