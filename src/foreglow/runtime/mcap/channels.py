@@ -54,6 +54,7 @@ FRAME_SCHEMA = {
             cross_slopes=_array(_NUMBER),
             error_bound_m=_NUMBER,
         ),
+        is_damaged={"type": "boolean"},
     ),
 }
 """A frame without its image: `datasets.bags.FrameMessage`."""

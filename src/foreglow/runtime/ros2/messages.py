@@ -4,7 +4,7 @@
 |---|---|
 | image | `sensor_msgs/Image` |
 | camera without its mount | `sensor_msgs/CameraInfo`, as drivers send it |
-| mount of the camera | `sensor_msgs/PointCloud2`, one row |
+| mount of the camera, and whether the image is damaged | `sensor_msgs/PointCloud2`, one row each |
 | speed and yaw rate | `geometry_msgs/TwistStamped` |
 | pitch of the body | `geometry_msgs/Vector3Stamped`, a rotation vector |
 | road ahead | `sensor_msgs/PointCloud2`, a row for each point |
@@ -61,6 +61,7 @@ MOUNT = {
     "position_m": Field("f8", 3, is_finite=True),
     "rotation": Field("f8", 9, is_finite=True),
 }
+DAMAGE = {"is_damaged": Field("u1")}
 ROAD = {
     "point_m": Field("f8", 3),
     "cross_slope": Field("f8"),
@@ -157,6 +158,17 @@ def read_mount(message: PointCloud2, topic: str) -> Pose:
         return Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
     except ValueError as error:
         raise ValueError(f"{topic}: {error}") from None
+
+
+def damage_message(header: Header, is_damaged: bool) -> PointCloud2:
+    """Whether the source knows that the image is damaged, `Frame.is_damaged`."""
+    return table_message(header, {"is_damaged": np.array([is_damaged], np.uint8)})
+
+
+def read_damage(message: PointCloud2, topic: str) -> bool:
+    """Whether the source knows that the image is damaged; any number but 0 says so."""
+    _, columns = read_table(message, topic, DAMAGE, num_rows=1)
+    return bool(columns["is_damaged"][0])
 
 
 def twist_message(header: Header, motion: EgoMotion | None) -> TwistStamped:
