@@ -42,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files"},
     "runs": VALUES | {"calibration", "files", "outputs", "provenance", "datasets"},
-    "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "pipeline", "datasets", "runs"},
+    "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "datasets", "runs", "runtime"},
     "outputs": set(),
     "options": {"config", "beam", "datasets", "outputs", "parallel"},

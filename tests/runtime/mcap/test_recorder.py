@@ -167,6 +167,19 @@ def test_frames_come_back_as_they_were(tmp_path: Path) -> None:
         assert (found.road is None) == (frame.road is None)
 
 
+def test_two_recordings_into_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    first = record(path, [full_frame(0)])
+    with pytest.raises(ValueError, match=r"drive\.mcap: another run is writing this file"):
+        McapRecorder(path)
+    first.write(full_frame(1), full_result(full_frame(1)))
+    first.close()
+    assert [frame.frame for frame in Recording(path)] == [7, 9]
+    record(path, [full_frame(2)]).close()  # afterwards there is room for another
+    assert [frame.frame for frame in Recording(path)] == [11]
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_sequences_follow_each_other_and_keep_their_times(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     frames = [full_frame(index, sequence) for sequence in ("S00001", "S00002") for index in range(3)]
