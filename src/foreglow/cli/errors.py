@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import platform
+import re
 import sys
 import tempfile
 import traceback
@@ -58,6 +59,8 @@ READERS = (
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
+EMPTY_OPTION = re.compile(r"--[\w-]+=")
+
 MAX_LENGTH = 1000
 """Characters of a message; a longer one, such as of a file that is one long line, is cut."""
 
@@ -87,6 +90,19 @@ class Commands(TyperGroup):
             sys.exit(INTERRUPTED)
         sys.exit(code if isinstance(code, int) else 0)
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parses the command line.
+
+        Raises:
+            typer.BadParameter: If a value is empty, such as of a variable that is not set: as a path, it would stand
+                for the working directory.
+        """
+        for before, text in zip(["", *args], args, strict=False):
+            if not text or EMPTY_OPTION.fullmatch(text):
+                name = text.removesuffix("=") or (before if before.startswith("-") else "the command line")
+                raise typer.BadParameter(f"{name}: expected a value, got an empty one", ctx)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Runs the command.
 
@@ -95,7 +111,7 @@ class Commands(TyperGroup):
         """
         is_debug = ctx.params["debug"]
         if not is_debug:  # what libraries have to say beside their errors
-            logging.lastResort = None
+            logging.lastResort = logging.NullHandler()
             warnings.simplefilter("ignore")
         inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:
