@@ -202,13 +202,16 @@ def test_slow_camera(drive: list[Frame]) -> None:
     for frame in drive[BEGIN + 4 : 50 : 2]:  # the second frame that came late, and all after it
         assert LiveFault.CAMERA_SLOW in commands[frame.timestamp_ns].faults
     assert commands[drive[58].timestamp_ns].mode != BeamMode.LOW
-    assert summary.fault_counts == {LiveFault.CAMERA_SLOW: 1}
+    assert summary.fault_counts == {LiveFault.FRAME_LOST: 1, LiveFault.CAMERA_SLOW: 1}
 
 
-def test_one_missing_frame_is_no_fault(drive: list[Frame]) -> None:
+def test_one_missing_frame_is_noted_alone(drive: list[Frame]) -> None:
     frames = [*drive[:BEGIN], *drive[BEGIN + 1 : 60]]
     summary, lamps = run_live(ScriptedCamera(frames), live_config())
-    assert summary.fault_counts == {}
+    assert summary.fault_counts == {LiveFault.FRAME_LOST: 1}
+    assert summary.faults[0].detail.startswith("111 ms before ")
+    assert summary.faults[0].until_ns is not None
+    assert not any(command.faults for command in lamps.commands)
     assert not any(lamps.is_low[1:-1])
 
 
