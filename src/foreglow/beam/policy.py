@@ -69,18 +69,12 @@ class LowBeam:
         """As `BeamPolicy.reset`."""
 
 
-class HighBeam:
+class HighBeam(LowBeam):
     """High beam, always."""
-
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
-        self._num_leds = headlamps.num_leds
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
         """As `BeamPolicy.command`."""
         return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
-
-    def reset(self) -> None:
-        """As `BeamPolicy.reset`."""
 
 
 class GapWriter:

@@ -96,6 +96,7 @@ def test_topics_times_and_schemas(tmp_path: Path) -> None:
         "num_frames": 5,
         "num_dropped": 2,
         "num_late": 1,
+        "details": "",
         "beam": None,
     }
 

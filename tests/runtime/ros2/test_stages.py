@@ -27,8 +27,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, make_ros_node
-from foreglow.runtime.ros2.receiver import Receiver
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
 from foreglow.runtime.ros2.stages import PipelineNode, Setting

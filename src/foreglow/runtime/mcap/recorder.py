@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -16,6 +17,7 @@ from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets.bags import FRAME_TOPIC, FrameMessage
+from foreglow.files import fields_to_json
 from foreglow.outputs import partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.times_file import frame_to_times
@@ -145,14 +147,8 @@ class McapRecorder:
         """
         time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
         self._stamp(time_ns)
-        record = {
-            "timestamp_ns": health.timestamp_ns,
-            "faults": list(health.faults),
-            "num_frames": health.num_frames,
-            "num_dropped": health.num_dropped,
-            "num_late": health.num_late,
-            "beam": None if health.beam is None else BeamMode(health.beam.mode).name.lower(),
-        }
+        record = fields_to_json(dataclasses.replace(health, beam=None))
+        record["beam"] = None if health.beam is None else BeamMode(health.beam.mode).name.lower()
         self._health.log(_json(record), log_time=time_ns)
         self._note_faults("fault", health.faults, time_ns)
         self._flush()

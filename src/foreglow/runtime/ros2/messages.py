@@ -28,7 +28,7 @@ from foreglow.calibration.ros import distortion_of
 from foreglow.calibration.values import HALF_PIXEL_PX
 from foreglow.datasets.images import check_size, to_grey
 from foreglow.geometry import Camera, Pose
-from foreglow.runtime.ros2.header import Header, byte_array, header_message, read_header
+from foreglow.runtime.ros2.header import Header, byte_array, header_message
 from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import EgoMotion, RoadAhead
 from foreglow.types import Image as GreyImage
@@ -240,12 +240,3 @@ def read_road(message: PointCloud2, topic: str) -> RoadAhead | None:
         return RoadAhead(points, float(width_m[0]), columns["cross_slope"], float(bound_m[0]))
     except ValueError as error:
         raise ValueError(f"{topic}: {error}") from None
-
-
-def header_of(message: Any, topic: str) -> Header:
-    """The header of any stamped message.
-
-    Raises:
-        ValueError: As `read_header`.
-    """
-    return read_header(message.header, topic)
