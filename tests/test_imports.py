@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "lab.reports": CAR | {"lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR | {"options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
-    "cli": CAR | LAB | {"options", "foreglow"},
+    "cli": CAR | LAB | {"options", "outputs", "foreglow"},
 }
 """For every room, the other rooms that it may import; "foreglow" is the package's own file, with names of all rooms."""
 

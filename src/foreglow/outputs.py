@@ -146,6 +146,14 @@ def locked(folders: Mapping[str, Path]) -> Iterator[None]:
         yield
 
 
+def exists(path: Path) -> bool:
+    """Whether there is something at `path`; nothing is at what no file can be called."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # no name of a file, such as an address or a long text
+        return False
+
+
 def _is_same(path: Path, other: Path) -> bool:
     """Whether both are one file or folder, whatever their names: links are followed, hard links are known."""
     try:

@@ -168,9 +168,7 @@ def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None
         read_image(tmp_path / "a.npy")
 
 
-def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = bytearray(encoded(".png", GREY))
     data[24] = 3  # bits
     data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")

@@ -22,6 +22,7 @@ import typer
 from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
+from foreglow.outputs import exists
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -159,16 +160,9 @@ def _inputs(arguments: Sequence[str]) -> list[Path]:
     for before, argument in zip(["", *arguments], arguments, strict=False):
         name, _, value = argument.partition("=")
         text = value if argument.startswith("-") else argument
-        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and _exists(Path(text)):
+        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and exists(Path(text)):
             paths.append(Path(text))
     return paths
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # a name that is too long, or has a zero byte
-        return False
 
 
 def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:

@@ -6,8 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.offline import finish, open_frames, run_frames, run_in_parallel
-from foreglow.cli.sinks import picture_sink, progress_sink, recorded_lux, recording_sinks, viewer_sinks
+from foreglow.cli.running import (
+    finish,
+    open_frames,
+    picture_sink,
+    progress_sink,
+    recorded_lux,
+    recording_sinks,
+    run_frames,
+    run_in_parallel,
+    viewer_sinks,
+)
 from foreglow.options import (
     OutOption,
     PipelineOptions,

@@ -74,7 +74,6 @@ def _check_quality(quality: str) -> None:
 
 
 def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
-    """The scenes in the given files."""
     from foreglow.lab.simulation import read_scene
 
     return tuple(read_scene(file) for file in files or ())
@@ -100,7 +99,6 @@ def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tu
 
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:
-    """Renders one drive with its labels drawn."""
     from foreglow.display.progress import SceneProgress
     from foreglow.lab.simulation import drive_frames
     from foreglow.lab.simulation.preview import preview
@@ -112,7 +110,6 @@ def _preview(scene: Scene, out: Path, quality: str) -> None:
 
 
 def _simulate(scenes: tuple[Scene, ...], out: Path, config: DatasetConfig, workers: Workers, quality: str) -> None:
-    """Writes the data set."""
     from foreglow.display.progress import SceneProgress
     from foreglow.lab.simulation import drive_frames, simulate_dataset
 

@@ -135,7 +135,6 @@ def run(
 
 @contextlib.contextmanager
 def _discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
-    """Discards the sinks if the `with` block ends with an error."""
     try:
         yield
     except BaseException:

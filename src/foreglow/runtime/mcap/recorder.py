@@ -194,7 +194,6 @@ class McapRecorder:
         return Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
     def _note_faults(self, kind: str, faults: Sequence[str], time_ns: int) -> None:
-        """Logs the faults when they change."""
         if tuple(faults) == self._faults.get(kind, ()):
             return
         self._faults[kind] = tuple(faults)
