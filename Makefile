@@ -76,7 +76,7 @@ wheel: $(VENV)/.wheel
 # The page of all commands, made from the program, and the documentation as a site in build/site; a broken link or anchor is an error. To search in it, serve it:
 # python3 -m http.server --directory build/site
 docs: $(VENV)/.docs
-	$(BIN)/python -m foreglow.cli.reference > docs/commands.md
+	$(BIN)/python docs/commands_page.py > docs/commands.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(VENV)/.dev

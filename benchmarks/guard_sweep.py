@@ -205,6 +205,8 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
             speed = None if frame.motion is None else frame.motion.speed_mps
             state = (where, before, float(command.levels[0, 0]), speed, age_s, fault)
             must_be_low = bool(fault) or speed is None or speed < 32 / 3.6 or not 0 <= age_s <= 0.3
+            if checked.mode != mode_of(checked):
+                outcome.broken("the mode says what shines", state)
             if must_be_low != (checked.mode == BeamMode.LOW) or must_be_low != bool(checked.faults):
                 outcome.broken("low beam where, and only where, something is wrong", state)
             if checked.levels.any():
@@ -216,6 +218,14 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
         if lit:
             _check_light(outcome, place, lit, states)
     return outcome
+
+
+def mode_of(command: BeamCommand) -> BeamMode:
+    """Low beam while all LEDs are off, full beam only if all are at 1 and there is no gap."""
+    if not command.levels.any():
+        return BeamMode.LOW
+    is_full = bool((command.levels == 1.0).all()) and not len(command.gaps_rad)
+    return BeamMode.FULL if is_full else BeamMode.GLARE_FREE
 
 
 def _prepared(guard: Guard, levels: Floats) -> Guard:

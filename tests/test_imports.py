@@ -42,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files"},
     "runs": VALUES | {"calibration", "files", "outputs", "provenance", "datasets"},
-    "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "pipeline", "datasets", "runs"},
+    "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "datasets", "runs", "runtime"},
     "outputs": set(),
     "options": {"config", "beam", "datasets", "outputs", "parallel"},
@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "lab.reports": CAR | {"lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR | {"options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
-    "cli": CAR | LAB | {"options", "foreglow"},
+    "cli": CAR | LAB | {"options", "outputs", "foreglow"},
 }
 """For every room, the other rooms that it may import; "foreglow" is the package's own file, with names of all rooms."""
 

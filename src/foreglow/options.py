@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from typer.models import OptionInfo
 
-from foreglow.outputs import check_outputs, locked
+from foreglow.outputs import check_outputs, exists, locked
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -133,15 +133,8 @@ def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator
         for path in value if isinstance(value, list | tuple) else [value]:
             if isinstance(path, str) and role == "input":
                 path = Path(path)
-            if isinstance(path, Path) and (role != "input" or _exists(path)):
+            if isinstance(path, Path) and (role != "input" or exists(path)):
                 yield name, path
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # no name of a file, such as an address or a long text
-        return False
 
 
 def _label(name: str, info: Any) -> str:
@@ -152,7 +145,6 @@ def _label(name: str, info: Any) -> str:
 
 
 def _options_of(group: type) -> Iterator[inspect.Parameter]:
-    """The fields of a group as a command's parameters."""
     hints = typing.get_type_hints(group, include_extras=True)
     for name, parameter in inspect.signature(group).parameters.items():
         kind, info = typing.get_args(hints[name])

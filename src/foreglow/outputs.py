@@ -33,6 +33,19 @@ _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
 
 
+def lock(descriptor: int) -> bool:
+    """Locks an open file or folder until it is closed; returns False if another has locked it.
+
+    A file system without locks locks nothing.
+    """
+    with contextlib.suppress(OSError):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
+
+
 class FolderLock:
     """The right to write into a folder, which one run has at a time; it ends with the process, however that ends.
 
@@ -61,14 +74,9 @@ class FolderLock:
         if self._path in _OF_COMMAND and not is_of_command:
             return
         descriptor = os.open(path, os.O_RDONLY)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not lock(descriptor):
             os.close(descriptor)
-            raise ValueError(f"{path}: another run is writing into this folder; expected one of its own") from None
-        except OSError:  # a file system without locks
-            os.close(descriptor)
-            return
+            raise ValueError(f"{path}: another run is writing into this folder; expected one of its own")
         self._descriptor = descriptor
         if is_of_command:
             _OF_COMMAND.add(self._path)
@@ -136,6 +144,14 @@ def locked(folders: Mapping[str, Path]) -> Iterator[None]:
         for path in folders.values():
             locks.enter_context(FolderLock(path, is_of_command=True))
         yield
+
+
+def exists(path: Path) -> bool:
+    """Whether there is something at `path`; nothing is at what no file can be called."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # no name of a file, such as an address or a long text
+        return False
 
 
 def _is_same(path: Path, other: Path) -> bool:

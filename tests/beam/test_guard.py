@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,21 @@ _steps = st.lists(
     min_size=2,
     max_size=30,
 )
+
+
+def test_the_mode_says_what_shines() -> None:
+    """Light returns from 0: low beam, then LEDs on their way, then full beam."""
+    guard, modes = Guard(guard_config(), LAMPS), []
+    for number in range(25):
+        command = next_check(guard, frame_at(number))
+        assert command.faults == ()
+        assert command.mode == guard_sweep.mode_of(command)
+        modes.append(command.mode)
+    assert [mode for mode, _ in itertools.groupby(modes)] == [BeamMode.LOW, BeamMode.GLARE_FREE, BeamMode.FULL]
+    gap = np.array([[0.02, 0.04]])
+    frame = frame_at(25)
+    wanted = BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, NUM_LEDS)), gap, np.array([80.0]))
+    assert guard.check(wanted, NOBODY, frame).mode == BeamMode.GLARE_FREE
 
 
 @pytest.mark.slow

@@ -51,6 +51,27 @@ def test_nan_in_a_float_image_is_one_line(tmp_path: Path, config: Path) -> None:
     assert "NaN" in complaint("run", tmp_path / "a.npy", "--out", tmp_path / "out", "--config", config)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["run", "drive", "--out", ""], "--out"),
+        (["run", "drive", "--out="], "--out"),
+        (["live", "drive", "--record", ""], "--record"),
+        (["beam", "drive", "--out", "out", "--save", ""], "--save"),
+        (["evaluate", "split", "--json", ""], "--json"),
+        (["ros2", "detector", "--config", ""], "--config"),
+        (["yolo", "train", "", "--out", "out"], "the command line"),
+        (["run", "", "--out", "out"], "the command line"),
+    ],
+)
+def test_an_empty_value_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert f"{name}: expected a value, got an empty one" in complaint(*arguments)
+    assert names(tmp_path) == set()
+
+
 def test_missing_and_empty_sources(tmp_path: Path, config: Path) -> None:
     assert "absent" in complaint("run", tmp_path / "absent", "--out", tmp_path / "out", "--config", config)
     (tmp_path / "empty").mkdir()

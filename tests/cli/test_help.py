@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import typer
 
+from docs.commands_page import reference
 from foreglow.cli import app
-from foreglow.cli.reference import reference
 from foreglow.lab.studies import STUDIES
 from tests.cli.commands import foreglow_command
 

@@ -29,7 +29,7 @@ def test_replay_into_a_folder_and_onto_a_bus(tmp_path: Path) -> None:
     assert names(out) == RESULTS
     assert num_lines(out) == 30
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["beam"]["num_low"] == 0
+    assert summary["beam"]["num_low"] == 1  # of the first frame, as light begins to return there
     assert summary["live"] == {
         "num_dropped": 0,
         "num_late": 0,

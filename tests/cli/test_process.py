@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from foreglow.datasets import shipped_drive
 from tests.cli.commands import PNG, RESULTS, names, num_lines
 
 pytestmark = pytest.mark.process
@@ -34,6 +35,16 @@ def test_error_of_a_process_has_no_traceback(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "Traceback" in subprocess.run([*command[:3], "--debug", *command[3:]], capture_output=True, text=True).stderr
+
+
+def test_a_library_that_logs_adds_no_line(tmp_path: Path) -> None:
+    """python-can logs what its drivers lack; without a handler, Python itself writes a line about that."""
+    pytest.importorskip("can")
+    command = subprocess_command("live", shipped_drive(), "--can", "pcan:none", "--out", tmp_path / "out")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert names(tmp_path) == set()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")

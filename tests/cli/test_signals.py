@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import shipped_drive
+from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
 
 pytestmark = pytest.mark.process
 
@@ -155,3 +156,51 @@ def test_a_ros_2_node_that_is_interrupted_says_so(number: signal.Signals) -> Non
     sys.modules[stages.__name__] = stages
     """
     assert ended(code, number, "ros2", "tracking") == (130, "")
+
+
+HALF_WRITTEN = """
+import contextlib
+from foreglow import files
+
+whole = files.open_atomic
+
+
+@contextlib.contextmanager
+def waiting(path):
+    with whole(path) as file:
+        if path.name == NAME:
+            file.write(b"half")
+            file.flush()
+            wait()
+        yield file
+
+
+files.open_atomic = waiting
+"""
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_report_is_not_left_half_written(number: signal.Signals, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    run = Path(__file__).parents[1] / "runs" / "run_of_0_1_0"
+    code = f"NAME = {path.name!r}\n{HALF_WRITTEN}"
+    assert ended(code, number, "report", run, "--out", path) == (130, "foreglow: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.torch
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_training_leaves_whole_files(number: signal.Signals, tmp_path: Path) -> None:
+    """It is interrupted after its first epoch, while the curves are written."""
+    pytest.importorskip("onnx")
+    data, out = make_drives(tmp_path / "data", num_images=2), tmp_path / "out"
+    (tmp_path / "config.toml").write_text(CONFIG_TOML)
+    code = f"NAME = 'curves.csv'\n{HALF_WRITTEN}"
+    options = ["--epochs", 2, "--device", "cpu", "--preset", "paper", "--config", tmp_path / "config.toml"]
+    code_and_words = ended(code, number, "train", data, "--out", out, *options)
+    words = f"{out}: the same command continues from the last whole epoch\nforeglow: interrupted\n"
+    assert code_and_words == (130, words)
+    left = {path.name for path in out.iterdir()}
+    assert "checkpoint.pt" in left
+    assert not {name for name in left if name.startswith(".") or name in {"curves.csv", "model.onnx", "summary.json"}}

@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from foreglow.cli import app
-from foreglow.lab.simulation import Scene, read_scene, scene_to_toml
+from foreglow.lab import simulation
+from foreglow.lab.simulation import Scene, Split, draw_scenes, read_scene, scene_to_toml
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
 
@@ -52,6 +53,29 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert "2 drives, 8 images" in result.stdout
     return out
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        (("--quality", "best"), "quality: expected one of fast, training, fine, got 'best'"),
+        (("--size", "9x9"), "width_px"),
+        (("--size", "large"), "size: expected WIDTHxHEIGHT"),
+        (("--cycle", "dawn"), "cycle: expected one of"),
+        (("--ego-beam", "none"), "--ego-beam: expected one of"),
+        (("--split", "dev"), "split: expected one of"),
+    ],
+)
+def test_bad_options_are_told_before_all_scenes_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: tuple[str, str], expected: str
+) -> None:
+    def only_a_first(num_scenes: int, seed: int, split: Split = "train") -> tuple[Scene, ...]:
+        assert num_scenes == 1
+        return draw_scenes(num_scenes, seed, split)
+
+    monkeypatch.setattr(simulation, "draw_scenes", only_a_first)
+    assert expected in complaint("simulate", "--out", tmp_path / "out", *option)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.renderer

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,15 @@ def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None
         np.lib.format.write_array_header_1_0(file, header)
     with pytest.raises(ValueError, match=r"expected a complete \.npy file"):
         read_image(tmp_path / "a.npy")
+
+
+def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(encoded(".png", GREY))
+    data[24] = 3  # bits
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    with pytest.raises(ValueError, match="expected a kind of pixels, got colour type 0, 3 bits"):
+        read_image(_file(tmp_path, "a.png", bytes(data)))
+    assert capfd.readouterr().err == ""
 
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:

@@ -3,8 +3,7 @@
 from foreglow.beam.gaps import Gap
 from foreglow.beam.guard import Guard
 from foreglow.beam.occurrence import Occurrence, occurrence
-from foreglow.beam.policies import POLICIES, make_policy, policy_class
-from foreglow.beam.policy import BeamPolicy, GapWriter, PaperPolicy
+from foreglow.beam.policy import POLICIES, BeamPolicy, GapWriter, PaperPolicy, make_policy, policy_class
 from foreglow.beam.stage import BeamStage
 
 __all__ = [

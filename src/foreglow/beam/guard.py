@@ -98,7 +98,7 @@ class Guard:
             names = (*pipeline_faults, *(str(fault) for fault in faults))
             return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)
         levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)  # (1)
-        gaps_rad, gap_ranges_m, mode = wanted.gaps_rad, wanted.gap_ranges_m, wanted.mode
+        gaps_rad, gap_ranges_m = wanted.gaps_rad, wanted.gap_ranges_m
         is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
         if is_protected.any():
             ranges_m = tracks.ranges_m[is_protected]
@@ -111,8 +111,11 @@ class Guard:
             gaps_rad, gap_ranges_m = united(
                 np.concatenate([gaps_rad, borders_rad]), np.concatenate([gap_ranges_m, ranges_m])
             )
-            mode = BeamMode.GLARE_FREE
         self._levels = levels
+        if not levels.any():  # light has not begun to return, or must shine nowhere
+            return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds)
+        is_full = not len(gaps_rad) and levels.min() >= 1.0
+        mode = BeamMode.FULL if is_full else BeamMode.GLARE_FREE
         return BeamCommand(frame.timestamp_ns, mode, levels, gaps_rad, gap_ranges_m)
 
     def _clock_faults(self, frame_ns: int, time_ns: int) -> tuple[float, list[GuardFault]]:

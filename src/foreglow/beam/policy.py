@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
+from foreglow.plugins import find
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
@@ -69,18 +71,12 @@ class LowBeam:
         """As `BeamPolicy.reset`."""
 
 
-class HighBeam:
+class HighBeam(LowBeam):
     """High beam, always."""
-
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
-        self._num_leds = headlamps.num_leds
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
         """As `BeamPolicy.command`."""
         return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
-
-    def reset(self) -> None:
-        """As `BeamPolicy.reset`."""
 
 
 class GapWriter:
@@ -233,6 +229,30 @@ class ForeglowPolicy:
         return [_around(bearing, bearing.half_width_rad + self._margin_rad) for bearing in acted]
 
 
+POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(
+    {"low": LowBeam, "high": HighBeam, "paper": PaperPolicy, "foreglow": ForeglowPolicy}
+)
+"""Our policies by name."""
+
+
+def policy_class(name: str, field: str = "beam.policy") -> type[BeamPolicy]:
+    """The policy called `name`: one of `POLICIES`, or a plug-in.
+
+    Raises:
+        ValueError: If there is none, or it cannot be imported; the message starts with `field`.
+    """
+    return find(field, name, POLICIES, "foreglow.policies")
+
+
+def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
+    """The policy that `config.policy` names.
+
+    Raises:
+        ValueError: As `policy_class`.
+    """
+    return policy_class(config.policy)(config, headlamps)
+
+
 def _is_coming(bearing: Bearing) -> bool:
     is_sure = bearing.direct >= MIN_COMING_DIRECT and bearing.confidence >= MIN_COMING_CONFIDENCE
     return is_sure and bearing.range_m >= MIN_COMING_M
@@ -243,7 +263,6 @@ def _around(bearing: Bearing, half_rad: float) -> Gap:
 
 
 def _bounds_m(bearing: Bearing) -> tuple[float, float]:
-    """Nearest and farthest range of the light."""
     if math.isnan(bearing.range_m):
         return UNKNOWN_NEAR_M, math.inf
     range_m = max(bearing.range_m, NEAREST_M)

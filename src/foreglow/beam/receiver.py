@@ -119,7 +119,6 @@ class LampReceiver:
         self._brighten(time_ns)
 
     def _brighten(self, time_ns: int) -> None:
-        """Moves the LEDs towards their target until a time."""
         if not self._config.brightening_s:
             self._levels = self._target.copy()
         elif self._now_ns is not None:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from foreglow.beam.guard import Guard
-from foreglow.beam.policies import make_policy
-from foreglow.beam.policy import BeamPolicy
+from foreglow.beam.policy import BeamPolicy, make_policy
 from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked

@@ -12,7 +12,7 @@ with interruptible():
     from foreglow.cli.app import app
 
     # In the order of the help.
-    from foreglow.cli import run, demo, record, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
+    from foreglow.cli import run, demo, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
     from foreglow.cli import evaluate, download, simulate, learning, yolo, experiment  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.offline import finish, open_frames, run_frames
-from foreglow.cli.sinks import beam_sink, recorded_lux, viewer_sinks
+from foreglow.cli.running import beam_sink, finish, open_frames, recorded_lux, run_frames, viewer_sinks
 from foreglow.options import (
     BeamOptions,
     OutOption,
@@ -55,9 +54,7 @@ def beam(
     from foreglow.pipeline import Pipeline
 
     is_run = (source / "frames.jsonl").is_file()
-    configuration = lamps.commanding(
-        _configuration_of_run(source, out, pipeline) if is_run else pipeline.configuration()
-    )
+    configuration = lamps.commanding(_configuration_of_run(source, pipeline) if is_run else pipeline.configuration())
     headlamps = read_headlamps(configuration.beam.headlamps)
     _check_can(can, headlamps, is_compact=compact)
     stepper: Stepper
@@ -81,14 +78,12 @@ def beam(
     finish(run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)
 
 
-def _configuration_of_run(run: Path, out: Path, options: PipelineOptions) -> PipelineConfig:
+def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:
     """The configuration of an earlier run, overridden by the fields of the file."""
     from foreglow.config import read_config
 
     if options.preset is not None or options.model is not None:
         raise ValueError(f"{run}: expected neither --preset nor --model with a run: its tracks are taken as they are")
-    if run.resolve() == out.resolve():
-        raise ValueError(f"{out}: expected another folder for the results than that of the run")
     configuration = read_config(run / "config.toml")
     if configuration.classifier.model is None or configuration.tracker.method == "none":
         raise ValueError(f"{run}: expected the folder of a run with tracks: it had no model or no tracker")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import platform
+import re
 import sys
 import tempfile
 import traceback
@@ -21,6 +22,7 @@ import typer
 from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
+from foreglow.outputs import exists
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -58,6 +60,8 @@ READERS = (
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
+EMPTY_OPTION = re.compile(r"--[\w-]+=")
+
 MAX_LENGTH = 1000
 """Characters of a message; a longer one, such as of a file that is one long line, is cut."""
 
@@ -87,6 +91,19 @@ class Commands(TyperGroup):
             sys.exit(INTERRUPTED)
         sys.exit(code if isinstance(code, int) else 0)
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parses the command line.
+
+        Raises:
+            typer.BadParameter: If a value is empty, such as of a variable that is not set: as a path, it would stand
+                for the working directory.
+        """
+        for before, text in zip(["", *args], args, strict=False):
+            if not text or EMPTY_OPTION.fullmatch(text):
+                name = text.removesuffix("=") or (before if before.startswith("-") else "the command line")
+                raise typer.BadParameter(f"{name}: expected a value, got an empty one", ctx)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Runs the command.
 
@@ -95,7 +112,7 @@ class Commands(TyperGroup):
         """
         is_debug = ctx.params["debug"]
         if not is_debug:  # what libraries have to say beside their errors
-            logging.lastResort = None
+            logging.lastResort = logging.NullHandler()
             warnings.simplefilter("ignore")
         inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:
@@ -143,16 +160,9 @@ def _inputs(arguments: Sequence[str]) -> list[Path]:
     for before, argument in zip(["", *arguments], arguments, strict=False):
         name, _, value = argument.partition("=")
         text = value if argument.startswith("-") else argument
-        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and _exists(Path(text)):
+        if text and before not in OUTPUT_OPTIONS and name not in OUTPUT_OPTIONS and exists(Path(text)):
             paths.append(Path(text))
     return paths
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # a name that is too long, or has a zero byte
-        return False
 
 
 def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.offline import run_in_parallel
+from foreglow.cli.running import run_in_parallel
 from foreglow.options import (
     PipelineOptions,
     WorkerOptions,
@@ -109,7 +109,6 @@ def _threshold_of(predictions: Path) -> float:
 
 
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
-    """All figures of the predictions in a file."""
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras

@@ -103,7 +103,6 @@ def source(
 
 
 def _add_stage(name: str, text: str) -> None:
-    """Adds the command of a node that runs one stage."""
 
     @ros2.command(name, help=text, context_settings=PASSING)
     @with_options
@@ -112,7 +111,6 @@ def _add_stage(name: str, text: str) -> None:
 
 
 def _add_output(name: str, text: str) -> None:
-    """Adds the command of a node that commands the beam."""
 
     @ros2.command(name, help=text, context_settings=PASSING)
     @with_options
@@ -192,7 +190,6 @@ def _prepare(context: typer.Context, is_networked: bool) -> list[str]:
 def _run_node(
     name: str, context: typer.Context, pipeline: PipelineOptions, node: NodeOptions, output: OutputOptions
 ) -> None:
-    """Runs a compute node until it is stopped."""
     ros_arguments = _prepare(context, node.is_networked)
     from foreglow.calibration import read_calibration
     from foreglow.runtime.ros2.stages import NODES, Setting

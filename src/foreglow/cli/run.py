@@ -1,12 +1,22 @@
-"""`run`: frames in, results out."""
+"""`run`: frames in, results out; `record`: the same as an MCAP file."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.offline import finish, open_frames, run_frames, run_in_parallel
-from foreglow.cli.sinks import picture_sink, recorded_lux, recording_sinks, viewer_sinks
+from foreglow.cli.running import (
+    finish,
+    open_frames,
+    picture_sink,
+    progress_sink,
+    recorded_lux,
+    recording_sinks,
+    run_frames,
+    run_in_parallel,
+    viewer_sinks,
+)
 from foreglow.options import (
     OutOption,
     PipelineOptions,
@@ -17,6 +27,7 @@ from foreglow.options import (
     ViewOptions,
     WorkerOptions,
     flag,
+    output_file,
     with_options,
 )
 
@@ -60,3 +71,22 @@ def run(
 
     stepper = Pipeline(configuration)
     finish(run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)
+
+
+@app.command()
+@with_options
+def record(
+    source: SourceArgument,
+    out: Annotated[Path, output_file("The recording: FILE.mcap.")],
+    pipeline: PipelineOptions,
+    reading: SourceOptions,
+    vehicle: VehicleOptions,
+) -> None:
+    """Record SOURCE and what is found in it as MCAP, for replay and for Foxglove."""
+    from foreglow import runtime
+    from foreglow.pipeline import Pipeline
+
+    stepper = Pipeline(pipeline.configuration())
+    frames = vehicle.equip(reading.open(source))
+    sinks = [progress_sink(frames, reading.limit), *recording_sinks(out, source, stepper.config)]
+    finish(runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source)), out)

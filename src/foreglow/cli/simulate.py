@@ -13,7 +13,7 @@ from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, o
 
 if TYPE_CHECKING:
     from foreglow.lab import simulation
-    from foreglow.lab.simulation import DatasetSummary, Scene
+    from foreglow.lab.simulation import DatasetConfig, DatasetSummary, Scene
     from foreglow.parallel import Workers
 
 
@@ -48,6 +48,7 @@ def simulate(
     from foreglow.lab import simulation
 
     workers = work.workers()
+    _check_quality(quality)
     if print_scene is not None:
         drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
         typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
@@ -55,14 +56,24 @@ def simulate(
         drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
         scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
+    elif out is None:
+        raise ValueError("simulate: expected --out DIR, --preview NAME or --print NAME")
     else:
-        drawn = _own_scenes(scene) or simulation.draw_scenes(num_scenes, seed, cast("simulation.Split", split))
-        drawn = _changed(drawn, ego_beam, empty)
-        _simulate(_adapted(drawn, size or "1280x960", fps, cycle), out, (seed, split, cycle), workers, quality)
+        config = simulation.DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
+        for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
+            drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, cast("simulation.Split", split))
+            scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle)
+        _simulate(scenes, out, config, workers, quality)
+
+
+def _check_quality(quality: str) -> None:
+    from foreglow.lab.simulation.light.sampling import QUALITIES
+
+    if quality not in QUALITIES:
+        raise ValueError(f"--quality: expected one of {', '.join(QUALITIES)}, got {quality!r}")
 
 
 def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
-    """The scenes in the given files."""
     from foreglow.lab.simulation import read_scene
 
     return tuple(read_scene(file) for file in files or ())
@@ -88,7 +99,6 @@ def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tu
 
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:
-    """Renders one drive with its labels drawn."""
     from foreglow.display.progress import SceneProgress
     from foreglow.lab.simulation import drive_frames
     from foreglow.lab.simulation.preview import preview
@@ -99,17 +109,10 @@ def _preview(scene: Scene, out: Path, quality: str) -> None:
     typer.echo(f"{scene.num_frames} frames of {scene.name}: {sheet} and {movie}")
 
 
-def _simulate(
-    scenes: tuple[Scene, ...], out: Path | None, origin: tuple[int, str, str], workers: Workers, quality: str
-) -> None:
-    """Writes the data set."""
+def _simulate(scenes: tuple[Scene, ...], out: Path, config: DatasetConfig, workers: Workers, quality: str) -> None:
     from foreglow.display.progress import SceneProgress
-    from foreglow.lab.simulation import DatasetConfig, drive_frames, simulate_dataset
+    from foreglow.lab.simulation import drive_frames, simulate_dataset
 
-    if out is None:
-        raise ValueError("simulate: expected --out DIR, --preview NAME or --print NAME")
-    seed, split, cycle = origin
-    config = DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
     drive = functools.partial(drive_frames, quality=quality)
     with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
         summary = simulate_dataset(out, scenes, drive, config, workers=workers, progress=progress)

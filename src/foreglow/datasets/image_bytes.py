@@ -13,6 +13,10 @@ import zlib
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 
+_PNG_HEADER = struct.Struct(">IIBBBBB")
+_PNG_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+"""Bits of a sample by colour type. PNG specification, table 11.1."""
+
 _PNM = re.compile(rb"P[1-6]\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s")
 _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
 _TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height of a tile"}
@@ -44,9 +48,11 @@ def png_size_px(data: bytes) -> tuple[int, int]:
         is_critical = kind[:1].isupper()
         if is_critical and zlib.crc32(data[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
             raise ValueError(f"damaged PNG, wrong checksum of chunk {kind.decode('latin-1')!a} at byte {position}")
-        if kind == b"IHDR" and length >= 8:
-            width = int.from_bytes(data[position + 8 : position + 12], "big")
-            size_px = int.from_bytes(data[position + 12 : position + 16], "big"), width
+        if kind == b"IHDR" and length == _PNG_HEADER.size:
+            width, height, depth, colour, *methods = _PNG_HEADER.unpack_from(data, position + 8)
+            if depth not in _PNG_DEPTHS.get(colour, ()) or max(methods) > 1:  # libpng would write to stderr
+                raise ValueError(f"damaged PNG, expected a kind of pixels, got colour type {colour}, {depth} bits")
+            size_px = height, width
         if kind == b"IEND":
             break
         position = end

@@ -13,7 +13,7 @@ import numpy as np
 from foreglow.config import PipelineConfig
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
-from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Tracks
+from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 
 NUM_TIMES = 20_000
 """Number of frames whose run-times are kept, always the latest: a live run may last for days."""
@@ -30,7 +30,10 @@ class Tally:
         self._num_tracks: int | None = None
         self._sequence = ""
         self._counted: set[int] = set()
-        self._beam: BeamTally | None = None
+        self._modes: Counter[int] = Counter()
+        self._faults: Counter[str] = Counter()
+        self._num_gaps = 0
+        self._sum_gaps_rad = 0.0
         self._sizes_px: dict[tuple[int, int], None] = {}
         self._stage_ms: defaultdict[str, deque[float]] = defaultdict(functools.partial(deque, (), NUM_TIMES))
 
@@ -45,8 +48,10 @@ class Tally:
         if result.tracks is not None:
             self._count_tracks(frame.sequence, result.tracks)
         if result.beam is not None:
-            self._beam = self._beam or BeamTally()
-            self._beam.add(result.beam)
+            self._modes[result.beam.mode] += 1
+            self._faults.update(result.beam.faults)
+            self._num_gaps += len(result.beam.gaps_rad)
+            self._sum_gaps_rad += float(np.diff(result.beam.gaps_rad).sum())
         self._sizes_px[frame.width_px, frame.height_px] = None
         for name, value in result.stage_ms.items():
             self._stage_ms[name].append(value)
@@ -54,15 +59,12 @@ class Tally:
 
     def extend(self, later: Tally) -> None:
         """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
-        self.num_frames += later.num_frames
-        self._num_proposals += later._num_proposals
-        self._num_accepted += later._num_accepted
-        self._num_ranged += later._num_ranged
+        for name in ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_gaps", "_sum_gaps_rad"):
+            setattr(self, name, getattr(self, name) + getattr(later, name))
         if later._num_tracks is not None:
             self._num_tracks = (self._num_tracks or 0) + later._num_tracks
-        if later._beam is not None:
-            self._beam = self._beam or BeamTally()
-            self._beam.extend(later._beam)
+        self._modes.update(later._modes)
+        self._faults.update(later._faults)
         self._sizes_px |= later._sizes_px
         for name, values in later._stage_ms.items():
             self._stage_ms[name] += values
@@ -100,7 +102,7 @@ class Tally:
             num_accepted=self._num_accepted if is_classified else None,
             num_ranged=self._num_ranged if is_ranging else None,
             num_tracks=self._num_tracks,
-            beam=None if self._beam is None else self._beam.summary(),
+            beam=self._beam_summary() if self._modes else None,
             num_skipped=len(skipped),
             skipped=tuple(skipped),
             frame_sizes_px=tuple(self._sizes_px),
@@ -121,38 +123,12 @@ class Tally:
         self._num_tracks = (self._num_tracks or 0) + len(plausible - self._counted)
         self._counted = (self._counted | plausible) & set(tracks.ids.tolist())
 
-
-class BeamTally:
-    """Counts modes, faults and gaps, command by command."""
-
-    def __init__(self) -> None:
-        self._modes: Counter[int] = Counter()
-        self._faults: Counter[str] = Counter()
-        self._sum_gaps_rad = 0.0
-        self._num_gaps = 0
-
-    def add(self, command: BeamCommand) -> None:
-        """Counts one command."""
-        self._modes[command.mode] += 1
-        self._faults.update(command.faults)
-        self._num_gaps += len(command.gaps_rad)
-        self._sum_gaps_rad += float(np.diff(command.gaps_rad).sum())
-
-    def extend(self, later: BeamTally) -> None:
-        """Adds the counts of `later`."""
-        self._modes.update(later._modes)
-        self._faults.update(later._faults)
-        self._num_gaps += later._num_gaps
-        self._sum_gaps_rad += later._sum_gaps_rad
-
-    def summary(self) -> BeamSummary:
-        """The summary of all commands so far."""
-        mean_gap_deg = round(math.degrees(self._sum_gaps_rad / self._num_gaps), 3) if self._num_gaps else None
+    def _beam_summary(self) -> BeamSummary:
         return BeamSummary(
             num_low=self._modes[BeamMode.LOW],
             num_glare_free=self._modes[BeamMode.GLARE_FREE],
             num_full=self._modes[BeamMode.FULL],
-            mean_gap_deg=mean_gap_deg,
+            mean_gap_deg=round(math.degrees(self._sum_gaps_rad / self._num_gaps), 3) if self._num_gaps else None,
             faults=dict(self._faults.most_common()),
         )
 

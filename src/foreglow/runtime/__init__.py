@@ -3,7 +3,6 @@
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.summary import RunSummary
 from foreglow.runtime.parallel_run import Opening, run_apart
-from foreglow.runtime.run import ResultSink, run
-from foreglow.runtime.stepper import Stepper
+from foreglow.runtime.run import ResultSink, Stepper, run
 
 __all__ = ["Opening", "OutputFolder", "ResultSink", "RunSummary", "Stepper", "run", "run_apart"]

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
 from typing import Protocol
 
+from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.summary import RunSummary
 from foreglow.runs.tally import Tally
-from foreglow.runtime.stepper import Stepper
 from foreglow.types import Frame, FrameResult
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -34,6 +34,25 @@ class ResultSink(Protocol):
 
     def discard(self) -> None:
         """Releases everything without completing it; called when the run failed, perhaps after `close`."""
+        ...
+
+
+class Stepper(Protocol):
+    """A `Pipeline`, or a substitute for one such as `Replay`: it is driven through the frames of a run, one by one."""
+
+    config: PipelineConfig
+
+    @property
+    def dispatch(self) -> str | None:
+        """As `Pipeline.dispatch`."""
+        ...
+
+    def step(self, frame: Frame) -> FrameResult:
+        """The result of `frame`."""
+        ...
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
         ...
 
 
@@ -116,7 +135,6 @@ def run(
 
 @contextlib.contextmanager
 def _discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
-    """Discards the sinks if the `with` block ends with an error."""
     try:
         yield
     except BaseException:

@@ -17,9 +17,9 @@ class BeamMode(IntEnum):
     LOW = 0
     """Low beam alone: all LEDs above it are off."""
     GLARE_FREE = 1
-    """High beam with dark gaps."""
+    """High beam with dark gaps, or with LEDs that are dimmed or not back yet."""
     FULL = 2
-    """High beam without gaps."""
+    """High beam without gaps, all LEDs at 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

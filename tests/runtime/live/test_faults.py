@@ -28,7 +28,7 @@ def test_wrong_frames(fault: str, drive: list[Frame]) -> None:
     source = ScriptedCamera([*drive[:BEGIN], *wrong, *drive[END:60]])
     summary, lamps = run_live(source, live_config())
     commands = lamps.of_frames()
-    assert all(commands[frame.timestamp_ns].mode != BeamMode.LOW for frame in drive[:BEGIN])
+    assert all(commands[frame.timestamp_ns].mode != BeamMode.LOW for frame in drive[1:BEGIN])
     for frame in wrong[num_until_low:]:
         assert commands[frame.timestamp_ns].mode == BeamMode.LOW
         assert fault in commands[frame.timestamp_ns].faults
@@ -42,7 +42,7 @@ def test_frames_out_of_order(drive: list[Frame]) -> None:
     frames = [*drive[:BEGIN], *drive[BEGIN - 10 : BEGIN], *drive[END:60]]
     keeper = Keeper()
     summary, lamps = run_live(ScriptedCamera(frames), live_config(silent_frames=20.0), sinks=[keeper])
-    first = lamps.is_low.index(True)
+    first = lamps.is_low.index(True, 1)  # light begins to return after the first frame
     assert BEGIN - 2 <= first <= BEGIN  # one frame may be under way, and one wait
     num_low = len(commands_with(lamps, LiveFault.OUT_OF_ORDER))
     assert num_low >= 10 + 1  # each of them, and the next one in order
@@ -202,14 +202,17 @@ def test_slow_camera(drive: list[Frame]) -> None:
     for frame in drive[BEGIN + 4 : 50 : 2]:  # the second frame that came late, and all after it
         assert LiveFault.CAMERA_SLOW in commands[frame.timestamp_ns].faults
     assert commands[drive[58].timestamp_ns].mode != BeamMode.LOW
-    assert summary.fault_counts == {LiveFault.CAMERA_SLOW: 1}
+    assert summary.fault_counts == {LiveFault.FRAME_LOST: 1, LiveFault.CAMERA_SLOW: 1}
 
 
-def test_one_missing_frame_is_no_fault(drive: list[Frame]) -> None:
+def test_one_missing_frame_is_noted_alone(drive: list[Frame]) -> None:
     frames = [*drive[:BEGIN], *drive[BEGIN + 1 : 60]]
     summary, lamps = run_live(ScriptedCamera(frames), live_config())
-    assert summary.fault_counts == {}
-    assert not any(lamps.is_low[:-1])
+    assert summary.fault_counts == {LiveFault.FRAME_LOST: 1}
+    assert summary.faults[0].detail.startswith("111 ms before ")
+    assert summary.faults[0].until_ns is not None
+    assert not any(command.faults for command in lamps.commands)
+    assert not any(lamps.is_low[1:-1])
 
 
 def test_bus_that_fails_for_a_while(drive: list[Frame]) -> None:
@@ -236,7 +239,7 @@ def test_recording_that_fails(drive: list[Frame]) -> None:
     broken, well = FullDisk(), Keeper()
     summary, lamps = run_live(ScriptedCamera(drive[:40]), live_config(), sinks=[broken, well])
     assert summary.run.num_frames == 40
-    assert not any(lamps.is_low[:-1])  # recording is not driving
+    assert not any(lamps.is_low[1:-1])  # recording is not driving
     assert "No space left" in summary.sink_errors[0]
     assert summary.num_unrecorded > 0
     assert LiveFault.NOT_RECORDED in summary.fault_counts
@@ -257,7 +260,7 @@ def test_command_that_comes_too_late(drive: list[Frame]) -> None:
 
 
 class Watched(Lamps):
-    """Lamps whose first low beam somebody waits for."""
+    """Lamps whose first low beam after there was light somebody waits for."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -265,11 +268,11 @@ class Watched(Lamps):
 
     @property
     def first_low(self) -> int:
-        return self.is_low.index(True)
+        return self.is_low.index(True, 1)
 
     def send(self, command: Any) -> None:
         super().send(command)
-        if command.mode == BeamMode.LOW:
+        if command.mode == BeamMode.LOW and len(self.commands) > 1:
             self.went_low.set()
 
 

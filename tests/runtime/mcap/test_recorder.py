@@ -96,6 +96,7 @@ def test_topics_times_and_schemas(tmp_path: Path) -> None:
         "num_frames": 5,
         "num_dropped": 2,
         "num_late": 1,
+        "details": "",
         "beam": None,
     }
 
@@ -153,17 +154,31 @@ def test_frames_come_back_as_they_were(tmp_path: Path) -> None:
     deep = full_frame(4)
     frames.append(dataclasses.replace(deep, image=deep.image.astype(np.uint16) * 257))
     frames.append(dataclasses.replace(full_frame(5), camera=None, motion=None, road=None))
+    frames[3] = dataclasses.replace(frames[3], is_damaged=True)
     record(path, frames).close()
     source = Recording(path)
     assert (source.topic, source.num_frames, source.rate_hz) == ("/camera/image", 6, 20.0)
     for found, frame in zip(source, frames, strict=True):
         assert found.image.dtype == frame.image.dtype
         np.testing.assert_array_equal(found.image, frame.image)
-        for name in ("timestamp_ns", "frame", "sequence"):
+        for name in ("timestamp_ns", "frame", "sequence", "is_damaged"):
             assert getattr(found, name) == getattr(frame, name)
         assert (found.camera is None) == (frame.camera is None)
         assert (found.motion and found.motion.speed_mps) == (frame.motion and frame.motion.speed_mps)
         assert (found.road is None) == (frame.road is None)
+
+
+def test_two_recordings_into_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    first = record(path, [full_frame(0)])
+    with pytest.raises(ValueError, match=r"drive\.mcap: another run is writing this file"):
+        McapRecorder(path)
+    first.write(full_frame(1), full_result(full_frame(1)))
+    first.close()
+    assert [frame.frame for frame in Recording(path)] == [7, 9]
+    record(path, [full_frame(2)]).close()  # afterwards there is room for another
+    assert [frame.frame for frame in Recording(path)] == [11]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_sequences_follow_each_other_and_keep_their_times(tmp_path: Path) -> None:

@@ -217,8 +217,8 @@ prepare()
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from foreglow.runtime.ros2.messages import camera_info_message, header_of, image_message, read_camera_info, read_image
-from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.messages import camera_info_message, image_message, read_camera_info, read_image
+from foreglow.runtime.ros2.header import Header, read_header
 from foreglow.runtime.ros2.results import detections_message, read_beam, read_detections, read_tracks
 from tests.runtime.ros2.test_messages import camera
 from tests.runtime.ros2.test_results import detections_of
@@ -254,7 +254,7 @@ for _ in range(4000):
         continue
     for reader in readers[type(came).__name__]:
         try:
-            header_of(came, "t")
+            read_header(came.header, "t")
             reader(came, "t")
             read += 1
         except ValueError:

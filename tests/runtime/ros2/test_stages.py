@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from foreglow.beam.faults import GuardFault
 from foreglow.beam.messages import LEVELS_IDS
 from foreglow.config import preset
 from foreglow.datasets import PVDN, shipped_drive
@@ -26,8 +27,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, make_ros_node
-from foreglow.runtime.ros2.receiver import Receiver
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
 from foreglow.runtime.ros2.stages import PipelineNode, Setting
@@ -118,6 +118,8 @@ def test_whatever_happens_there_is_low_beam_and_it_recovers(
         bench.until(LiveFault.STAGE_FAILED, frame)
     bench.until("", frame)
     assert not bench.node.faults
+    bench.until(GuardFault.DAMAGED, dataclasses.replace(frame, is_damaged=True))
+    bench.until("", frame)
     other = dataclasses.replace(frame, sequence="other")
     bench.until("", other)
     count = len(bench.commands)
@@ -139,7 +141,23 @@ def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:
             if f"socket:[{fields[9]}]" in own:
                 addresses.add(socket.inet_ntoa(bytes.fromhex(fields[1].split(":")[0])[3::-1]))
     assert addresses
-    assert {one for one in addresses if not one.startswith(("127.", "239."))} == set()
+    assert addresses == {"127.0.0.1", DISCOVERY_GROUP}
+    assert interfaces_in(DISCOVERY_GROUP) == {"lo"}
+
+
+DISCOVERY_GROUP = "239.255.0.1"
+
+
+def interfaces_in(group: str) -> set[str]:
+    """The interfaces on which this machine has joined a multicast group."""
+    interface, found = "", set()
+    for line in Path("/proc/net/igmp").read_text(encoding="ascii").splitlines()[1:]:
+        fields = line.split()
+        if not line.startswith("\t"):
+            interface = fields[1]
+        elif socket.inet_ntoa(bytes.fromhex(fields[0])[::-1]) == group:
+            found.add(interface)
+    return found
 
 
 def test_commands_go_onto_the_bus(frame: Frame) -> None:

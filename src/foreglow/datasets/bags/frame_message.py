@@ -109,11 +109,13 @@ class FrameMessage:
     camera: Annotated[Camera, StoredAs(_StoredCamera, _camera, _stored_camera)] | None
     motion: Annotated[EgoMotion, StoredAs(_StoredMotion, _motion, _stored_motion)] | None
     road: Annotated[RoadAhead, StoredAs(_StoredRoad, _road, _stored_road)] | None
+    is_damaged: bool = False  # which older recordings do not have
 
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, frame.camera, frame.motion, frame.road)
+        car = frame.camera, frame.motion, frame.road
+        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, frame.is_damaged)
 
     def to_json(self) -> bytes:
         """The message as JSON."""
@@ -135,4 +137,5 @@ class FrameMessage:
             camera=self.camera,
             motion=self.motion,
             road=self.road,
+            is_damaged=self.is_damaged,
         )

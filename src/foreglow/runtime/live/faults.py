@@ -20,6 +20,8 @@ class LiveFault(StrEnum):
     """No frame arrived in time, or the source cannot be opened."""
     CAMERA_SLOW = "camera_slow"
     """Frames arrive too rarely."""
+    FRAME_LOST = "frame_lost"
+    """By the times, a frame is missing before this one; noted alone, as the next one is there."""
     OUT_OF_ORDER = "frame_out_of_order"
     """A frame is not newer than the previous one; it is not used."""
     STAGE_FAILED = "stage_failed"

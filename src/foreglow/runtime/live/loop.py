@@ -251,7 +251,6 @@ class LiveLoop:
         self._beat()
 
     def _give_up(self) -> None:
-        """Ends the loop if no frame came for too long."""
         if self._give_up_s is not None and not self._has_ended.is_set() and self._watch.silent_s > self._give_up_s:
             reason = self._watch.reason or "it is silent"
             self._end = f"{self._source.name}: no frame for {self._give_up_s:g} s: {reason}"
@@ -304,12 +303,10 @@ class LiveLoop:
             sink.write(frame, result)
 
     def _command_low(self) -> None:
-        """Commands low beam now, because of all present faults."""
         with self._lock:
             self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
 
     def _send(self, command: BeamCommand) -> None:
-        """Sends a command to all outputs."""
         self._beam = command
         errors = []
         for output in self._outputs:

@@ -81,35 +81,16 @@ class Paced:
         if not speed > 0:
             raise ValueError(f"speed: expected a positive number, got {speed}")
         self._source = source
-        self.speed = speed
+        self.name, self.rate_hz, self.num_frames = source.name, source.rate_hz, source.num_frames
+        self.speed, self.is_lossless = speed, math.isinf(speed)
         self._first_ns = self._start_ns = 0
         if self.is_lossless:
             self.max_silence_s = START_S
 
     @property
-    def name(self) -> str:
-        """The name of the replayed source."""
-        return self._source.name
-
-    @property
-    def rate_hz(self) -> float | None:
-        """The rate of the replayed source, by its own clock."""
-        return self._source.rate_hz
-
-    @property
-    def num_frames(self) -> int | None:
-        """The number of frames of the replayed source."""
-        return self._source.num_frames
-
-    @property
     def skipped(self) -> Sequence[str]:
         """The lines of the replayed source."""
         return self._source.skipped
-
-    @property
-    def is_lossless(self) -> bool:
-        """Whether the speed is infinite."""
-        return math.isinf(self.speed)
 
     @property
     def _wait_s(self) -> float:

@@ -8,8 +8,8 @@ from foreglow.config import LiveConfig
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.types import Frame
 
-CAMERA = "camera"
-"""The origin of these faults in the `FaultBook`."""
+CAMERA, GAP = "camera", "gap"
+"""The origins of these faults in the `FaultBook`; a gap of one frame does not cause low beam."""
 
 
 class FrameWatch:
@@ -54,6 +54,9 @@ class FrameWatch:
         self._num_slow = self._num_slow + 1 if is_slow else 0
         self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
         self._note()
+        is_lost = self._num_slow == 1  # the second in a row is a slow camera
+        detail = f"{step_ns / 1e6:.0f} ms before {frame.path or f'frame {frame.frame}'}" if is_lost else ""
+        self._book.note(GAP, [LiveFault.FRAME_LOST] if is_lost else [], detail)
         return True
 
     @property

@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from foreglow.config import LiveConfig, PipelineConfig
+from foreglow.config import LiveConfig
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.runtime.run import Stepper
 from foreglow.types import Frame, FrameResult
 
 THREADS = "live "
@@ -20,27 +21,16 @@ STAGE = "stage"
 """The origin of these faults in the `FaultBook`."""
 
 
-class LivePipeline(Protocol):
+class LivePipeline(Stepper, Protocol):
     """The part of a `Pipeline` that the live loop uses."""
-
-    config: PipelineConfig
 
     @property
     def stage(self) -> str | None:
         """As `Pipeline.stage`."""
         ...
 
-    @property
-    def dispatch(self) -> str | None:
-        """As `Pipeline.dispatch`."""
-        ...
-
     def step(self, frame: Frame, *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()) -> FrameResult:
         """As `Pipeline.step`."""
-        ...
-
-    def reset(self) -> None:
-        """As `Pipeline.reset`."""
         ...
 
 

@@ -1,10 +1,15 @@
-"""The topics of our recordings, and the schemas of those in JSON."""
+"""The topics of our recordings, and the schemas of those in JSON: made from the types of their messages."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from foreglow.datasets.bags import FRAME_TYPE
+from pydantic import TypeAdapter
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
+
+from foreglow.datasets.bags import FRAME_TYPE, FrameMessage
+from foreglow.runs.frames_file import FrameLine
 
 IMAGE_TOPIC = "/camera/image"
 CALIBRATION_TOPIC = "/camera/calibration"
@@ -22,93 +27,47 @@ VEHICLE_FRAME = "vehicle"
 """Coordinates of `foreglow.geometry`: x forward, y to the left, z up, the origin on the road under the rear axle."""
 
 
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
+def _plain(schema: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """A schema of pydantic in the few words that Foxglove knows: no references, choices, tuples or limits."""
+    while "$ref" in schema or "anyOf" in schema:
+        schema = known[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema["anyOf"][0]
+    if schema["type"] == "array":
+        items = schema.get("items") or schema["prefixItems"][0]
+        return {"type": "array", "items": _plain(items, known)}
+    if schema["type"] == "object":
+        parts = schema.get("properties", {})
+        return {"type": "object", "properties": {name: _plain(part, known) for name, part in parts.items()}}
+    return {"type": schema["type"]}
 
 
-def _array(items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
+def _described(title: str, kind: type) -> dict[str, Any]:
+    schema = TypeAdapter(kind).json_schema(mode="serialization")
+    return {"title": title, **_plain(schema, schema.get("$defs", {}))}
 
 
-_NUMBER, _TEXT, _INTEGER = {"type": "number"}, {"type": "string"}, {"type": "integer"}
+FRAME_SCHEMA = _described(FRAME_TYPE, FrameMessage)
+"""A frame without its image."""
 
-FRAME_SCHEMA = {
-    "title": FRAME_TYPE,
-    **_object(
-        frame=_INTEGER,
-        sequence=_TEXT,
-        timestamp_ns=_INTEGER,
-        camera=_object(
-            width=_INTEGER,
-            height=_INTEGER,
-            focal_px=_array(_NUMBER),
-            centre_px=_array(_NUMBER),
-            distortion=_array(_NUMBER),
-            position_m=_array(_NUMBER),
-            rotation=_array(_array(_NUMBER)),
-        ),
-        motion=_object(speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, pitch_rad=_NUMBER),
-        road=_object(
-            points_m=_array(_array(_NUMBER)),
-            half_width_m=_NUMBER,
-            cross_slopes=_array(_NUMBER),
-            error_bound_m=_NUMBER,
-        ),
-    ),
+RESULT_SCHEMA = _described("foreglow.Result", FrameLine)
+"""A line of `frames.jsonl`, with the times of `times.jsonl`."""
+
+_STAGES = ("proposals", "classifier", "distance", "tracking", "beam", "capture", "queue", "send")
+RESULT_SCHEMA["properties"]["stage_ms"] = {
+    "type": "object",
+    "properties": {name: {"type": "number"} for name in _STAGES},
 }
-"""A frame without its image: `datasets.bags.FrameMessage`."""
 
-RESULT_SCHEMA = {
-    "title": "foreglow.Result",
-    **_object(
-        frame=_INTEGER,
-        sequence=_TEXT,
-        timestamp_ns=_INTEGER,
-        proposals_xyxy_px=_array(_array(_INTEGER)),
-        scores=_array(_NUMBER),
-        direct=_array(_NUMBER),
-        detections_xyxy_px=_array(_array(_INTEGER)),
-        ranges_m=_array(_NUMBER),
-        range_sigmas_m=_array(_NUMBER),
-        tracks=_array(
-            _object(
-                id=_INTEGER,
-                state=_TEXT,
-                box_xyxy_px=_array(_NUMBER),
-                confidence=_NUMBER,
-                num_hits=_INTEGER,
-                num_misses=_INTEGER,
-                age_s=_NUMBER,
-                range_m=_NUMBER,
-                range_sigma_m=_NUMBER,
-                detection=_INTEGER,
-                direct=_NUMBER,
-            )
-        ),
-        beam=_object(
-            mode=_TEXT,
-            gaps=_array(_object(right_deg=_NUMBER, left_deg=_NUMBER, range_m=_NUMBER)),
-            faults=_array(_TEXT),
-            levels=_array(_array(_INTEGER)),
-        ),
-        stage_ms=_object(
-            **dict.fromkeys(
-                ("proposals", "classifier", "distance", "tracking", "beam", "capture", "queue", "send"), _NUMBER
-            )
-        ),
-    ),
-}
-"""A line of `frames.jsonl`, `runs.frames_file.FrameLine`, with the times of `times.jsonl`."""
 
-HEALTH_SCHEMA = {
-    "title": "foreglow.Health",
-    **_object(
-        timestamp_ns=_INTEGER,
-        faults=_array(_TEXT),
-        num_frames=_INTEGER,
-        num_dropped=_INTEGER,
-        num_late=_INTEGER,
-        beam=_TEXT,
-    ),
-}
-"""`runtime.health.Health`; of the current beam command only the mode."""
+class HealthLine(TypedDict):
+    """A `runtime.health.Health`, with nothing but the mode of its beam command."""
+
+    timestamp_ns: int
+    faults: list[str]
+    num_frames: int
+    num_dropped: int
+    num_late: int
+    details: str
+    beam: str | None
+
+
+HEALTH_SCHEMA = _described("foreglow.Health", HealthLine)

@@ -175,7 +175,6 @@ def _track_entity(camera: Camera, tracks: Tracks, stamp: Timestamp) -> SceneEnti
 
 
 def _road_lines(road: RoadAhead | None) -> list[LinePrimitive]:
-    """The road's centre line and edges."""
     if road is None:
         return []
     points = road.points_m

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import os
+from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
+
+from foreglow.outputs import lock
 
 
 class GrowingFile:
@@ -19,7 +24,7 @@ class GrowingFile:
     """
 
     def __init__(self, path: Path, name: Path) -> None:
-        """Creates the file `path`, or empties it.
+        """Creates the file `path`; that of a killed run gets a numbered name, so that it is kept.
 
         Args:
             path: The file.
@@ -27,14 +32,29 @@ class GrowingFile:
 
         Raises:
             OSError: If it cannot be written; the message has `name`.
+            ValueError: If another run is writing it.
         """
         self._name = name
         try:
-            self._file = path.open("wb", buffering=0)
+            self._file = self._opened(path)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(name)) from error
         self._end = 0
         self.error: OSError | None = None
+
+    def _opened(self, path: Path) -> FileIO:
+        """The file, empty and locked."""
+        while True:
+            file = path.open("ab", buffering=0)
+            if not lock(file.fileno()):
+                file.close()
+                raise ValueError(f"{self._name}: another run is writing this file; expected one of its own")
+            opened = os.fstat(file.fileno())
+            if path.exists() and os.path.samestat(path.stat(), opened):
+                if not opened.st_size:
+                    return file
+                path.rename(next(kept for kept in _numbered(path) if not kept.exists()))
+            file.close()  # it has another name now
 
     def write(self, data: bytes | bytearray) -> int:
         """Adds all of `data`, or none of it."""
@@ -63,3 +83,9 @@ class GrowingFile:
         """Closes it."""
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def _numbered(path: Path) -> Iterator[Path]:
+    """Names for the file of a killed run, such as `FILE.1.mcap.partial` for `FILE.mcap.partial`."""
+    stem, suffixes = path.with_suffix("").stem, "".join(path.suffixes[-2:])
+    return (path.with_name(f"{stem}.{number}{suffixes}") for number in itertools.count(1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -17,6 +17,8 @@ from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets.bags import FRAME_TOPIC, FrameMessage
+from foreglow.files import fields_to_json
+from foreglow.outputs import partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.times_file import frame_to_times
 from foreglow.runtime.health import Health
@@ -75,14 +77,13 @@ class McapRecorder:
 
         Raises:
             OSError: If it cannot be created; the message names the path.
-            ValueError: If the path does not end in `.mcap`.
+            ValueError: If the path does not end in `.mcap`, or another run is recording into it.
         """
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         if path.is_dir():
             raise ValueError(f"{path}: expected a file to write, or nothing, got a folder")
-        self._path, self._partial = path, path.with_name(path.name + ".partial")
-        _keep(self._partial)
+        self._path, self._partial = path, partial_path(path)
         self._file = GrowingFile(self._partial, path)
         self._context = context = foxglove.Context()  # kept: its channels live as long as it does
         self._writer = foxglove.open_mcap(
@@ -146,14 +147,8 @@ class McapRecorder:
         """
         time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
         self._stamp(time_ns)
-        record = {
-            "timestamp_ns": health.timestamp_ns,
-            "faults": list(health.faults),
-            "num_frames": health.num_frames,
-            "num_dropped": health.num_dropped,
-            "num_late": health.num_late,
-            "beam": None if health.beam is None else BeamMode(health.beam.mode).name.lower(),
-        }
+        record = fields_to_json(dataclasses.replace(health, beam=None))
+        record["beam"] = None if health.beam is None else BeamMode(health.beam.mode).name.lower()
         self._health.log(_json(record), log_time=time_ns)
         self._note_faults("fault", health.faults, time_ns)
         self._flush()
@@ -199,7 +194,6 @@ class McapRecorder:
         return Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
     def _note_faults(self, kind: str, faults: Sequence[str], time_ns: int) -> None:
-        """Logs the faults when they change."""
         if tuple(faults) == self._faults.get(kind, ()):
             return
         self._faults[kind] = tuple(faults)
@@ -234,11 +228,3 @@ def _image_message(image: Image, stamp: Timestamp) -> RawImage:
         step=width * depth,
         data=image.astype(image.dtype.newbyteorder("<"), copy=False).tobytes(),
     )
-
-
-def _keep(partial: Path) -> None:
-    """Renames the file of a killed run, so that it is kept: `FILE.1.mcap.partial`."""
-    if partial.is_file() and partial.stat().st_size:
-        stem = partial.name.removesuffix(f"{SUFFIX}.partial")
-        names = (partial.with_name(f"{stem}.{number}{SUFFIX}.partial") for number in itertools.count(1))
-        partial.rename(next(name for name in names if not name.exists()))

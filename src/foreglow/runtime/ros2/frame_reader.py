@@ -10,7 +10,14 @@ import numpy as np
 from foreglow.geometry import Camera
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.join import Joined
-from foreglow.runtime.ros2.messages import read_camera_info, read_image, read_motion, read_mount, read_road
+from foreglow.runtime.ros2.messages import (
+    read_camera_info,
+    read_damage,
+    read_image,
+    read_motion,
+    read_mount,
+    read_road,
+)
 from foreglow.types import EgoMotion, Frame
 
 
@@ -34,7 +41,7 @@ class FrameReader:
             image = read_image(messages[topics.IMAGE], topics.IMAGE)
         else:
             image = np.broadcast_to(np.uint8(0), size_px[::-1])
-        road = messages.get(topics.ROAD)
+        road, damage = messages.get(topics.ROAD), messages.get(topics.DAMAGE)
         return Frame(
             image,
             joined.header.timestamp_ns,
@@ -43,6 +50,7 @@ class FrameReader:
             camera=camera,
             motion=_motion(messages),
             road=None if road is None else read_road(road, topics.ROAD),
+            is_damaged=damage is not None and read_damage(damage, topics.DAMAGE),
         )
 
     def _camera(self, messages: Mapping[str, Any]) -> tuple[tuple[int, int], Camera | None]:

@@ -17,8 +17,7 @@ import rclpy
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import make_ros_node
-from foreglow.runtime.ros2.receiver import Receiver
+from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam, read_detections, read_ranges, read_timing, read_tracks
 from foreglow.runtime.ros2.source import Due, FramePublisher, timed
 from foreglow.runtime.ros2.supervisor import Process

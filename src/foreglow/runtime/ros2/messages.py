@@ -4,7 +4,7 @@
 |---|---|
 | image | `sensor_msgs/Image` |
 | camera without its mount | `sensor_msgs/CameraInfo`, as drivers send it |
-| mount of the camera | `sensor_msgs/PointCloud2`, one row |
+| mount of the camera, and whether the image is damaged | `sensor_msgs/PointCloud2`, one row each |
 | speed and yaw rate | `geometry_msgs/TwistStamped` |
 | pitch of the body | `geometry_msgs/Vector3Stamped`, a rotation vector |
 | road ahead | `sensor_msgs/PointCloud2`, a row for each point |
@@ -28,7 +28,7 @@ from foreglow.calibration.ros import distortion_of
 from foreglow.calibration.values import HALF_PIXEL_PX
 from foreglow.datasets.images import check_size, to_grey
 from foreglow.geometry import Camera, Pose
-from foreglow.runtime.ros2.header import Header, byte_array, header_message, read_header
+from foreglow.runtime.ros2.header import Header, byte_array, header_message
 from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import EgoMotion, RoadAhead
 from foreglow.types import Image as GreyImage
@@ -61,6 +61,7 @@ MOUNT = {
     "position_m": Field("f8", 3, is_finite=True),
     "rotation": Field("f8", 9, is_finite=True),
 }
+DAMAGE = {"is_damaged": Field("u1")}
 ROAD = {
     "point_m": Field("f8", 3),
     "cross_slope": Field("f8"),
@@ -159,6 +160,17 @@ def read_mount(message: PointCloud2, topic: str) -> Pose:
         raise ValueError(f"{topic}: {error}") from None
 
 
+def damage_message(header: Header, is_damaged: bool) -> PointCloud2:
+    """Whether the source knows that the image is damaged, `Frame.is_damaged`."""
+    return table_message(header, {"is_damaged": np.array([is_damaged], np.uint8)})
+
+
+def read_damage(message: PointCloud2, topic: str) -> bool:
+    """Whether the source knows that the image is damaged; any number but 0 says so."""
+    _, columns = read_table(message, topic, DAMAGE, num_rows=1)
+    return bool(columns["is_damaged"][0])
+
+
 def twist_message(header: Header, motion: EgoMotion | None) -> TwistStamped:
     """Speed and yaw rate; NaN where unknown."""
     message = TwistStamped(header=header_message(header))
@@ -228,12 +240,3 @@ def read_road(message: PointCloud2, topic: str) -> RoadAhead | None:
         return RoadAhead(points, float(width_m[0]), columns["cross_slope"], float(bound_m[0]))
     except ValueError as error:
         raise ValueError(f"{topic}: {error}") from None
-
-
-def header_of(message: Any, topic: str) -> Header:
-    """The header of any stamped message.
-
-    Raises:
-        ValueError: As `read_header`.
-    """
-    return read_header(message.header, topic)

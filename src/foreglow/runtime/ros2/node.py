@@ -9,16 +9,15 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.ros2 import topics
-from foreglow.runtime.ros2.header import Header, header_message
+from foreglow.runtime.ros2.header import Header, header_message, read_header
 from foreglow.runtime.ros2.join import Join, Joined
-from foreglow.runtime.ros2.messages import header_of
-from foreglow.runtime.ros2.receiver import Receiver
 from foreglow.runtime.ros2.results import timing_message
 from foreglow.stopwatch import Stopwatch
 
@@ -35,6 +34,40 @@ REPORT_NS = 1_000_000_000
 
 IDLE_S, WAITING_S = 0.02, 0.002
 """Longest wait for messages: while nothing is due, and while a complete frame waits for a sample."""
+
+
+MAX_MESSAGES = 100
+"""Taken from one subscription at once."""
+
+
+class Receiver:
+    """Receives all waiting messages of a node at once, and calls their callbacks, subscription by subscription.
+
+    An executor of rclpy also serves services, timers and guard conditions, takes one message a round, and builds its
+    wait set anew for each round. Like `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
+    """
+
+    def __init__(self, node: Any) -> None:
+        """A receiver for an rclpy node that already has all its subscriptions."""
+        self._subscriptions = list(node.subscriptions)
+        count = len(self._subscriptions)
+        self._waiting = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, node.context.handle)
+
+    def receive(self, timeout_s: float) -> None:
+        """Waits for messages, `timeout_s` at most, and calls the callbacks for all that have arrived."""
+        waiting = self._waiting
+        waiting.clear_entities()
+        for subscription in self._subscriptions:
+            waiting.add_subscription(subscription.handle)
+        waiting.wait(max(0, round(timeout_s * 1e9)))
+        ready = set(waiting.get_ready_entities("subscription"))
+        for subscription in self._subscriptions:
+            if subscription.handle.pointer in ready:
+                for _ in range(MAX_MESSAGES):
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                    if taken is None:
+                        break
+                    subscription.callback(taken[0])
 
 
 def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
@@ -77,7 +110,6 @@ class FrameNode(ABC, Generic[Inputs]):
         self._sequence: str | None = None
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._slowest_ms: dict[str, float] = {}
-        self._publishers: dict[str, Any] = {}
         self._timing = self.publisher(topics.TIMING)
         self._diagnostics = self.ros.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, topics.NUM_KEPT)
         for topic in (*sampled, *exact[1:], exact[0]):  # messages that are ready together are taken in this order
@@ -86,9 +118,7 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def publisher(self, topic: str) -> Any:
         """A publisher on one of `topics.TYPES`."""
-        quality = topics.publisher_quality(topic)
-        self._publishers[topic] = self.ros.create_publisher(topics.TYPES[topic], topic, quality)
-        return self._publishers[topic]
+        return self.ros.create_publisher(topics.TYPES[topic], topic, topics.publisher_quality(topic))
 
     @abstractmethod
     def reset(self) -> None:
@@ -142,7 +172,7 @@ class FrameNode(ABC, Generic[Inputs]):
     def _subscribe(self, topic: str, depth: int) -> None:
         def take(message: Any) -> None:
             try:
-                header = header_of(message, topic)
+                header = read_header(message.header, topic)
             except ValueError as error:
                 self._note(BAD_MESSAGE, error)
                 return

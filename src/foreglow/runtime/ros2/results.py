@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -35,7 +37,7 @@ TRACKS = {
     "detection": Field("i4"),
     "direct_probability": Field("f8"),
 }
-"""The fields are named as in `Tracks`, in the singular."""
+"""The fields of `Tracks`, in their order, in the singular."""
 
 BEAM = {
     "mode": Field("u1"),
@@ -102,26 +104,13 @@ def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
     Raises:
         ValueError: If a number does not fit 32 bits.
     """
-    whole = {"id": tracks.ids, "num_hits": tracks.num_hits, "num_misses": tracks.num_misses}
-    for name, array in whole.items():
-        if len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
+    columns = {}
+    for (name, column), attribute in zip(TRACKS.items(), dataclasses.fields(tracks), strict=True):
+        array = getattr(tracks, attribute.name)
+        if column.dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
             raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
-    return table_message(
-        header,
-        {
-            "id": tracks.ids.astype(np.int32),
-            "state": tracks.states.astype(np.uint8),
-            "box_xyxy_px": tracks.boxes_xyxy_px,
-            "confidence": tracks.confidences,
-            "num_hits": tracks.num_hits.astype(np.int32),
-            "num_misses": tracks.num_misses.astype(np.int32),
-            "age_s": tracks.ages_s,
-            "range_m": tracks.ranges_m,
-            "sigma_m": tracks.sigmas_m,
-            "detection": tracks.detections.astype(np.int32),
-            "direct_probability": tracks.direct_probabilities,
-        },
-    )
+        columns[name] = array.astype(column.dtype, copy=False)
+    return table_message(header, columns)
 
 
 def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
@@ -133,20 +122,9 @@ def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
     header, columns = read_table(message, topic, TRACKS)
     if (columns["state"] > max(TrackState)).any():
         raise ValueError(f"{topic}: state: expected 0 to {max(TrackState)}, got {columns['state'].max()}")
+    wide: list[Any] = [column.astype(np.int64) if column.dtype.kind in "iu" else column for column in columns.values()]
     with _naming(topic):
-        return header, Tracks(
-            ids=columns["id"].astype(np.int64),
-            states=columns["state"].astype(np.int64),
-            boxes_xyxy_px=columns["box_xyxy_px"],
-            confidences=columns["confidence"],
-            num_hits=columns["num_hits"].astype(np.int64),
-            num_misses=columns["num_misses"].astype(np.int64),
-            ages_s=columns["age_s"],
-            ranges_m=columns["range_m"],
-            sigmas_m=columns["sigma_m"],
-            detections=columns["detection"].astype(np.int64),
-            direct_probabilities=columns["direct_probability"],
-        )
+        return header, Tracks(*wide)
 
 
 def beam_message(header: Header, beam: BeamCommand) -> PointCloud2:
@@ -212,14 +190,9 @@ def _detections(columns: Mapping[str, NDArray[Any]], topic: str, score_threshold
         return Detections(proposals, columns["score"], score_threshold, columns["direct_probability"])
 
 
-class _naming:  # noqa: N801
-    """Puts the topic in front of the message of a `ValueError`."""
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
-        if isinstance(error, ValueError):
-            raise ValueError(f"{self._topic}: {error}") from None
+@contextlib.contextmanager
+def _naming(topic: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{topic}: {error}") from None

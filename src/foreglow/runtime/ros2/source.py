@@ -14,6 +14,7 @@ from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.messages import (
     attitude_message,
     camera_info_message,
+    damage_message,
     image_message,
     mount_message,
     road_message,
@@ -40,13 +41,13 @@ class Due(NamedTuple):
 
 
 class FramePublisher:
-    """Publishes frames: camera, motion and road first, then the image."""
+    """Publishes frames: what goes with an image first, then the image."""
 
     def __init__(self, ros: Any) -> None:
         """Makes the publishers of an rclpy node."""
-        names = (topics.CAMERA_INFO, topics.MOUNT, topics.TWIST, topics.ATTITUDE, topics.ROAD, topics.IMAGE)
         self._publishers = {
-            name: ros.create_publisher(topics.TYPES[name], name, topics.publisher_quality(name)) for name in names
+            name: ros.create_publisher(topics.TYPES[name], name, topics.publisher_quality(name))
+            for name in topics.INPUTS
         }
 
     def messages(self, due: Due) -> list[tuple[str, Any]]:
@@ -60,6 +61,7 @@ class FramePublisher:
             (topics.TWIST, twist_message(header, frame.motion)),
             (topics.ATTITUDE, attitude_message(header, frame.motion)),
             (topics.ROAD, road_message(header, frame.road)),
+            (topics.DAMAGE, damage_message(header, frame.is_damaged)),
             (topics.IMAGE, image_message(header, frame.image)),
         ]
         return sent

@@ -190,7 +190,7 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     """Tracks to beam commands that the guard has checked; low beam when no tracks come."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), (topics.TWIST, topics.ROAD))
+        super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), (topics.TWIST, topics.ROAD, topics.DAMAGE))
         self._stage = needed("beam.policy", Stages(setting.config).beam)
 
     def reset(self) -> None:
@@ -213,7 +213,8 @@ class PipelineNode(CommandingNode[Frame]):
     """All stages in one node; publishes the same as the network of them."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("pipeline", setting, (topics.IMAGE,), (topics.TWIST, topics.ATTITUDE, topics.ROAD))
+        sampled = (topics.TWIST, topics.ATTITUDE, topics.ROAD, topics.DAMAGE)
+        super().__init__("pipeline", setting, (topics.IMAGE,), sampled)
         self._pipeline = Pipeline(setting.config)
         self._detections = self.publisher(topics.DETECTIONS)
         self._ranges = self.publisher(topics.RANGES)

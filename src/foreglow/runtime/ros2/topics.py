@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 IMAGE = "camera/image_raw"
 CAMERA_INFO = "camera/camera_info"
 MOUNT = "camera/mount"
+DAMAGE = "camera/damage"
 TWIST = "vehicle/twist"
 ATTITUDE = "vehicle/attitude"
 ROAD = "road_ahead"
@@ -25,6 +26,7 @@ TYPES: dict[str, type[Any]] = {
     IMAGE: Image,
     CAMERA_INFO: CameraInfo,
     MOUNT: PointCloud2,
+    DAMAGE: PointCloud2,
     TWIST: TwistStamped,
     ATTITUDE: Vector3Stamped,
     ROAD: PointCloud2,
@@ -34,6 +36,9 @@ TYPES: dict[str, type[Any]] = {
     BEAM: PointCloud2,
     TIMING: PointCloud2,
 }
+
+INPUTS = (CAMERA_INFO, MOUNT, TWIST, ATTITUDE, ROAD, DAMAGE, IMAGE)
+"""What the source publishes."""
 
 SENSORS = (IMAGE, CAMERA_INFO, TWIST, ATTITUDE)
 """Topics that other people's drivers publish, too; we accept any reliability that they offer."""

@@ -74,6 +74,11 @@ def test_drives_are_drawn_whole() -> None:
 
 
 def test_unknown_values_count_for_nothing() -> None:
-    values, drives = np.array([np.nan, 2.0, np.nan]), np.array([1, 2, 3])
+    values, drives = np.array([np.nan, 2.0, np.nan, 2.0]), np.array([1, 2, 3, 4])
     assert median_interval(values, drives) == (2.0, 2.0)
-    assert all(math.isnan(end) for end in median_interval(values[:1], drives[:1]))
+
+
+@pytest.mark.parametrize("num", [1, 3])
+def test_fewer_than_two_drives_have_no_interval(num: int) -> None:
+    values, drives = np.array([np.nan, 2.0, 3.0]), np.array([1, 2, 2])
+    assert all(math.isnan(end) for end in median_interval(values[:num], drives[:num]))

@@ -96,7 +96,7 @@ def summarise(truth_m: Floats, ranges_m: Floats, sigmas_m: Floats | None = None)
 
 
 def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) -> tuple[float, float]:
-    """The 95 % interval of the median, had other drives of the same sort been driven; NaN without values.
+    """The 95 % interval of the median, had other drives of the same sort been driven; NaN with fewer than two.
 
     Whole drives are drawn with replacement, since lights of a drive depend on each other.
 
@@ -108,7 +108,7 @@ def median_interval(values: Floats, drives: NDArray[np.int64], seed: int = 0) ->
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
     """
     is_known = ~np.isnan(values)
-    if not is_known.any():
+    if len(np.unique(drives[is_known])) < 2:  # every resample would be that drive
         return math.nan, math.nan
     names, drive_of = np.unique(drives, return_inverse=True)
     order = np.argsort(values[is_known], kind="stable")

@@ -33,7 +33,7 @@ NUM_RESAMPLES = 2000
 class Interval:
     """A figure over all drives, and its 95 % interval over drives.
 
-    With fewer than some twenty drives the interval is too narrow; with one it is a point.
+    With fewer than some twenty drives the interval is too narrow; with one there is none.
     """
 
     value: float

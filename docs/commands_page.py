@@ -1,4 +1,4 @@
-"""Every command with its arguments and options, as Markdown: `python -m foreglow.cli.reference > docs/commands.md`."""
+"""Every command with its arguments and options, as Markdown: `python docs/commands_page.py > docs/commands.md`."""
 
 from __future__ import annotations
 
