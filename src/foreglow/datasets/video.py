@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
 from av.error import FFmpegError
+from av.stream import Disposition
 
 from foreglow.datasets.container_bytes import missing_bytes
-from foreglow.datasets.decoding import decoded
+from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import OnError, checked_on_error
 from foreglow.types import Frame
@@ -21,13 +21,16 @@ from foreglow.types import Frame
 _LEAST_SHARE = 0.95
 """An MP4 that yields less than this share of its stated number of frames counts as damaged."""
 
+_CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
+
 _CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
 """A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
 
 
 class Video:
-    """The frames of a file's first video stream, decoded as they are asked for, grey.
+    """The frames of a file's first video stream, decoded as they are asked for, grey and upright.
 
+    A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
     stream's own presentation times; a frame without one follows the frame before at the stream's rate.
     A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
@@ -103,10 +106,11 @@ class Video:
             self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
-        deep = max(component.bits for component in picture.format.components) > 8
-        image = picture.to_ndarray(format="gray16le" if deep else "gray")
+        try:
+            image = grey_image(picture)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: frame {index}: {error}") from None
         check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")
-        image = np.asarray(image, np.uint16 if deep else np.uint8)
         return Frame(image, timestamp_ns, frame=index, path=f"{self.path}, frame {index}", is_damaged=is_damaged)
 
     def _timestamp_ns(self, index: int, picture: Any, latest: tuple[int, int]) -> int:
@@ -126,14 +130,17 @@ class Video:
     def _opened(self) -> Iterator[tuple[Any, Any]]:
         """The open container and its first video stream."""
         try:
-            container: Any = av.open(str(self.path), options=_CODEC_OPTIONS)
+            # Without a protocol, a name with a colon would be an address.
+            container: Any = av.open(f"file:{self.path}", options=_CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
         except (FFmpegError, ValueError) as error:
-            truncation = self._truncation or f"{self.path}: expected a video: {getattr(error, 'strerror', error)}"
-            raise ValueError(truncation) from error
+            expected = f"expected a video (such as MP4, MKV or AVI) of at most {MAX_SIDE_PX} px a side"
+            reason = getattr(error, "strerror", error)
+            raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened: {reason}") from error
         with container:
-            if not container.streams.video:
+            streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
+            if not streams:
                 raise ValueError(f"{self.path}: expected a video stream, the file has none")
-            stream = container.streams.video[0]
+            stream = streams[0]
             if stream.codec_context is None:
                 raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
             stream.thread_type = "AUTO"
