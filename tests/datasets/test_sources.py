@@ -72,6 +72,35 @@ def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
         ImageFolder(folder, on_error=bad)
 
 
+def make_photograph(path: Path, *times: str, seed: int = 0) -> None:
+    """A JPEG with these times in its Exif data, as of the last change and of the photograph."""
+    assert cv2.imwrite(str(path), _image(seed))
+    entries = b"".join(time.encode() + b"\0" for time in times)
+    exif = b"Exif\0\0MM\0\x2a" + entries
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+
+
+def test_photographs_of_another_time_are_no_drive(tmp_path: Path) -> None:
+    make_photograph(tmp_path / "a.jpg", "2026:11:22 23:00:00", "2026:11:20 18:00:00")
+    make_photograph(tmp_path / "b.jpg", "2026:11:22 23:00:00", "2026:11:20 18:00:01")
+    make_photograph(tmp_path / "c.jpg", "2026:11:22 23:00:00", "2026:11:20 18:20:00")
+    make_photograph(tmp_path / "d.jpg", "2026:11:22 23:00:00", "2026:11:20 18:10:00")
+    make_photograph(tmp_path / "e.jpg")
+    make_photograph(tmp_path / "f.jpg", "0000:00:00 00:00:00")
+    assert [frame.sequence for frame in ImageFolder(tmp_path)] == ["", "", "c.jpg", "d.jpg", "e.jpg", "e.jpg"]
+
+
+def test_images_of_another_size_are_no_drive(folder: Path) -> None:
+    cv2.imwrite(str(folder / "f3.png"), _image(3)[:, :66])
+    cv2.imwrite(str(folder / "f4.png"), _image(4)[:, :66].astype(np.uint16))
+    assert [frame.sequence for frame in ImageFolder(folder)] == ["", "", "f3.png", "f4.png", "f10.png"]
+
+
+def test_images_without_times_are_one_drive(folder: Path) -> None:
+    assert {frame.sequence for frame in ImageFolder(folder)} == {""}
+
+
 @given(st.lists(st.integers(0, 10**6), max_size=8, unique=True))
 def test_numbers_in_names_sort_as_numbers(numbers: list[int]) -> None:
     names = [f"a{number}.png" for number in numbers]
