@@ -334,7 +334,9 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a long array": ("frames", "a.npy", npy(10_000_000, 2, dtype="|u1"), "got 2x10000000"),
     "a sparse array of wide values": ("frames", "a.npy", npy(8000, 8000, 4, dtype="<f8"), "a file of at most"),
     "a large file": ("frames", "a.png", sparse(30 * GIB), "at most 512 MiB"),
-    "a wide video": ("frames", "a.y4m", text("YUV4MPEG2 W60000 H60000 F25:1 Ip A1:1 C420jpeg\nFRAME\n"), "at most 8192 px"),
+    "a wide video": (
+        "frames", "a.y4m", text("YUV4MPEG2 W60000 H60000 F25:1 Ip A1:1 C420jpeg\nFRAME\n"), "at most 8192 px a side",
+    ),
     "a pipe for a recording": ("frames", "a.mcap", os.mkfifo, "is a pipe"),
     "a pipe for an image": ("frames", "a.png", os.mkfifo, "is a pipe"),
     "a pipe for a video": ("frames", "a.mp4", os.mkfifo, "a.mp4: "),
