@@ -25,11 +25,9 @@ from foreglow.datasets.pvdn import PVDN
 from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_mapping
 from foreglow.lab.simulation.scenes.scene import read_scene
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.maps.poses import read_poses
-from foreglow.maps.reading import read_road_map
+from foreglow.maps import read_poses, read_road_map
 from foreglow.parallel import workers_at
-from foreglow.photometry.headlamps import read_headlamps
-from foreglow.photometry.opening import read_lamp_file
+from foreglow.photometry import read_headlamps, read_lamp_file
 from foreglow.runs.frames_file import read_tracks
 from foreglow.runs.predictions import read_predictions
 from foreglow.types import Frame, Proposals

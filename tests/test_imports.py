@@ -39,6 +39,7 @@ ALLOWED: dict[str, set[str]] = {
     "calibration": {"types", "geometry", "config", "files"},
     "maps": {"types", "geometry", "street", "files"},
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
+    "classifier": VALUES | {"models", "_native", "files"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files"},
     "runs": VALUES | {"calibration", "files", "outputs", "provenance", "datasets"},

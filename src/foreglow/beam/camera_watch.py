@@ -198,7 +198,6 @@ class _Damage:
         return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
 
     def _forget(self) -> None:
-        """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)

@@ -144,7 +144,6 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
 
 
 def _number(path: Path, metadata: dict[str, str], name: str, default: float | None) -> float:
-    """The number called `name` in the model's metadata."""
     text = metadata.get(name)
     if text is None and default is not None:
         return default

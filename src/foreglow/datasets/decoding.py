@@ -80,14 +80,15 @@ def grey_image(picture: Any) -> Image:
         ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
     """
     deep = max(component.bits for component in picture.format.components) > 8
-    image: Image = picture.to_ndarray(format="gray16le" if deep else "gray")
+    image: Any = picture.to_ndarray(format="gray16le" if deep else "gray")
     matrix = picture.side_data.get("DISPLAYMATRIX")
-    if matrix is None:
-        return image
-    # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
-    a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()
-    if a == d == 0 and abs(b) == abs(c) == 1:
-        return np.ascontiguousarray(image.T[:: int(b), :: int(c)])
-    if b == c == 0 and abs(a) == abs(d) == 1:
-        return np.ascontiguousarray(image[:: int(d), :: int(a)])
-    raise ValueError(f"display matrix: expected quarter turns and mirroring, got {[[a, c], [b, d]]}")
+    if matrix is not None:
+        # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
+        a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()
+        if a == d == 0 and abs(b) == abs(c) == 1:
+            image = image.T[:: int(b), :: int(c)]
+        elif b == c == 0 and abs(a) == abs(d) == 1:
+            image = image[:: int(d), :: int(a)]
+        else:
+            raise ValueError(f"display matrix: expected quarter turns and mirroring, got {[[a, c], [b, d]]}")
+    return np.ascontiguousarray(image)

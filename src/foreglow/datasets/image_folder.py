@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
 from foreglow.datasets.source import OnError, checked_on_error, read_each
@@ -61,7 +60,6 @@ class ImageFolder:
         *,
         rate_hz: float = DEFAULT_RATE_HZ,
         on_error: OnError = "stop",
-        cache: FrameCache | None = None,
     ) -> None:
         """Lists the images; reads none.
 
@@ -70,7 +68,6 @@ class ImageFolder:
                 are ignored.
             rate_hz: Frames a second.
             on_error: What a bad image does.
-            cache: Where decoded images are kept for the next pass; None decodes each time.
 
         Raises:
             FileNotFoundError: If `path` does not exist.
@@ -80,7 +77,6 @@ class ImageFolder:
         self.rate_hz = rate_hz
         self.skipped: list[str] = []
         self._on_error = checked_on_error(on_error)
-        self._read = read_image if cache is None else cache.read_image
         if not 0 < rate_hz < float("inf"):
             raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.exists():
@@ -112,7 +108,7 @@ class ImageFolder:
 
     def _frame(self, index: int) -> Frame:
         path = self._files[index]
-        return Frame(self._read(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+        return Frame(read_image(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
 
 
 def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -154,7 +150,6 @@ def is_images(path: Path) -> bool:
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
-    """The images in the folder, and a message for each that cannot be read."""
     paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     files = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
     others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)

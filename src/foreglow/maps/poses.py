@@ -129,7 +129,6 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
 
 
 def _csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Names of the columns, and each row with its line number."""
     try:
         lines = list(csv.reader(_lines(path), skipinitialspace=True))
     except csv.Error as error:
@@ -145,7 +144,6 @@ def _tum(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """The lines of a file of poses, which are not too many."""
     for number, line in enumerate(bounded_lines(io.StringIO(read_text(path)), path, MAX_LINE_CHARS)):
         if number > MAX_POSES:
             raise ValueError(f"{path}: expected at most {MAX_POSES} poses, got more")
@@ -153,7 +151,6 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 def _numbers(path: Path, columns: list[str], rows: list[tuple[int, list[str]]]) -> Floats:
-    """The rows' numbers, a row each."""
     values = np.empty((len(rows), len(columns)))
     for index, (line, words) in enumerate(rows):
         if len(words) != len(columns):
@@ -181,7 +178,6 @@ def _time_ns(word: str, origin: str) -> int:
 
 
 def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Floats, Rotation]:
-    """Positions and rotations of poses in metres."""
     quaternions = np.stack([values[name] for name in ("qx", "qy", "qz", "qw")], -1)
     for row in np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) > 0.01)[:1].tolist():
         raise ValueError(
@@ -194,7 +190,6 @@ def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Fl
 def _on_earth(
     path: Path, values: dict[str, Floats], lines: list[int], origin: GeographicOrigin
 ) -> tuple[Floats, Rotation]:
-    """Positions and rotations of poses on the earth."""
     latitudes, longitudes = values["lat_deg"], values["lon_deg"]
     for row in np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))[:1].tolist():
         check_position(latitudes[row], longitudes[row], f"{path}: line {lines[row]}")

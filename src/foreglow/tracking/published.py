@@ -247,7 +247,6 @@ def _corners(centre_size: Box) -> Box:
 
 
 def _moved(centre_size: Box, momentum: Box, gain_centre: float, gain_size: float) -> Box:
-    """Centre and size after a step along `momentum`."""
     x, y, width, height = centre_size
     dx, dy, dw, dh = momentum
     width, height = width + gain_size * dw, height + gain_size * dh
@@ -278,7 +277,6 @@ def _clipped(obj: PublishedObject, limits_px: tuple[float, float]) -> PublishedO
 
 
 def _share_covered(box: Box, by: Box) -> float:
-    """The part of the area of `box` that `by` covers."""
     width, height = min(box[2], by[2]) - max(box[0], by[0]), min(box[3], by[3]) - max(box[1], by[1])
     if width <= 0.0 or height <= 0.0:
         return 0.0
