@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from foreglow.files import read_bytes, shortened
+from foreglow.protobuf import protobuf_fields
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -99,8 +100,8 @@ def _check_operations(path: Path) -> None:
     model = memoryview(read_bytes(path, MAX_MODEL_BYTES))
     try:
         counts = _operations(model)
-    except (ValueError, IndexError):
-        raise ValueError(f"{path}: expected an ONNX model that can be run, got other data") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected an ONNX model that can be run: {error}") from None
     if counts.total() > MAX_NODES:
         raise ValueError(f"{path}: expected a model of at most {MAX_NODES} operations, got more")
     if refused := LOOPS.intersection(counts):
@@ -113,50 +114,20 @@ def _operations(model: memoryview) -> Counter[str]:
     """How often a model has each operation, as long as these are not too many; the empty name stands for functions."""
     counts: Counter[str] = Counter()
     graphs = []
-    for number, content in _fields(model):
+    for number, content in _parts(model):
         counts[""] += number == _FUNCTIONS
         if number == _GRAPH:
             graphs.append(content)
     while graphs and counts.total() <= MAX_NODES:
-        for node in (content for number, content in _fields(graphs.pop()) if number == _NODE):
-            for number, content in _fields(node):
+        for node in (content for number, content in _parts(graphs.pop()) if number == _NODE):
+            for number, content in _parts(node):
                 if number == _OPERATION:
                     counts[str(content, "utf-8", "replace")] += 1
                 elif number == _ATTRIBUTE:
-                    graphs += [branch for inner, branch in _fields(content) if inner == _BRANCH]
+                    graphs += [branch for inner, branch in _parts(content) if inner == _BRANCH]
     return +counts
 
 
-def _fields(message: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Number and content of each field of a protobuf message that holds text, bytes or another message.
-
-    Source: protobuf.dev/programming-guides/encoding.
-    """
-    position = 0
-    while position < len(message):
-        key, position = _varint(message, position)
-        kind = key & 7
-        if kind == 0:
-            _, position = _varint(message, position)
-        elif kind == 2:
-            length, position = _varint(message, position)
-            if position + length > len(message):
-                raise ValueError("truncated")
-            yield key >> 3, message[position : position + length]
-            position += length
-        elif kind in (1, 5):
-            position += 8 if kind == 1 else 4
-        else:
-            raise ValueError(f"unknown kind of field {kind}")
-
-
-def _varint(message: memoryview, position: int) -> tuple[int, int]:
-    """A number of seven bits a byte, and the position after it; IndexError if it is cut."""
-    value = 0
-    for shift in range(0, 70, 7):
-        byte = message[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-    raise ValueError("number of more than ten bytes")
+def _parts(message: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """The fields of a message but for its numbers."""
+    return ((number, value) for number, value in protobuf_fields(message) if isinstance(value, memoryview))
