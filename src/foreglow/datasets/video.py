@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -24,6 +25,9 @@ _MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
 _CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
+
+_VAGUE = (errno.EINVAL, errno.EBUSY)
+"""What FFmpeg says of a format that is not allowed, and of a picture that is too large."""
 
 _CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
 """A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
@@ -135,8 +139,8 @@ class Video:
             container: Any = av.open(f"file:{self.path}", options=_CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
         except (FFmpegError, ValueError) as error:
             expected = f"expected a video (such as MP4, MKV or AVI) of at most {MAX_SIDE_PX} px a side"
-            reason = getattr(error, "strerror", error)
-            raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened: {reason}") from error
+            reason = "" if getattr(error, "errno", 0) in _VAGUE else f": {getattr(error, 'strerror', error)}"
+            raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened{reason}") from error
         with container:
             streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
             if not streams:
