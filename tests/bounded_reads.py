@@ -15,6 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from foreglow.calibration import read_intrinsics
 from foreglow.classifier.onnx import OnnxClassifier
 from foreglow.config import ClassifierConfig, read_config
@@ -23,13 +25,12 @@ from foreglow.datasets.pvdn import PVDN
 from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_mapping
 from foreglow.lab.simulation.scenes.scene import read_scene
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.maps.poses import read_poses
-from foreglow.maps.reading import read_road_map
+from foreglow.maps import read_poses, read_road_map
 from foreglow.parallel import workers_at
-from foreglow.photometry.headlamps import read_headlamps
-from foreglow.photometry.opening import read_lamp_file
+from foreglow.photometry import read_headlamps, read_lamp_file
 from foreglow.runs.frames_file import read_tracks
 from foreglow.runs.predictions import read_predictions
+from foreglow.types import Frame, Proposals
 
 MEMORY = 2 << 30
 """Bytes of addresses above what the imports take."""
@@ -41,6 +42,11 @@ SECONDS = 30
 def all_frames(path: Path) -> None:
     for _ in open_source(path):
         pass
+
+
+def run_model(path: Path) -> None:
+    crops = Proposals(np.array([[0, 0, 9, 9]], np.int32))
+    OnnxClassifier(ClassifierConfig(model=path)).classify(Frame(np.zeros((64, 64), np.uint8), 0), crops)
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -59,6 +65,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "DBC": read_dbc,
     "mapping": read_mapping,
     "model": lambda path: OnnxClassifier(ClassifierConfig(model=path)),
+    "model run": run_model,
     "glare drive": read_glare_drive,
     "cluster": lambda path: workers_at(1, path.read_text()).num_workers,
 }

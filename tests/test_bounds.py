@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,6 +216,75 @@ def changed(content: str, **fields: str) -> str:
     return "\n".join([*lines, *(f"{name} = {value}" for name, value in fields.items()), ""])
 
 
+def onnx_model(path: Path, nodes: list[Any], functions: tuple[Any, ...] = ()) -> None:
+    """A model of crops with these nodes, of which the last gives the logits."""
+    from onnx import TensorProto, helper
+
+    crops = helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", 1, 64, 64])
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N"])
+    graph = helper.make_graph(nodes, "graph", [crops], [logits])
+    imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    model = helper.make_model(graph, opset_imports=imports, functions=functions, ir_version=8)
+    path.write_bytes(model.SerializeToString())
+
+
+def huge_tensor(path: Path) -> None:
+    """The crops are repeated 2^30 times."""
+    from onnx import helper
+
+    names = ["crops", *(f"a{k}" for k in range(30))]
+    doubled = [helper.make_node("Concat", [a, a], [b], axis=1) for a, b in itertools.pairwise(names)]
+    onnx_model(path, [*doubled, helper.make_node("ReduceMean", [names[-1]], ["logits"], axes=[1, 2, 3], keepdims=0)])
+
+
+def endless_loop(path: Path) -> None:
+    """A loop of 2^62 rounds, in a branch."""
+    from onnx import TensorProto, helper
+
+    rounds = helper.make_node("Constant", [], ["rounds"], value_int=2**62)
+    keep = helper.make_node("Constant", [], ["keep"], value=helper.make_tensor("", TensorProto.BOOL, [], [True]))
+    mean = helper.make_node("ReduceMean", ["crops"], ["mean"], axes=[1, 2, 3], keepdims=0)
+    kept, values = (
+        helper.make_tensor_value_info(name, kind, shape)
+        for name, kind, shape in (("kept", TensorProto.BOOL, []), ("values", TensorProto.FLOAT, ["N"]))
+    )
+    number = helper.make_tensor_value_info("number", TensorProto.INT64, [])
+    before = [helper.make_tensor_value_info("before", TensorProto.FLOAT, ["N"])]
+    was_kept = [helper.make_tensor_value_info("was_kept", TensorProto.BOOL, [])]
+    same = [helper.make_node("Identity", [a], [b]) for a, b in (("was_kept", "kept"), ("before", "values"))]
+    body = helper.make_graph(same, "body", [number, *was_kept, *before], [kept, values])
+    loop = helper.make_node("Loop", ["rounds", "keep", "mean"], ["looped"], body=body)
+    branch = helper.make_graph(
+        [loop], "branch", [], [helper.make_tensor_value_info("looped", TensorProto.FLOAT, ["N"])]
+    )
+    choice = helper.make_node("If", ["keep"], ["logits"], then_branch=branch, else_branch=branch)
+    onnx_model(path, [rounds, keep, mean, choice])
+
+
+def many_operations(path: Path) -> None:
+    from onnx import helper
+
+    names = ["mean", *(f"a{k}" for k in range(20_000)), "logits"]
+    chain = [helper.make_node("Abs", [a], [b]) for a, b in itertools.pairwise(names)]
+    onnx_model(path, [helper.make_node("ReduceMean", ["crops"], ["mean"], axes=[1, 2, 3], keepdims=0), *chain])
+
+
+def own_functions(path: Path) -> None:
+    """Each function calls the next twice."""
+    from onnx import helper
+
+    imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    functions = tuple(
+        helper.make_function("own", f"f{k}", ["x"], ["z"], [
+            helper.make_node(f"f{k + 1}", ["x"], ["y"], domain="own"),
+            helper.make_node(f"f{k + 1}", ["y"], ["z"], domain="own"),
+        ] if k < 30 else [helper.make_node("Abs", ["x"], ["z"])], imports)
+        for k in range(31)
+    )  # fmt: skip
+    mean = helper.make_node("ReduceMean", ["crops"], ["mean"], axes=[1, 2, 3], keepdims=0)
+    onnx_model(path, [mean, helper.make_node("f0", ["mean"], ["logits"], domain="own")], functions)
+
+
 BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a road of a million kilometres": ("road map", "a.xodr", text(road("1e9")), "length: expected at most 100000 m"),
     "a thousand long roads": (
@@ -263,7 +334,9 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a long array": ("frames", "a.npy", npy(10_000_000, 2, dtype="|u1"), "got 2x10000000"),
     "a sparse array of wide values": ("frames", "a.npy", npy(8000, 8000, 4, dtype="<f8"), "a file of at most"),
     "a large file": ("frames", "a.png", sparse(30 * GIB), "at most 512 MiB"),
-    "a wide video": ("frames", "a.y4m", text("YUV4MPEG2 W60000 H60000 F25:1 Ip A1:1 C420jpeg\nFRAME\n"), "a.y4m: "),
+    "a wide video": (
+        "frames", "a.y4m", text("YUV4MPEG2 W60000 H60000 F25:1 Ip A1:1 C420jpeg\nFRAME\n"), "at most 8192 px a side",
+    ),
     "a pipe for a recording": ("frames", "a.mcap", os.mkfifo, "is a pipe"),
     "a pipe for an image": ("frames", "a.png", os.mkfifo, "is a pipe"),
     "a pipe for a video": ("frames", "a.mp4", os.mkfifo, "a.mp4: "),
@@ -301,7 +374,11 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "an object of no size": ("CAN log", "a.blf", blf(inner(0), 0), "expected an object of"),
     "a line of 3 GiB": ("CAN log", "a.asc", sparse(3 * GIB), "line 1: expected at most"),
     "a log of 30 GiB": ("CAN log", "a.log", sparse(30 * GIB), "at most 4096 MiB"),
-    "a model of 30 GiB": ("model", "a.onnx", sparse(30 * GIB), "expected a model of at most"),
+    "a model of 30 GiB": ("model", "a.onnx", sparse(30 * GIB), "at most 512 MiB"),
+    "a model of a huge tensor": ("model run", "a.onnx", huge_tensor, "can be run: "),
+    "a model of a loop without end": ("model", "a.onnx", endless_loop, "without loops, got the operation Loop"),
+    "a model of many operations": ("model", "a.onnx", many_operations, "at most 10000 operations"),
+    "a model of functions": ("model", "a.onnx", own_functions, "without functions of its own"),
     "an archive of a GiB": ("glare drive", "a.npz", archive, "unpacked"),
 }  # fmt: skip
 

@@ -116,19 +116,15 @@ class StreetMessage(FrozenModel):
         return ERROR_BOUNDS_M[self.error_class]
 
 
-def road_from_message(message: StreetMessage, lane_width_m: float = LANE_WIDTH_M) -> RoadAhead | None:
+def road_from_message(message: StreetMessage) -> RoadAhead | None:
     """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
     Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
-
-    Args:
-        message: The street message.
-        lane_width_m: Width of either lane.
     """
-    points = points_from_message(message, lane_width_m / 2)
+    points = points_from_message(message, LANE_WIDTH_M / 2)
     if len(points) < 2:
         return None
-    return RoadAhead(points, half_width_m=lane_width_m, error_bound_m=message.error_bound_m)
+    return RoadAhead(points, half_width_m=LANE_WIDTH_M, error_bound_m=message.error_bound_m)
 
 
 def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import errno
-import os
 import sys
 import types
 from pathlib import Path
@@ -13,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.datasets import PVDN, FrameCache, FrameSource, ImageFolder, Video, download_pvdn, open_source
+from foreglow.datasets import PVDN, FrameSource, ImageFolder, Video, download_pvdn, open_source
 from foreglow.datasets.image_folder import natural_key
 from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import make_pvdn
@@ -72,6 +70,35 @@ def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
         ImageFolder(folder, on_error=bad)
 
 
+def make_photograph(path: Path, *times: str, seed: int = 0) -> None:
+    """A JPEG with these times in its Exif data, as of the last change and of the photograph."""
+    assert cv2.imwrite(str(path), _image(seed))
+    entries = b"".join(time.encode() + b"\0" for time in times)
+    exif = b"Exif\0\0MM\0\x2a" + entries
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+
+
+def test_photographs_of_another_time_are_no_drive(tmp_path: Path) -> None:
+    make_photograph(tmp_path / "a.jpg", "2026:11:22 23:00:00", "2026:11:20 18:00:00")
+    make_photograph(tmp_path / "b.jpg", "2026:11:22 23:00:00", "2026:11:20 18:00:01")
+    make_photograph(tmp_path / "c.jpg", "2026:11:22 23:00:00", "2026:11:20 18:20:00")
+    make_photograph(tmp_path / "d.jpg", "2026:11:22 23:00:00", "2026:11:20 18:10:00")
+    make_photograph(tmp_path / "e.jpg")
+    make_photograph(tmp_path / "f.jpg", "0000:00:00 00:00:00")
+    assert [frame.sequence for frame in ImageFolder(tmp_path)] == ["", "", "c.jpg", "d.jpg", "e.jpg", "e.jpg"]
+
+
+def test_images_of_another_size_are_no_drive(folder: Path) -> None:
+    cv2.imwrite(str(folder / "f3.png"), _image(3)[:, :66])
+    cv2.imwrite(str(folder / "f4.png"), _image(4)[:, :66].astype(np.uint16))
+    assert [frame.sequence for frame in ImageFolder(folder)] == ["", "", "f3.png", "f4.png", "f10.png"]
+
+
+def test_images_without_times_are_one_drive(folder: Path) -> None:
+    assert {frame.sequence for frame in ImageFolder(folder)} == {""}
+
+
 @given(st.lists(st.integers(0, 10**6), max_size=8, unique=True))
 def test_numbers_in_names_sort_as_numbers(numbers: list[int]) -> None:
     names = [f"a{number}.png" for number in numbers]
@@ -116,75 +143,6 @@ def test_what_cannot_be_opened(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("dark")
     with pytest.raises(ValueError, match="expected a video"):
         open_source(tmp_path / "notes.txt")
-
-
-def test_the_cache_decodes_once_and_notices_a_change(folder: Path, tmp_path: Path) -> None:
-    cache = FrameCache(tmp_path / "cache")
-    path = folder / "f2.png"
-    first, second = cache.read_image(path), cache.read_image(path)
-    assert np.array_equal(first, second)
-    assert not second.flags.writeable
-    assert (cache.num_misses, cache.num_hits) == (1, 1)
-    cv2.imwrite(str(path), _image(99))
-    os.utime(path, ns=(1, 1))
-    assert np.array_equal(cache.read_image(path), _image(99))
-    assert cache.num_misses == 2
-    again = FrameCache(tmp_path / "cache")
-    assert again.size_bytes == cache.size_bytes == sum(p.stat().st_size for p in (tmp_path / "cache").rglob("*.npy"))
-    assert np.array_equal(again.read_image(path), _image(99))
-    assert again.num_hits == 1
-    again.clear()
-    assert again.size_bytes == 0
-    assert not list((tmp_path / "cache").rglob("*.npy"))
-
-
-def test_a_full_cache_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:
-    cache = FrameCache(tmp_path / "cache", limit_bytes=10_000)  # room for two of 64 * 70 + 128 bytes
-    source = ImageFolder(folder, cache=cache)
-    for _ in range(3):
-        assert all(np.array_equal(f.image, _image(n)) for f, n in zip(source, (1, 2, 10), strict=True))
-    assert cache.is_full
-    assert (cache.num_misses, cache.num_hits) == (5, 4)
-    assert cache.size_bytes <= 10_000
-
-
-def test_a_broken_entry_is_decoded_anew(folder: Path, tmp_path: Path) -> None:
-    cache = FrameCache(tmp_path / "cache")
-    cache.read_image(folder / "f2.png")
-    (entry,) = (tmp_path / "cache").rglob("*.npy")
-    for broken in (b"", b"broken", entry.read_bytes()[:-1]):
-        entry.write_bytes(broken)
-        assert np.array_equal(cache.read_image(folder / "f2.png"), _image(2))
-    assert cache.num_hits == 0
-
-
-def test_bad_images_are_not_cached(folder: Path, tmp_path: Path) -> None:
-    cache = FrameCache(tmp_path / "cache")
-    (folder / "f2.png").write_bytes(b"broken")
-    with pytest.raises(ValueError, match=r"f2\.png"):
-        cache.read_image(folder / "f2.png")
-    with pytest.raises(FileNotFoundError, match="no such image"):
-        cache.read_image(folder / "absent.png")
-    assert cache.size_bytes == 0
-
-
-def test_a_full_disk_only_ends_the_caching(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(np, "save", full)
-    cache = FrameCache(tmp_path / "cache")
-    assert np.array_equal(cache.read_image(folder / "f2.png"), _image(2))
-    assert cache.is_full
-    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
-
-
-def test_a_cache_that_cannot_be(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="expected a folder for the cache"):
-        FrameCache(tmp_path / "file")
-    with pytest.raises(ValueError, match="limit_bytes: expected 0 or more, got -1"):
-        FrameCache(tmp_path, limit_bytes=-1)
 
 
 def _fake_kagglehub(monkeypatch: pytest.MonkeyPatch, download: Any) -> types.SimpleNamespace:

@@ -7,6 +7,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from av.stream import Disposition
 
 from foreglow.datasets import Video
 from foreglow.datasets.decoding import decoded
@@ -102,8 +103,9 @@ def test_damage_inside_is_an_error_or_skipped(clip: Path, tmp_path: Path) -> Non
     ("data", "message"),
     [
         (b"", "expected a video, the file is empty"),
-        (b"this is text\n" * 50, "expected a video: Invalid data found"),
-        (b"\0\0\0\x18ftypisom" + bytes(12), "expected a video: Invalid data found"),
+        (b"this is text\n" * 50, "expected a video .* cannot be opened"),
+        (b"YUV4MPEG2 W60000 H60000 F25:1 C420jpeg\nFRAME\n", "of at most 8192 px a side, cannot be opened$"),
+        (b"\0\0\0\x18ftypisom" + bytes(12), "expected a video .* cannot be opened: Invalid data found"),
         (b"\0\0\0\x18ftypisom" + bytes(6), "truncated video, 6 bytes are missing at the end"),
     ],
 )
@@ -114,6 +116,94 @@ def test_what_is_no_video(tmp_path: Path, data: bytes, message: str) -> None:
         with pytest.raises(ValueError, match=message) as caught:
             Video(path, on_error="skip" if on_error == "skip" else "stop")
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "notes", "notes.nfo", "notes.md"])
+def test_prose_is_no_video(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("A car that comes round a bend lights the road before it can be seen. " * 500)
+    with pytest.raises(ValueError, match=r"expected a video .* cannot be opened"):
+        Video(path)
+
+
+def test_a_play_list_opens_no_other_file(clip: Path, tmp_path: Path) -> None:
+    path = tmp_path / "list.m3u8"
+    path.write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{clip}\n#EXT-X-ENDLIST\n")
+    with pytest.raises(ValueError, match=r"expected a video .* cannot be opened"):
+        Video(path)
+
+
+def test_a_name_with_a_colon_is_no_address(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("tcp:22.mp4").write_bytes(clip.read_bytes())
+    assert len(list(Video("tcp:22.mp4"))) == NUM_FRAMES
+
+
+def make_shown(path: Path, *, turned_deg: int, is_mirrored: bool) -> Path:
+    """A film with a bright quarter at the upper left, and a display matrix."""
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        stream.set_display_rotation(turned_deg, hflip=is_mirrored)
+        image = np.zeros((96, 128, 3), np.uint8)
+        image[:48, :64] = 200
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize("turned_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_a_display_matrix_is_applied(tmp_path: Path, turned_deg: int, is_mirrored: bool) -> None:
+    path = make_shown(tmp_path / "clip.mp4", turned_deg=turned_deg, is_mirrored=is_mirrored)
+    stored = np.zeros((96, 128))
+    stored[:48, :64] = 200
+    turned = np.rot90(stored, turned_deg // 90)
+    expected = np.fliplr(turned) if is_mirrored else turned
+    for frame in Video(path):
+        assert frame.image.shape == expected.shape
+        assert np.abs(frame.image - expected).mean() < 10
+
+
+def test_other_turns_are_refused(tmp_path: Path) -> None:
+    video = Video(make_shown(tmp_path / "clip.mp4", turned_deg=30, is_mirrored=False), on_error="skip")
+    with pytest.raises(ValueError, match=r"clip\.mp4: frame 0: display matrix: expected quarter turns"):
+        list(video)
+
+
+def make_covered(path: Path, *, has_film: bool) -> Path:
+    """An MP4 with a cover picture, which is its first stream."""
+    with av.open(str(path), "w") as container:
+        cover: Any = container.add_stream("mjpeg", rate=25)
+        cover.width, cover.height, cover.pix_fmt = 200, 200, "yuvj420p"
+        cover.disposition = Disposition.attached_pic
+        film: Any = container.add_stream("mpeg4", rate=25)
+        film.width, film.height, film.pix_fmt = 96, 72, "yuv420p"
+        white = np.full((200, 200, 3), 255, np.uint8)
+        container.mux(cover.encode(av.VideoFrame.from_ndarray(white, format="rgb24")))
+        container.mux(cover.encode(None))
+        for _ in range(5):
+            dark = np.zeros((72, 96, 3), np.uint8)
+            container.mux(film.encode(av.VideoFrame.from_ndarray(dark, format="rgb24")))
+        container.mux(film.encode(None))
+    data = path.read_bytes()
+    header, tracks, user_data = (data.index(name) - 4 for name in (b"moov", b"trak", b"udta"))
+    end = header + int.from_bytes(data[header : header + 4], "big")
+    track = data[tracks:user_data] if has_film else data[tracks:user_data].replace(b"trak", b"free")
+    path.write_bytes(data[:tracks] + data[user_data:end] + track + data[end:])
+    return path
+
+
+def test_a_cover_picture_is_not_the_video(tmp_path: Path) -> None:
+    frames = list(Video(make_covered(tmp_path / "clip.mp4", has_film=True)))
+    assert [frame.image.shape for frame in frames] == [(72, 96)] * 5
+    assert max(frame.image.max() for frame in frames) < 20
+
+
+def test_a_cover_picture_alone_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="expected a video stream, the file has none"):
+        Video(make_covered(tmp_path / "song.mp4", has_film=False))
 
 
 def test_sound_without_pictures(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from foreglow.display.beam_view import FAULT_BGR, GAP_BGR, BeamView, beam_view
+from foreglow.display.beam_view import FAULT_BGR, GAP_BGR, BeamView
 from foreglow.display.overlay import TRACK_BGR, Picture
 from foreglow.display.road_light import AHEAD_M, ASIDE_M, CELLS, RoadLight, place_on_scale
 from foreglow.geometry import Camera, Pose
@@ -45,7 +45,7 @@ def columns_with(picture: Picture, colour: tuple[int, int, int]) -> np.ndarray:
 @pytest.mark.parametrize("wanted_px", [360, 541])
 def test_any_size_gives_an_even_picture(width_px: int, height_px: int, wanted_px: int) -> None:
     frame = Frame(np.zeros((height_px, width_px), np.uint16), timestamp_ns=0)
-    picture = beam_view(frame, FULL, read_headlamps(), height_px=wanted_px)
+    picture = BeamView(read_headlamps(), wanted_px).picture(frame, FULL)
     assert picture.dtype == np.uint8
     assert abs(picture.shape[0] - wanted_px) <= 1
     assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0

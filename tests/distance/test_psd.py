@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from foreglow.config import DistanceConfig
 from foreglow.distance import PSD3DPlus
 from foreglow.distance.pitch import REST_SIGMA_RAD
-from foreglow.distance.psd_3d import MAP_SIGMA_RAD, OFFSET_SIGMA_M
-from foreglow.distance.psd_3d_plus import YawAndOffset
+from foreglow.distance.psd import MAP_SIGMA_RAD, OFFSET_SIGMA_M
 from foreglow.geometry import Floats, rotation
 from foreglow.types import Frame, RoadAhead
 from tests.distance.places import aimed, camera, detections, frame, range_m, ranges, straight_road
@@ -151,17 +150,23 @@ def test_sigma_of_psd_3d_by_hand() -> None:
 
 
 class Standing:
-    """An aligner that knows how we stand."""
+    """In place of a `RoadAligner`: it knows how we stand."""
 
     def __init__(self, yaw_rad: float, left_m: float) -> None:
         self.yaw_rad, self.left_m = yaw_rad, left_m
         self.num_resets = 0
 
-    def align(self, frame: Frame) -> YawAndOffset:  # noqa: ARG002
+    def align(self, frame: Frame) -> Standing:  # noqa: ARG002
         return self
 
     def reset(self) -> None:
         self.num_resets += 1
+
+
+def standing_estimator(standing: Standing) -> PSD3DPlus:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("foreglow.distance.psd.RoadAligner", lambda: standing)
+        return PSD3DPlus(DistanceConfig())
 
 
 @settings(derandomize=True, max_examples=50)
@@ -172,12 +177,12 @@ def test_psd_3d_plus_knows_how_we_stand(yaw: float, left_m: float, place_m: floa
     target = points[int(place_m)]
     seen_from_us = rotation(yaw).T @ (target - [0.0, left_m, 0.0])
     seen = frame(aimed(seen_from_us), RoadAhead(points, 3.2))
-    estimator = PSD3DPlus(DistanceConfig(estimator="psd_3d_plus"), Standing(yaw, left_m))
+    estimator = standing_estimator(Standing(yaw, left_m))
     found = estimator.estimate(seen, detections()).ranges_m[0]
     assert found == pytest.approx(np.linalg.norm(seen_from_us - [0, 0, 1.25]), rel=1e-6)
 
 
 def test_psd_3d_plus_passes_the_reset_on() -> None:
     standing = Standing(0.0, 0.0)
-    PSD3DPlus(DistanceConfig(), standing).reset()
+    standing_estimator(standing).reset()
     assert standing.num_resets == 1

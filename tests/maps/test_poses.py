@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from foreglow.geometry import rotation_angles_rad
 from foreglow.maps import GeographicOrigin, PoseTrack, read_poses
-from tests.maps.roads import pose
 
 ORIGIN = GeographicOrigin(48.0, 9.0)
 METRIC = """\
@@ -89,6 +90,8 @@ def test_tum(tmp_path: Path) -> None:
         ("1700000003.2", "1700000000.2", "line 5: timestamp_s: expected times that rise"),
         ("0,0,0,1\n", "0,0,0,2\n", r"line 2: qx, qy, qz, qw: expected a quaternion of length 1, got \[0"),
         (METRIC[METRIC.index("\n") + 1 :], "", "expected at least two poses, got 0"),
+        ("1700000000.2,", "1e400,", "line 3: timestamp_s: expected a finite number, got inf"),
+        ("1700000000.2,", "1e300,", "line 3: timestamp_s: expected a time, got '1e300'"),
         (METRIC, "", "expected a header line, the file is empty"),
     ],
 )
@@ -110,6 +113,21 @@ def test_poses_and_map_must_be_of_one_kind(tmp_path: Path) -> None:
 
 def test_a_track_of_one_pose() -> None:
     with pytest.raises(ValueError, match="expected at least two poses, got 1"):
-        PoseTrack(np.array([0]), [pose(0, 0)], has_attitude=True)
+        PoseTrack(np.array([0]), np.zeros((1, 3)), Rotation.identity(1), has_attitude=True)
     with pytest.raises(ValueError, match="expected times that rise, pose 2 does not"):
-        PoseTrack(np.array([5, 5]), [pose(0, 0), pose(1, 0)], has_attitude=True)
+        PoseTrack(np.array([5, 5]), np.zeros((2, 3)), Rotation.identity(2), has_attitude=True)
+
+
+def test_the_time_is_linear_in_the_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pose is made for each line, and no array."""
+    calls = 0
+
+    def counting(*args: Any, **keywords: Any) -> Rotation:
+        nonlocal calls
+        calls += 1
+        return from_quat(*args, **keywords)
+
+    from_quat = Rotation.from_quat
+    monkeypatch.setattr("foreglow.maps.poses.Rotation.from_quat", counting)
+    read_poses(write(tmp_path, "".join(f"{k} 0 0 0 0 0 0 1\n" for k in range(1000)), "drive.tum"))
+    assert calls == 1

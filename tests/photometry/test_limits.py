@@ -10,19 +10,17 @@ from foreglow.photometry.limits import (
     FMVSS_PRECEDING,
     UN_R123,
     IlluminanceLimits,
-    oncoming_limit_lx,
-    preceding_limit_lx,
 )
 
 
 def test_oncoming_by_range() -> None:
     ranges_m = np.array([[0.0, 14.99, 15.0, 29.99], [30.0, 60.0, 119.0, 120.0], [219.9, 220.0, 220.1, 1e4]])
     expected = [[np.inf, np.inf, 3.1, 3.1], [1.8, 0.6, 0.6, 0.3], [0.3, 0.3, np.inf, np.inf]]
-    np.testing.assert_array_equal(oncoming_limit_lx(ranges_m), expected)
+    np.testing.assert_array_equal(FMVSS_ONCOMING.at(ranges_m), expected)
 
 
 def test_preceding_by_range() -> None:
-    assert preceding_limit_lx([14.0, 15.0, 59.9, 60.0, 100.0, 101.0]).tolist() == [np.inf, 18.9, 18.9, 4, 4, np.inf]
+    assert FMVSS_PRECEDING.at([14.0, 15.0, 59.9, 60.0, 100.0, 101.0]).tolist() == [np.inf, 18.9, 18.9, 4, 4, np.inf]
 
 
 @pytest.mark.parametrize("limits", [FMVSS_ONCOMING, FMVSS_PRECEDING])
@@ -33,7 +31,7 @@ def test_limits_do_not_grow_with_range(limits: IlluminanceLimits) -> None:
 
 
 def test_unknown_ranges_have_no_limit() -> None:
-    assert oncoming_limit_lx(np.nan) == np.inf
+    assert FMVSS_ONCOMING.at(np.nan) == np.inf
     assert FMVSS_ONCOMING.bins([np.nan, -1.0, np.inf]).tolist() == [-1, -1, -1]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import rotation
-from foreglow.tracking.ego_motion import turn_shift_px
+from foreglow.tracking.tracker import turn_shift_px
 from tests.tracking.made_up import camera
 
 CENTRES_PX = np.array([[640.0, 480.0], [100.0, 200.0], [1200.0, 900.0], [700.0, 40.0]])

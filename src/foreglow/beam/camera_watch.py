@@ -51,8 +51,8 @@ NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
 """Damage: more new edges on the encoder's grid than this, by both measures."""
 
 REPEATED_SHARE = 0.4
-"""Damage: so many more rows than usual are like the row below although the noise is new, such as where a decoder fills
-in black."""
+"""Damage: so many more rows than in any of the recent images are like the row below, such as where a decoder fills in
+black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image."""
 
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
@@ -208,13 +208,12 @@ class _Damage:
     def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
         could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+        is_unusual |= len(self._repeated) >= 2 and change.share_repeated > max(self._repeated) + REPEATED_SHARE
         if len(self._tile_shares) == NUM_RECENT:
             least = np.minimum.reduce(list(self._tile_shares))
             if not is_still:
                 self._could_be_stuck = _same_tiles(change.tile_shares, least)
             is_unusual |= int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
-            has_noise = float(np.median(least)) > FRESH_SHARE
-            is_unusual |= has_noise and _has_risen(change.share_repeated, self._repeated, REPEATED_SHARE)
         if not is_unusual:
             self._repeated.append(change.share_repeated)
             self._one_value.append(one_value)

@@ -47,8 +47,6 @@ def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
 
 
 class _Entries:
-    """The lines `key: numbers` of a file."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         lines = (line.partition(":") for line in read_text(path, MAX_CALIBRATION_BYTES).splitlines())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.classifier.inputs import FEATURES, ClassifierInputs, InputMaker, InputSpec
+from foreglow.classifier.session import model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
 from foreglow.types import Detections, Frame, Proposals
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
-
-MAX_MODEL_BYTES = 1 << 29
-"""Largest model file; ours has less than a megabyte."""
 
 MAX_CROP_PX = 1024
 """Largest side of a model's crops, pixels; published ones have 64."""
@@ -67,7 +64,7 @@ class OnnxClassifier:
             proposals: Boxes in this frame.
 
         Raises:
-            ValueError: If the model writes anything other than one or two finite logits per crop.
+            ValueError: If the model cannot be run, or writes anything other than one or two finite logits per crop.
         """
         threshold = self.config.score_threshold
         inputs = self._maker.make(frame, proposals)
@@ -87,7 +84,12 @@ class OnnxClassifier:
         return batches[0] if len(batches) == 1 else np.concatenate(batches)
 
     def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        output: NDArray[np.float32] = self._session.run(self._outputs, dict(zip(self._names, batch, strict=True)))[0]
+        try:
+            output: NDArray[np.float32] = self._session.run(self._outputs, dict(zip(self._names, batch, strict=True)))[
+                0
+            ]
+        except model_errors() as error:
+            raise unusable(self._path, error) from error
         num_crops = len(batch[0])
         if output.shape not in ((num_crops,), (num_crops, 1), (num_crops, 2)):
             raise ValueError(
@@ -108,48 +110,6 @@ def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     scores *= _HALF
     scores += _HALF
     return scores
-
-
-def open_session(path: Path, num_threads: int) -> InferenceSession:
-    """A sequential session on the CPU that does not spin while it waits.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not an ONNX model that can be run.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such model file")
-    if path.stat().st_size > MAX_MODEL_BYTES:
-        raise ValueError(f"{path}: expected a model of at most {MAX_MODEL_BYTES} bytes, got {path.stat().st_size}")
-    # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    import onnxruntime as ort
-    from onnxruntime.capi import onnxruntime_pybind11_state as errors
-
-    ort.disable_telemetry_events()  # in case it was imported before
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = num_threads
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 4  # errors are raised and need not be printed as well
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    unusable = (
-        errors.EPFail,
-        errors.Fail,
-        errors.InvalidArgument,
-        errors.InvalidGraph,
-        errors.InvalidProtobuf,
-        errors.NoSuchFile,
-        errors.NotImplemented,
-        errors.RuntimeException,
-    )
-    try:
-        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except unusable as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path}: expected an ONNX model that can be run: {reason}") from error
 
 
 def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSession) -> tuple[list[str], InputSpec]:
@@ -184,7 +144,6 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
 
 
 def _number(path: Path, metadata: dict[str, str], name: str, default: float | None) -> float:
-    """The number called `name` in the model's metadata."""
     text = metadata.get(name)
     if text is None and default is not None:
         return default

@@ -1,17 +1,7 @@
 """A frozen model for each stage, and `PipelineConfig` with all of them; they are read from and written to TOML."""
 
-from foreglow.config.fields import (
-    FrozenModel,
-    validated,
-)
-from foreglow.config.live import LiveConfig
-from foreglow.config.pipeline import (
-    PRESETS,
-    PipelineConfig,
-    config_to_toml,
-    preset,
-    read_config,
-)
+from foreglow.config.fields import FrozenModel, validated
+from foreglow.config.pipeline import PRESETS, PipelineConfig, config_to_toml, preset, read_config
 from foreglow.config.stages import (
     OUR_TRACKER,
     PUBLISHED_TRACKER,
@@ -20,6 +10,7 @@ from foreglow.config.stages import (
     Dispatch,
     DistanceConfig,
     GuardConfig,
+    LiveConfig,
     ProposalConfig,
     TrackerConfig,
 )

@@ -9,13 +9,13 @@ from typing import Any
 import tomli_w
 
 from foreglow.config.fields import FrozenModel, validated
-from foreglow.config.live import LiveConfig
 from foreglow.config.stages import (
     OUR_TRACKER,
     BeamConfig,
     ClassifierConfig,
     DistanceConfig,
     GuardConfig,
+    LiveConfig,
     ProposalConfig,
     TrackerConfig,
 )

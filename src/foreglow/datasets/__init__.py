@@ -6,12 +6,10 @@ MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and `simulated` read a
 """
 
 from foreglow.datasets.bags import Recording
-from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.formats import open_labelled, open_source
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.images import read_image, to_grey
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.parts import part_names, part_of
 from foreglow.datasets.pvdn import (
     PVDN,
     SPLIT_NAMES,
@@ -20,6 +18,7 @@ from foreglow.datasets.pvdn import (
     Selection,
     SplitName,
     download_pvdn,
+    shipped_drive,
     split_folder,
     split_in,
     write_pvdn,
@@ -36,9 +35,8 @@ from foreglow.datasets.pvdn.schema import (
     Vehicle,
     Weather,
 )
-from foreglow.datasets.shipped import shipped_drive
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.vehicle_data import Equipped, VehicleData
+from foreglow.datasets.vehicle_data import Equipped, VehicleData, part_names, part_of
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -49,7 +47,6 @@ __all__ = [
     "Cycle",
     "EnvironmentLighting",
     "Equipped",
-    "FrameCache",
     "FrameSource",
     "ImageCategory",
     "ImageFolder",

@@ -1,4 +1,4 @@
-"""The pictures of a coded stream, and which of them its decoder knows to be damaged."""
+"""The pictures of a coded stream, upright and grey, and which of them its decoder knows to be damaged."""
 
 from __future__ import annotations
 
@@ -6,9 +6,35 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from av.codec.context import Flags
 from av.error import EOFError as StreamEnd
 from av.error import FFmpegError
+
+from foreglow.types import Image
+
+FILM_FORMATS = (
+    *(
+        "mov",
+        "matroska",
+        "avi",
+        "mpegts",
+        "mpeg",
+        "asf",
+        "flv",
+        "mxf",
+        "nut",
+        "ogg",
+        "ivf",
+        "dv",
+        "dhav",
+        "cine",
+        "mlv",
+    ),
+    *("mpegvideo", "m4v", "h264", "hevc", "av1", "obu", "mjpeg", "yuv4mpegpipe"),
+)
+"""FFmpeg's names of the containers and raw streams that cameras and recorders write. FFmpeg knows 300 more, among them
+text art, which takes any prose for a video, and play lists, which open other files."""
 
 
 def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
@@ -45,3 +71,24 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             yield picture, damaged >= key - 1
     if damaged > latest:
         yield None, True
+
+
+def grey_image(picture: Any) -> Image:
+    """The picture as it is shown, turned and mirrored by its display matrix: uint8, or uint16 if it has more bits.
+
+    Raises:
+        ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
+    """
+    deep = max(component.bits for component in picture.format.components) > 8
+    image: Any = picture.to_ndarray(format="gray16le" if deep else "gray")
+    matrix = picture.side_data.get("DISPLAYMATRIX")
+    if matrix is not None:
+        # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
+        a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()
+        if a == d == 0 and abs(b) == abs(c) == 1:
+            image = image.T[:: int(b), :: int(c)]
+        elif b == c == 0 and abs(a) == abs(d) == 1:
+            image = image[:: int(d), :: int(a)]
+        else:
+            raise ValueError(f"display matrix: expected quarter turns and mirroring, got {[[a, c], [b, d]]}")
+    return np.ascontiguousarray(image)

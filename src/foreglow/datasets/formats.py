@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from foreglow.datasets.bags import Recording, is_recording
-from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, is_images
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
@@ -24,7 +23,6 @@ class OpenOptions:
 
     on_error: OnError
     rate_hz: float
-    cache: FrameCache | None
     topic: str | None
 
 
@@ -49,10 +47,10 @@ FORMATS: dict[str, DataFormat] = {
     "recording": DataFormat(
         is_recording, lambda path, given: Recording(path, topic=given.topic, on_error=given.on_error), has_topics=True
     ),
-    "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error, cache=given.cache), PVDN),
+    "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error), PVDN),
     "images": DataFormat(
         is_images,
-        lambda path, given: ImageFolder(path, rate_hz=given.rate_hz, on_error=given.on_error, cache=given.cache),
+        lambda path, given: ImageFolder(path, rate_hz=given.rate_hz, on_error=given.on_error),
     ),
     "video": DataFormat(Path.exists, lambda path, given: Video(path, on_error=given.on_error)),
 }
@@ -64,7 +62,6 @@ def open_source(
     *,
     on_error: OnError = "stop",
     rate_hz: float = DEFAULT_RATE_HZ,
-    cache: FrameCache | None = None,
     topic: str | None = None,
 ) -> FrameSource:
     """The frames at `path`.
@@ -77,7 +74,6 @@ def open_source(
         path: A file or folder.
         on_error: What a bad frame does.
         rate_hz: Frames a second of images that carry no time; PVDN, videos and recordings have their own.
-        cache: Where decoded images are kept for the next pass; videos and recordings are not cached.
         topic: Image topic of a recording; None for its first.
 
     Raises:
@@ -90,7 +86,7 @@ def open_source(
     chosen = FORMATS[format_of(path)]
     if topic is not None and not chosen.has_topics:
         raise ValueError(f"{path}: expected a recording, as a topic was named ({topic}), is none")
-    return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, cache=cache, topic=topic))
+    return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, topic=topic))
 
 
 def format_of(path: Path) -> str:

@@ -124,11 +124,11 @@ def _tiff_size_px(data: bytes) -> tuple[int, int]:
     """Of the first image, or of its tiles, decoded whole, if these are larger. Source: TIFF 6.0, section 2."""
     order = "<" if data.startswith(b"II") else ">"
     is_big = struct.unpack_from(order + "H", data, 2)[0] == 43
-    (place,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
-    (num,) = struct.unpack_from(order + ("Q" if is_big else "H"), data, place)
+    (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
+    (num,) = struct.unpack_from(order + ("Q" if is_big else "H"), data, offset)
     sizes = dict.fromkeys(_TIFF_SIZES, 0)
     head, step, inside = (8, 20, 12) if is_big else (2, 12, 8)
-    for entry in range(place + head, place + head + step * min(num, len(data) // step), step):
+    for entry in range(offset + head, offset + head + step * min(num, len(data) // step), step):
         tag, kind = struct.unpack_from(order + "HH", data, entry)
         if tag in sizes:
             if kind not in _TIFF_TYPES:

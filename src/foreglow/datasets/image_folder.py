@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from datetime import datetime, timedelta
 from pathlib import Path
 
-from foreglow.datasets.cache import FrameCache
+from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
 from foreglow.datasets.source import OnError, checked_on_error, read_each
 from foreglow.types import Frame
@@ -19,6 +21,12 @@ OTHER_IMAGES = frozenset(
 
 DEFAULT_RATE_HZ = 18.0
 """Frames a second if unknown: the rate of PVDN within an exposure cycle."""
+
+MAX_STEP = timedelta(seconds=2)
+"""Photographs that were taken further apart are no drive; cameras give the time to the second."""
+
+_EXIF_TIME = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
+_EXIF_BYTES = 1 << 17  # Exif data are among the first segments of a JPEG, and have less than 64 KiB
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -36,7 +44,9 @@ class ImageFolder:
     """One image, or the images directly inside a folder in natural order of their names.
 
     Frames are numbered in that order; a skipped image keeps its number. As image files carry no time, the timestamp
-    is that number divided by `rate_hz`.
+    is that number divided by `rate_hz`. The images are one drive and have no sequence, unless they are photographs:
+    an image of another size than the one before, or that was taken more than `MAX_STEP` from it by their Exif data,
+    begins a new sequence, which has the name of its file.
 
     Attributes:
         path: The folder or the file.
@@ -50,7 +60,6 @@ class ImageFolder:
         *,
         rate_hz: float = DEFAULT_RATE_HZ,
         on_error: OnError = "stop",
-        cache: FrameCache | None = None,
     ) -> None:
         """Lists the images; reads none.
 
@@ -59,7 +68,6 @@ class ImageFolder:
                 are ignored.
             rate_hz: Frames a second.
             on_error: What a bad image does.
-            cache: Where decoded images are kept for the next pass; None decodes each time.
 
         Raises:
             FileNotFoundError: If `path` does not exist.
@@ -69,7 +77,6 @@ class ImageFolder:
         self.rate_hz = rate_hz
         self.skipped: list[str] = []
         self._on_error = checked_on_error(on_error)
-        self._read = read_image if cache is None else cache.read_image
         if not 0 < rate_hz < float("inf"):
             raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.exists():
@@ -97,11 +104,44 @@ class ImageFolder:
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = list(self._others)
         reads = (functools.partial(self._frame, index) for index in range(len(self._files)))
-        return read_each(reads, self._on_error, self.skipped)
+        return _in_sequences(read_each(reads, self._on_error, self.skipped))
 
     def _frame(self, index: int) -> Frame:
         path = self._files[index]
-        return Frame(self._read(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+        return Frame(read_image(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+
+
+def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The frames, with another sequence from each that does not continue the drive before it."""
+    latest, latest_time, sequence = None, None, ""
+    for frame in frames:
+        time = _exif_time(Path(frame.path))
+        if latest is not None and not (_is_alike(frame, latest) and _is_soon_after(time, latest_time)):
+            sequence = Path(frame.path).name
+        latest, latest_time = frame, time
+        yield dataclasses.replace(frame, sequence=sequence)
+
+
+def _is_alike(frame: Frame, other: Frame) -> bool:
+    return frame.image.shape == other.image.shape and frame.image.dtype == other.image.dtype
+
+
+def _is_soon_after(time: datetime | None, before: datetime | None) -> bool:
+    if time is None or before is None:
+        return time is before
+    return timedelta(0) <= time - before <= MAX_STEP
+
+
+def _exif_time(path: Path) -> datetime | None:
+    """When a photograph was taken, by the earliest time in its Exif data; None for an image that does not say it."""
+    with path.open("rb") as file:
+        if file.read(len(JPEG_SIGNATURE)) != JPEG_SIGNATURE:
+            return None
+        times = _EXIF_TIME.findall(file.read(_EXIF_BYTES).partition(b"Exif\0\0")[2])
+    try:
+        return datetime.strptime(min(times).decode(), "%Y:%m:%d %H:%M:%S") if times else None
+    except ValueError:
+        return None
 
 
 def is_images(path: Path) -> bool:
@@ -110,7 +150,6 @@ def is_images(path: Path) -> bool:
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
-    """The images in the folder, and a message for each that cannot be read."""
     paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     files = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
     others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.source import FrameSource
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
@@ -78,3 +79,17 @@ def equip(frame: Frame, data: VehicleData) -> Frame:
         motion=data.motion(frame) or frame.motion,
         road=data.road(frame) or frame.road,
     )
+
+
+def part_names(source: FrameSource) -> tuple[str, ...]:
+    """Names of the sequences in the order of their frames; a single empty name for a source without sequences."""
+    if isinstance(source, Equipped):
+        return part_names(source.source)
+    return source.directories if isinstance(source, LabelledSource) else ("",)
+
+
+def part_of(source: FrameSource, name: str) -> FrameSource:
+    """The frames of the sequence that `part_names` calls `name`."""
+    if isinstance(source, Equipped):
+        return Equipped(part_of(source.source, name), source.data)
+    return source.only(name) if isinstance(source, LabelledSource) else source

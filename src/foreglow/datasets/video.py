@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import av
-import numpy as np
 from av.error import FFmpegError
+from av.stream import Disposition
 
-from foreglow.datasets.container_bytes import missing_bytes
-from foreglow.datasets.decoding import decoded
+from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import OnError, checked_on_error
 from foreglow.types import Frame
@@ -21,13 +21,22 @@ from foreglow.types import Frame
 _LEAST_SHARE = 0.95
 """An MP4 that yields less than this share of its stated number of frames counts as damaged."""
 
+_MATROSKA_SEGMENT = 0x18538067
+_MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
+
+_CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
+
+_VAGUE = (errno.EINVAL, errno.EBUSY)
+"""What FFmpeg says of a format that is not allowed, and of a picture that is too large."""
+
 _CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
 """A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
 
 
 class Video:
-    """The frames of a file's first video stream, decoded as they are asked for, grey.
+    """The frames of a file's first video stream, decoded as they are asked for, grey and upright.
 
+    A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
     stream's own presentation times; a frame without one follows the frame before at the stream's rate.
     A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
@@ -57,7 +66,7 @@ class Video:
             raise ValueError(f"{self.path}: expected a video file, is not a file")
         if self.path.stat().st_size == 0:
             raise ValueError(f"{self.path}: expected a video, the file is empty")
-        missing = missing_bytes(self.path)
+        missing = _missing_bytes(self.path)
         self._truncation = f"{self.path}: truncated video, {missing} bytes are missing at the end" if missing else ""
         with self._opened() as (container, stream):
             rate: Fraction | None = stream.average_rate
@@ -103,10 +112,11 @@ class Video:
             self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
-        deep = max(component.bits for component in picture.format.components) > 8
-        image = picture.to_ndarray(format="gray16le" if deep else "gray")
+        try:
+            image = grey_image(picture)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: frame {index}: {error}") from None
         check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")
-        image = np.asarray(image, np.uint16 if deep else np.uint8)
         return Frame(image, timestamp_ns, frame=index, path=f"{self.path}, frame {index}", is_damaged=is_damaged)
 
     def _timestamp_ns(self, index: int, picture: Any, latest: tuple[int, int]) -> int:
@@ -124,16 +134,18 @@ class Video:
 
     @contextmanager
     def _opened(self) -> Iterator[tuple[Any, Any]]:
-        """The open container and its first video stream."""
         try:
-            container: Any = av.open(str(self.path), options=_CODEC_OPTIONS)
+            # Without a protocol, a name with a colon would be an address.
+            container: Any = av.open(f"file:{self.path}", options=_CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
         except (FFmpegError, ValueError) as error:
-            truncation = self._truncation or f"{self.path}: expected a video: {getattr(error, 'strerror', error)}"
-            raise ValueError(truncation) from error
+            expected = f"expected a video (such as MP4, MKV or AVI) of at most {MAX_SIDE_PX} px a side"
+            reason = "" if getattr(error, "errno", 0) in _VAGUE else f": {getattr(error, 'strerror', error)}"
+            raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened{reason}") from error
         with container:
-            if not container.streams.video:
+            streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
+            if not streams:
                 raise ValueError(f"{self.path}: expected a video stream, the file has none")
-            stream = container.streams.video[0]
+            stream = streams[0]
             if stream.codec_context is None:
                 raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
             stream.thread_type = "AUTO"
@@ -147,3 +159,61 @@ def _num_frames(stream: Any) -> int | None:
     if num_frames and stream.duration and stream.time_base and stream.average_rate:
         return min(num_frames, round(int(stream.duration) * Fraction(stream.time_base) * Fraction(stream.average_rate)))
     return num_frames
+
+
+def _missing_bytes(path: Path) -> int:
+    """Number of bytes missing at the end of `path`, by the sizes in an MP4/MOV, Matroska/WebM or AVI container.
+
+    0 for a complete file, and for a container that states no size (MPEG-TS, live Matroska, raw streams). Demuxers end
+    silently where a file was cut.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(12)
+        if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
+            return max(0, _mp4_end(file, size) - size)
+        if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
+            return max(0, 8 + int.from_bytes(head[4:8], "little") - size)
+        if head[:4] == b"\x1a\x45\xdf\xa3":
+            return max(0, _matroska_end(file, size) - size)
+    return 0
+
+
+def _mp4_end(file: BinaryIO, size: int) -> int:
+    """End of the last top-level box. Source: ISO/IEC 14496-12, section 4.2."""
+    position = 0
+    for _ in range(_MAX_BOXES):
+        if position >= size:
+            break
+        file.seek(position)
+        header = file.read(16)
+        if len(header) < 8:
+            return position + 8
+        length = int.from_bytes(header[:4], "big")
+        if length == 1:
+            length = int.from_bytes(header[8:16], "big")
+        if length < 8:  # 0: to the end of the file; else not a box
+            break
+        position += length
+    return position
+
+
+def _matroska_end(file: BinaryIO, size: int) -> int:
+    """End of the segment, or `size` if its length is unknown. Source: RFC 8794, sections 4 to 6."""
+    file.seek(4)
+    length, _ = _vint(file)
+    file.seek(length, 1)
+    if int.from_bytes(file.read(4), "big") != _MATROSKA_SEGMENT:
+        return size
+    length, is_unknown = _vint(file)
+    return size if is_unknown else file.tell() + length
+
+
+def _vint(file: BinaryIO) -> tuple[int, bool]:
+    """An EBML variable-size integer, and whether it means `unknown` (all bits set)."""
+    first = file.read(1)
+    if not first or first[0] == 0:
+        return 0, True
+    num_more = 8 - first[0].bit_length()
+    value = (first[0] & (0xFF >> (num_more + 1))) << (8 * num_more) | int.from_bytes(file.read(num_more), "big")
+    return value, value == (1 << (7 * (num_more + 1))) - 1

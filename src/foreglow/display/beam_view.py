@@ -68,21 +68,6 @@ GAP_TINT = 0.12
 """How much of its colour a gap takes on in the camera's picture."""
 
 
-def beam_view(
-    frame: Frame,
-    command: BeamCommand,
-    headlamps: Headlamps,
-    tracks: Tracks | None = None,
-    height_px: int = DEFAULT_HEIGHT_PX,
-) -> Picture:
-    """One picture; who draws many keeps a `BeamView`.
-
-    Raises:
-        ValueError: If the height is too small, or the command is for lamps with another number of LEDs.
-    """
-    return BeamView(headlamps, height_px).picture(frame, command, tracks)
-
-
 class BeamView:
     """Draws pictures of one height for one pair of headlamps."""
 
@@ -175,15 +160,15 @@ class BeamView:
 
     def _draw_tracks(self, picture: Picture, tracks: Tracks, scale: float, taken: list[Rectangle]) -> None:
         margin_px = self._pen.px(4)
-        places = np.flatnonzero(tracks.is_plausible)
-        boxes_px = np.rint(tracks.boxes_xyxy_px[places] * scale).astype(int)
+        plausible = np.flatnonzero(tracks.is_plausible)
+        boxes_px = np.rint(tracks.boxes_xyxy_px[plausible] * scale).astype(int)
         boxes_px += np.array([-margin_px, -margin_px, margin_px, margin_px])
         rectangles: list[Rectangle] = [(x1, y1, x2, y2) for x1, y1, x2, y2 in boxes_px.tolist()]
         taken += rectangles
-        for place, (x1, y1, x2, y2) in zip(places, rectangles, strict=True):
-            width = 2.2 if tracks.states[place] == TrackState.CONFIRMED else 1.0
+        for index, (x1, y1, x2, y2) in zip(plausible, rectangles, strict=True):
+            width = 2.2 if tracks.states[index] == TrackState.CONFIRMED else 1.0
             self._pen.line(picture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)], TRACK_BGR, width)
-            text = f"#{tracks.ids[place]}{range_text(tracks.ranges_m[place], tracks.sigmas_m[place])}"
+            text = f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}"
             height_px, width_px = picture.shape[:2]
             label = place_label((x1, y1, x2, y2), self._label_px(text), taken, (width_px, height_px))
             self._label(picture, text, label, TRACK_BGR, taken)
@@ -222,9 +207,9 @@ class BeamView:
         num_rows = self._headlamps.num_leds // num_columns
         height_px = min(num_rows * pen.px(20), pen.px(140))
         lamps = (("left", self._headlamps.left), ("right", self._headlamps.right))
-        for place, (side, lamp) in enumerate(lamps):
-            left_px = margin_px + place * (width_px + margin_px)
-            levels = command.levels[place].reshape(num_rows, num_columns)[::-1, ::-1]
+        for index, (side, lamp) in enumerate(lamps):
+            left_px = margin_px + index * (width_px + margin_px)
+            levels = command.levels[index].reshape(num_rows, num_columns)[::-1, ::-1]
             pen.write(panel, f"{side} lamp", (left_px, top_px), CAPTION_BGR, CAPTION)
             right = (left_px + width_px, top_px)
             pen.write(panel, f"{100 * levels.mean():.0f} %", right, FAINT_BGR, CAPTION, anchor="right")
@@ -241,7 +226,6 @@ class BeamView:
         return top_px + pen.px(12) + height_px + pen.px(8)
 
     def _draw_road(self, panel: Picture, road: RoadAhead | None, command: BeamCommand, top_px: int) -> None:
-        """The light on the road from above, and its scale."""
         pen, margin_px = self._pen, self._pen.px(MARGIN)
         left_px, right_px, bottom_px = margin_px, panel.shape[1] - margin_px, panel.shape[0] - pen.px(66)
         pen.write(panel, self._map_title, (left_px, top_px), CAPTION_BGR, CAPTION)
@@ -258,8 +242,8 @@ class BeamView:
                 pen.line(shown, _on_map(np.stack([0.05 * beyond, beyond]), shown), GAP_BGR, 1.2)
             if not np.isnan(range_m):
                 middle_rad = borders_rad.mean()
-                place = _on_map(range_m * np.array([[np.cos(middle_rad), np.sin(middle_rad)]]), shown)[0]
-                cv2.circle(shown, tuple(np.rint(place).astype(int).tolist()), pen.px(6), GAP_BGR, -1, cv2.LINE_AA)
+                dot_px = _on_map(range_m * np.array([[np.cos(middle_rad), np.sin(middle_rad)]]), shown)[0]
+                cv2.circle(shown, tuple(np.rint(dot_px).astype(int).tolist()), pen.px(6), GAP_BGR, -1, cv2.LINE_AA)
         car = _on_map(np.array([[0.0, 0.9], [3.2, 0.9], [3.8, 0.6], [3.8, -0.6], [3.2, -0.9], [0.0, -0.9]]), shown)
         cv2.fillPoly(shown, [np.rint(car).astype(np.int32)], EDGE_BGR, cv2.LINE_AA)
         self._draw_scale(panel, left_px, right_px, bottom_px + pen.px(20))

@@ -231,7 +231,6 @@ def _row_m(camera: Camera, range_m: float) -> float:
 
 
 def _draw_line(picture: Picture, pixels: Floats, colour_bgr: Colour, measures: Measures) -> None:
-    """Draws the line through `pixels`, shape (N, 2), without those that are not seen."""
     is_seen = np.isfinite(pixels).all(-1)
     cuts = np.flatnonzero(np.diff(is_seen.astype(int))) + 1
     for piece, seen in zip(np.split(pixels, cuts), np.split(is_seen, cuts), strict=True):

@@ -129,7 +129,6 @@ def _even(length_px: int) -> int:
 
 
 def _marks(result: FrameResult, measures: Measures, size_px: tuple[int, int]) -> list[_Mark]:
-    """What to draw, rejected boxes first, so that accepted ones lie on top."""
     detections = result.detections
     if detections is None:
         boxes = result.proposals.boxes_xyxy_px.tolist()
@@ -198,7 +197,6 @@ def _draw_labels(picture: Picture, marks: Sequence[_Mark], measures: Measures, s
 def _write(
     picture: Picture, text: str, origin: tuple[int, int], scale: float, colour_bgr: Colour, line_px: int
 ) -> None:
-    """Writes `text` with its lower left corner at `origin`."""
     cv2.putText(picture, text, origin, _FONT, scale, colour_bgr, line_px, cv2.LINE_AA)
 
 
@@ -217,9 +215,9 @@ def place_label(
         (x2 + 2, y2 - height_px),
         (x1 - width_px - 2, y2 - height_px),
     ]
-    places = [(x, y, x + width_px, y + height_px) for x, y in corners]
-    inside = [p for p in places if p[0] >= 0 and p[1] >= 0 and p[2] <= size_px[0] and p[3] <= size_px[1]]
-    return min(inside or [(0, 0, width_px, height_px)], key=lambda place: sum(overlap_px(place, b) for b in taken))
+    candidates = [(x, y, x + width_px, y + height_px) for x, y in corners]
+    inside = [p for p in candidates if p[0] >= 0 and p[1] >= 0 and p[2] <= size_px[0] and p[3] <= size_px[1]]
+    return min(inside or [(0, 0, width_px, height_px)], key=lambda label: sum(overlap_px(label, b) for b in taken))
 
 
 def overlap_px(a: Rectangle, b: Rectangle) -> int:
@@ -228,7 +226,6 @@ def overlap_px(a: Rectangle, b: Rectangle) -> int:
 
 
 def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
-    """The caption's words, each with its colour."""
     where = f"{frame.sequence}  frame {frame.frame}" if frame.sequence else f"frame {frame.frame}"
     words = [(where, CAPTION_BGR)]
     count = len(result.proposals)

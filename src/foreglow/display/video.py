@@ -99,19 +99,15 @@ class Movie:
         self._stream.pix_fmt = "yuv420p"
 
 
-class VideoSink:
+class VideoSink(Movie):
     """A result sink that writes pictures of the frames as a `Movie`, annotated ones unless another drawing is given.
 
     The brightening curve is that of the first frame, so that the video does not flicker.
     """
 
     def __init__(self, path: Path, fps: float | None = None, draw: Drawing = annotate) -> None:
-        """A sink for the file `path`, as `Movie` takes them.
-
-        Raises:
-            ValueError: If `fps` is not a positive number.
-        """
-        self._movie = Movie(path, fps)
+        """A sink for the file `path`, as `Movie` takes them."""
+        super().__init__(path, fps)
         self._draw = draw
         self._tone: Tone | None = None
 
@@ -123,19 +119,7 @@ class VideoSink:
         """
         if self._tone is None:
             self._tone = Tone.of(frame.image)
-        self._movie.add(self._draw(frame, result, self._tone))
-
-    def close(self) -> None:
-        """Completes the video.
-
-        Raises:
-            OSError: If the file cannot be written; the message names the path.
-        """
-        self._movie.close()
-
-    def discard(self) -> None:
-        """Closes the file, whatever it may hold by then."""
-        self._movie.discard()
+        self.add(self._draw(frame, result, self._tone))
 
 
 class PictureSink:
@@ -182,7 +166,6 @@ def _fitted(picture: Picture, width_px: int, height_px: int) -> Picture:
 
 @contextlib.contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Turns an error of the encoder or the disk into an OSError that names `path`."""
     try:
         yield
     except (av.error.FFmpegError, OSError) as error:

@@ -10,9 +10,7 @@ from typing import Protocol
 
 from foreglow.config import DistanceConfig
 from foreglow.distance.ground_plane import GroundPlane
-from foreglow.distance.psd_2d import PSD2D
-from foreglow.distance.psd_3d import PSD3D
-from foreglow.distance.psd_3d_plus import PSD3DPlus
+from foreglow.distance.psd import PSD2D, PSD3D, PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
 from foreglow.plugins import find
 from foreglow.types import Detections, Frame, Ranges

@@ -19,8 +19,8 @@ SERIES: dict[str, Reduce] = {"mean of five frames": np.mean, "median of five fra
 """Averages of the latest ranges, by name."""
 
 
-def over_frames(frames: NDArray[np.int64], ranges_m: Floats, reduce: Reduce, num_frames: int = NUM_FRAMES) -> Floats:
-    """`reduce` applied to the ranges in each frame and the `num_frames` - 1 before it, shape (N,).
+def over_frames(frames: NDArray[np.int64], ranges_m: Floats, reduce: Reduce) -> Floats:
+    """`reduce` applied to the ranges in each frame and the `NUM_FRAMES` - 1 before it, shape (N,).
 
     Earlier ranges are not predicted to the latest frame: an approaching light is nearer than their mean.
 
@@ -28,12 +28,11 @@ def over_frames(frames: NDArray[np.int64], ranges_m: Floats, reduce: Reduce, num
         frames: Shape (N,), numbers of the frames in which the light has a box, ascending; frames may be missing.
         ranges_m: Shape (N,), its ranges; NaN is left out, and the result is NaN where all are.
         reduce: Makes one range out of several.
-        num_frames: Length of the window in frames of the camera, with or without a range.
 
     >>> over_frames(np.array([0, 1, 7]), np.array([50.0, 40.0, 20.0]), np.mean).tolist()
     [50.0, 45.0, 20.0]
     """
-    begins = np.searchsorted(frames, frames - num_frames, side="right")
+    begins = np.searchsorted(frames, frames - NUM_FRAMES, side="right")
     results = np.full(len(frames), np.nan)
     for index, begin in enumerate(begins):
         window = ranges_m[begin : index + 1]

@@ -40,12 +40,13 @@ class GeographicOrigin:
         there = _earth_centred_m(latitudes_deg, longitudes_deg)
         return np.asarray((there - here) @ _axes(self.latitude_deg, self.longitude_deg)[:, :2])
 
-    def yaw_rad(self, latitude_deg: float, longitude_deg: float, heading_deg: float) -> float:
-        """Yaw in the map, to the left of x, of a heading at a position, clockwise from its own north."""
-        heading = np.radians(heading_deg)
-        forward = _axes(latitude_deg, longitude_deg) @ [np.sin(heading), np.cos(heading), 0.0]
-        east, north, _ = _axes(self.latitude_deg, self.longitude_deg).T @ forward
-        return float(np.arctan2(north, east))
+    def yaw_rad(self, latitudes_deg: ArrayLike, longitudes_deg: ArrayLike, headings_deg: ArrayLike) -> Floats:
+        """Yaws in the map, to the left of x, of headings at positions, clockwise from their own north."""
+        headings = np.radians(headings_deg)[..., None]
+        axes = _axes(latitudes_deg, longitudes_deg)
+        forward = np.sin(headings) * axes[..., 0] + np.cos(headings) * axes[..., 1]
+        east, north, _ = np.moveaxis(forward @ _axes(self.latitude_deg, self.longitude_deg), -1, 0)
+        return np.asarray(np.arctan2(north, east))
 
 
 def check_position(latitude_deg: float, longitude_deg: float, origin: str) -> None:
@@ -73,13 +74,11 @@ def _earth_centred_m(latitudes_deg: ArrayLike, longitudes_deg: ArrayLike) -> Flo
     )
 
 
-def _axes(latitude_deg: float, longitude_deg: float) -> Floats:
-    """East, north and up as columns, shape (3, 3), in the earth's frame."""
-    (sin_lat, sin_lon), (cos_lat, cos_lon) = (f(np.radians([latitude_deg, longitude_deg])) for f in (np.sin, np.cos))
-    return np.array(
-        [
-            [-sin_lon, -sin_lat * cos_lon, cos_lat * cos_lon],
-            [cos_lon, -sin_lat * sin_lon, cos_lat * sin_lon],
-            [0.0, cos_lat, sin_lat],
-        ]
-    )
+def _axes(latitudes_deg: ArrayLike, longitudes_deg: ArrayLike) -> Floats:
+    """East, north and up as columns, shape (..., 3, 3), in the earth's frame."""
+    latitude, longitude = np.radians(latitudes_deg), np.radians(longitudes_deg)
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    east = np.stack([-sin_lon, cos_lon, np.zeros_like(longitude)], -1)
+    north = np.stack([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat], -1)
+    up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], -1)
+    return np.stack([east, north, up], -1)

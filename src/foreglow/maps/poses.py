@@ -22,10 +22,11 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from foreglow.files import bounded_lines, read_text
-from foreglow.geometry import Floats, Pose, rotation
+from foreglow.geometry import Floats, Pose
 from foreglow.maps.geographic import GeographicOrigin, check_position
 
 MAX_GAP_S = 1.0
@@ -53,21 +54,22 @@ class PoseTrack:
             of a map.
     """
 
-    def __init__(self, times_ns: np.ndarray, poses: list[Pose], *, has_attitude: bool) -> None:
-        """Takes the poses.
+    def __init__(
+        self, times_ns: NDArray[np.int64], positions_m: Floats, turns: Rotation, *, has_attitude: bool
+    ) -> None:
+        """Takes the poses: positions of shape (N, 3), and as many rotations.
 
         Raises:
             ValueError: If there are fewer than two, or times do not rise.
         """
-        if len(poses) < 2 or len(poses) != len(times_ns):
-            raise ValueError(f"expected at least two poses, got {len(poses)}")
+        if len(times_ns) < 2:
+            raise ValueError(f"expected at least two poses, got {len(times_ns)}")
         if not (np.diff(times_ns) > 0).all():
             raise ValueError(f"expected times that rise, pose {int(np.argmin(np.diff(times_ns) > 0)) + 2} does not")
         self.times_ns = np.asarray(times_ns, np.int64)
         self.has_attitude = has_attitude
-        self.positions_m: Floats = np.array([pose.position_m for pose in poses])
-        seconds = (self.times_ns - self.times_ns[0]) / 1e9
-        self._turn = Slerp(seconds, Rotation.from_matrix([pose.rotation for pose in poses]))
+        self.positions_m = positions_m
+        self._turn = Slerp((self.times_ns - self.times_ns[0]) / 1e9, turns)
 
     def pose(self, timestamp_ns: int) -> Pose | None:
         """The pose at a time, between its neighbours; None outside, and in gaps of more than `MAX_GAP_S`."""
@@ -112,24 +114,21 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
     if (kind == EARTH_COLUMNS) != (origin is not None):
         needed = "lat_deg, lon_deg, heading_deg" if origin is not None else "x_m, y_m, z_m, qx, qy, qz, qw"
         raise ValueError(f"{path}: expected poses with {needed}, as the map is, got {', '.join(kind)}")
-    times_ns, poses = [], []
-    for number, words in rows:
-        where = f"{path}: line {number}"
-        row = _numbers(columns, words, where)
-        times_ns.append(_time_ns(words[columns.index(time_columns[0])], time_columns[0], where))
-        poses.append(_metric_pose(row, where) if origin is None else _earth_pose(row, origin, where))
-        if len(times_ns) > 1 and times_ns[-1] <= times_ns[-2]:
-            raise ValueError(
-                f"{where}: {time_columns[0]}: expected times that rise, got a time not after that of the line before"
-            )
-    if len(poses) < 2:
-        raise ValueError(f"{path}: expected at least two poses, got {len(poses)}")
+    if len(rows) < 2:
+        raise ValueError(f"{path}: expected at least two poses, got {len(rows)}")
+    values = dict(zip(columns, _numbers(path, columns, rows).T, strict=True))
+    index = columns.index(time_columns[0])
+    times_ns = np.array([_time_ns(words[index], f"{path}: line {line}: {columns[index]}") for line, words in rows])
+    lines = [line for line, _ in rows]
+    for row in np.flatnonzero(np.diff(times_ns) <= 0)[:1].tolist():
+        expected = "expected times that rise, got a time not after that of the line before"
+        raise ValueError(f"{path}: line {lines[row + 1]}: {columns[index]}: {expected}")
+    positions_m, turned = _metric(path, values, lines) if origin is None else _on_earth(path, values, lines, origin)
     has_attitude = origin is None or all(name in columns for name in EARTH_OPTIONS)
-    return PoseTrack(np.array(times_ns, np.int64), poses, has_attitude=has_attitude)
+    return PoseTrack(times_ns, positions_m, turned, has_attitude=has_attitude)
 
 
 def _csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Names of the columns, and each row with its line number."""
     try:
         lines = list(csv.reader(_lines(path), skipinitialspace=True))
     except csv.Error as error:
@@ -145,47 +144,59 @@ def _tum(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """The lines of a file of poses, which are not too many."""
     for number, line in enumerate(bounded_lines(io.StringIO(read_text(path)), path, MAX_LINE_CHARS)):
         if number > MAX_POSES:
             raise ValueError(f"{path}: expected at most {MAX_POSES} poses, got more")
         yield line
 
 
-def _numbers(columns: list[str], words: list[str], where: str) -> dict[str, float]:
-    """A row's numbers by the names of the columns."""
-    if len(words) != len(columns):
-        raise ValueError(f"{where}: expected {len(columns)} numbers, got {len(words)}")
-    try:
-        row = dict(zip(columns, map(float, words), strict=True))
-    except ValueError as error:
-        raise ValueError(f"{where}: expected numbers: {error}") from None
-    for name, value in row.items():
-        if not np.isfinite(value):
-            raise ValueError(f"{where}: {name}: expected a finite number, got {value}")
-    return row
+def _numbers(path: Path, columns: list[str], rows: list[tuple[int, list[str]]]) -> Floats:
+    values = np.empty((len(rows), len(columns)))
+    for index, (line, words) in enumerate(rows):
+        if len(words) != len(columns):
+            raise ValueError(f"{path}: line {line}: expected {len(columns)} numbers, got {len(words)}")
+        try:
+            values[index] = [float(word) for word in words]
+        except ValueError as error:
+            raise ValueError(f"{path}: line {line}: expected numbers: {error}") from None
+    for row, column in np.argwhere(~np.isfinite(values))[:1].tolist():
+        raise ValueError(
+            f"{path}: line {rows[row][0]}: {columns[column]}: expected a finite number, got {values[row, column]}"
+        )
+    return values
 
 
-def _time_ns(word: str, column: str, where: str) -> int:
+def _time_ns(word: str, origin: str) -> int:
     """A time in nanoseconds, exact also for seconds since 1970, which as a float are exact to hundreds only."""
     try:
-        return int(Decimal(word) * TIMES[column])
-    except (InvalidOperation, ValueError, OverflowError):
-        raise ValueError(f"{where}: {column}: expected a time, got {word!r}") from None
+        time_ns = Decimal(word) * TIMES[origin.rpartition(" ")[2]]
+        if abs(time_ns) < 1 << 63:
+            return int(time_ns)
+    except InvalidOperation:
+        pass
+    raise ValueError(f"{origin}: expected a time, got {word!r}")
 
 
-def _metric_pose(row: dict[str, float], where: str) -> Pose:
-    quaternion = np.array([row[name] for name in ("qx", "qy", "qz", "qw")])
-    if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.01:
-        raise ValueError(f"{where}: qx, qy, qz, qw: expected a quaternion of length 1, got {quaternion.tolist()}")
-    position_m = np.array([row[name] for name in ("x_m", "y_m", "z_m")])
-    return Pose(position_m, Rotation.from_quat(quaternion).as_matrix())
+def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Floats, Rotation]:
+    quaternions = np.stack([values[name] for name in ("qx", "qy", "qz", "qw")], -1)
+    for row in np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) > 0.01)[:1].tolist():
+        raise ValueError(
+            f"{path}: line {lines[row]}: qx, qy, qz, qw: expected a quaternion of length 1, got "
+            f"{quaternions[row].tolist()}"
+        )
+    return np.stack([values[name] for name in ("x_m", "y_m", "z_m")], -1), Rotation.from_quat(quaternions)
 
 
-def _earth_pose(row: dict[str, float], origin: GeographicOrigin, where: str) -> Pose:
-    latitude_deg, longitude_deg = row["lat_deg"], row["lon_deg"]
-    check_position(latitude_deg, longitude_deg, where)
-    yaw_rad = origin.yaw_rad(latitude_deg, longitude_deg, row["heading_deg"])
-    angles = np.radians([row.get("pitch_deg", 0.0), row.get("roll_deg", 0.0)])
-    position_m = [*origin.local(latitude_deg, longitude_deg), row.get("height_m", 0.0)]
-    return Pose(np.array(position_m), rotation(yaw_rad, *angles))
+def _on_earth(
+    path: Path, values: dict[str, Floats], lines: list[int], origin: GeographicOrigin
+) -> tuple[Floats, Rotation]:
+    latitudes, longitudes = values["lat_deg"], values["lon_deg"]
+    for row in np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))[:1].tolist():
+        check_position(latitudes[row], longitudes[row], f"{path}: line {lines[row]}")
+    level = np.zeros(len(lines))
+    heights_m = values.get("height_m", level)
+    pitches_rad, rolls_rad = (np.radians(values.get(name, level)) for name in ("pitch_deg", "roll_deg"))
+    yaws_rad = origin.yaw_rad(latitudes, longitudes, values["heading_deg"])
+    # As `geometry.rotation`, whose pitch is upwards: a negative turn about y.
+    turned = Rotation.from_euler("ZYX", np.stack([yaws_rad, -pitches_rad, rolls_rad], -1))
+    return np.column_stack([origin.local(latitudes, longitudes), heights_m]), turned

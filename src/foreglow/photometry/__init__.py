@@ -1,12 +1,11 @@
 """Lamps as lighting engineers describe them: tables of intensity, the illuminance that follows, and built-in lamps."""
 
-from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps
+from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps, read_lamp_file
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, illuminance_lx
 from foreglow.photometry.lamps import high_beam, low_beam, position_lamp, rear_lamp, street_lamp, window
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import NUM_LEDS, MatrixLamp
-from foreglow.photometry.opening import read_lamp_file
 
 __all__ = [
     "NUM_LEDS",

@@ -13,14 +13,18 @@ from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.geometry import Floats, Pose, rotation
+from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.lamps import low_beam
+from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.lookup import PairLookup
 from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
-from foreglow.photometry.opening import read_lamp_file
 
 SHIPPED = Path(__file__).with_name("headlamps.toml")
 """The headlamps of the simulated car."""
+
+READERS = {".ies": read_ies, ".ldt": read_ldt}
+"""Readers of photometric files by their endings."""
 
 FileName: TypeAlias = Annotated[Path, Field(strict=False)]
 """Name of an IES or EULUMDAT file, relative to the TOML file's folder."""
@@ -175,6 +179,19 @@ def read_headlamps(path: Path | None = None) -> Headlamps:
             that it names is broken; the message names path, field and what was expected.
     """
     return _shipped() if path is None else _read(path)
+
+
+def read_lamp_file(path: Path) -> IntensityTable:
+    """The lamp in the IES (LM-63) or EULUMDAT file `path`, by its suffix, in the lamp's frame.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the suffix is neither `.ies` nor `.ldt`, or the file is broken; the message names the path.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: expected a file whose name ends in {' or '.join(READERS)}")
+    return reader(path)
 
 
 def matrix_beam(side: Side) -> MatrixLamp:

@@ -80,7 +80,6 @@ def _words(path: Path, lines: list[str]) -> list[tuple[int, str]]:
 
 
 def _angles(path: Path, fields: NumberFields, num: int, field: str, at_least: int) -> Floats:
-    """Growing angles, degrees."""
     if num < at_least:
         raise ValueError(f"{path}: {field}: expected at least {at_least}, got {num}")
     angles = fields.take(num, field)

@@ -111,13 +111,3 @@ UN_R123 = (
 )
 """Limits for one lamp. Towards preceding vehicles there are two limits at 50 m and at 100 m, each for a part of the
 zone; the notes do not say which."""
-
-
-def oncoming_limit_lx(range_m: ArrayLike) -> Floats:
-    """Largest illuminance at an oncoming driver by FMVSS 108, any shape, lx; infinity where it has none."""
-    return FMVSS_ONCOMING.at(range_m)
-
-
-def preceding_limit_lx(range_m: ArrayLike) -> Floats:
-    """Largest illuminance at a preceding driver's mirrors by FMVSS 108, any shape, lx; infinity where it has none."""
-    return FMVSS_PRECEDING.at(range_m)

@@ -246,7 +246,6 @@ def _step(grid_deg: Floats) -> float:
 
 
 def _sampled(table: IntensityTable, azimuths_deg: Floats, elevations_deg: Floats) -> NDArray[np.float32]:
-    """The table's intensities on another grid, shape (E, A)."""
     azimuth, elevation = np.meshgrid(azimuths_deg, elevations_deg)
     return bilinear(
         table.intensities_cd.astype(np.float64), table.elevations_deg, table.azimuths_deg, elevation, azimuth

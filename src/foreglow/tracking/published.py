@@ -171,7 +171,7 @@ class PublishedTracker:
         )
 
     def _updated(self, obj: PublishedObject, sighting: Sighting) -> PublishedObject:
-        """The trackedect after a detection: both gains are applied twice, and the future box moves on as far again."""
+        """The object after a detection: both gains are applied twice, and the future box moves on as far again."""
         config = self._config
         old, new = _centre_size(obj.box), _centre_size(sighting.box)
         momentum = (new[0] - old[0], new[1] - old[1], new[2] - old[2], new[3] - old[3])
@@ -197,7 +197,7 @@ class PublishedTracker:
         )
 
     def _lost(self, obj: PublishedObject) -> PublishedObject:
-        """The trackedect without a detection: it moves on by its last innovation, which never decays."""
+        """The object without a detection: it moves on by its last innovation, which never decays."""
         gain = 2.0 * self._config.alpha_centre
         momentum = obj.momentum or _AT_REST
         moved = _moved(_centre_size(obj.box), momentum, gain, 0.0)
@@ -247,7 +247,6 @@ def _corners(centre_size: Box) -> Box:
 
 
 def _moved(centre_size: Box, momentum: Box, gain_centre: float, gain_size: float) -> Box:
-    """Centre and size after a step along `momentum`."""
     x, y, width, height = centre_size
     dx, dy, dw, dh = momentum
     width, height = width + gain_size * dw, height + gain_size * dh
@@ -265,7 +264,7 @@ def _is_ordered(box: Box) -> bool:
 
 
 def _clipped(obj: PublishedObject, limits_px: tuple[float, float]) -> PublishedObject:
-    """The trackedect clipped to the image, with a distance of at least 0 and a future box of positive size."""
+    """The object clipped to the image, with a distance of at least 0 and a future box of positive size."""
     x, y, width, height = _centre_size(obj.future_box)
     is_sound = width > 0.0 and height > 0.0
     sound = (x, y, width if width > 0.0 else 1.0, height if height > 0.0 else 1.0)
@@ -278,7 +277,6 @@ def _clipped(obj: PublishedObject, limits_px: tuple[float, float]) -> PublishedO
 
 
 def _share_covered(box: Box, by: Box) -> float:
-    """The part of the area of `box` that `by` covers."""
     width, height = min(box[2], by[2]) - max(box[0], by[0]), min(box[3], by[3]) - max(box[1], by[1])
     if width <= 0.0 or height <= 0.0:
         return 0.0

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.datasets import PVDN, Cycle, FrameCache, ImageCategory, Selection, Weather, write_pvdn
+from foreglow.datasets import PVDN, Cycle, ImageCategory, Selection, Weather, write_pvdn
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.pvdn.schema import BoxLabels, CategoryConfig, ImageAnnotationsFile, KeypointsFile, SequencesFile
 from tests.datasets.tiny_pvdn import SIZE_PX, documents, edit, make_pvdn, tiny_image, write
@@ -136,14 +136,6 @@ def test_selection(split: Path, select: Selection, expected: tuple[int, ...]) ->
 def test_a_scene_that_does_not_exist_is_named(split: Path) -> None:
     with pytest.raises(ValueError, match="scenes: expected ids or folders of sequences, got 'S00009'"):
         PVDN(split, select=Selection(scenes=["S00009"]))
-
-
-def test_the_cache_serves_the_second_pass(split: Path, tmp_path: Path) -> None:
-    cache = FrameCache(tmp_path / "cache")
-    dataset = PVDN(split, cache=cache)
-    for _ in range(2):
-        assert all((frame.image == tiny_image(frame.frame)).all() for frame in dataset)
-    assert (cache.num_misses, cache.num_hits) == (5, 5)
 
 
 def test_boxes(split: Path) -> None:

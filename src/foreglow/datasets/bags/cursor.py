@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from typing import Literal, TypeAlias
 
+from foreglow.protobuf import protobuf_fields
+
 MAX_TEXT_BYTES = 4096
 """Longest text in a record or a message: names of topics, types, frames and encodings."""
 
@@ -83,29 +85,15 @@ class CdrCursor(Cursor):
         return super().text(field).removesuffix("\0")
 
 
-def protobuf_fields(data: memoryview) -> dict[int, int | memoryview]:
-    """The fields of a protobuf message by number, the last value of each: numbers unsigned, others as bytes.
+def latest_fields(message: memoryview) -> dict[int, int | memoryview]:
+    """The fields of a protobuf message by number, the last value of each.
 
     Raises:
-        ValueError: If the message is malformed.
-
-    Source: protobuf.dev, Encoding.
+        ValueError: If the message is malformed, or has too many.
     """
-    cursor, fields = Cursor(data), dict[int, int | memoryview]()
-    while not cursor.is_at_end:
-        key = _varint(cursor)
-        number, kind = key >> 3, key & 7
-        field = f"field {number}"
-        if kind == 0:
-            fields[number] = _varint(cursor)
-        elif kind == 1:
-            fields[number] = cursor.number("Q", field)
-        elif kind == 2:
-            fields[number] = cursor.take(_varint(cursor), field)
-        elif kind == 5:
-            fields[number] = cursor.number("I", field)
-        else:
-            raise ValueError(f"{field}: expected a wire type of 0, 1, 2 or 5, got {kind}")
+    fields: dict[int, int | memoryview] = {}
+    for number, value in protobuf_fields(message):
+        fields[number] = value
         if len(fields) > MAX_FIELDS:
             raise ValueError(f"expected at most {MAX_FIELDS} fields, got more")
     return fields
@@ -123,13 +111,3 @@ def text_of(data: memoryview, field: str) -> str:
         return str(data, "utf-8")
     except UnicodeDecodeError:
         raise ValueError(f"{field}: expected UTF-8 text, got {bytes(data[:20])!r}") from None
-
-
-def _varint(cursor: Cursor) -> int:
-    value = 0
-    for index in range(10):
-        byte = cursor.number("B", "varint")
-        value |= (byte & 0x7F) << (7 * index)
-        if byte < 0x80:
-            return value
-    raise ValueError("varint: expected at most 10 bytes")

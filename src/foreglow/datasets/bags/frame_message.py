@@ -93,7 +93,6 @@ def _road(stored: _StoredRoad) -> RoadAhead:
 
 
 def _threes(points: Floats) -> tuple[_Three, ...]:
-    """Points of shape (N, 3) as tuples."""
     return tuple((x, y, z) for x, y, z in points.tolist())
 
 

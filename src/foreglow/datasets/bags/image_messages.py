@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-from foreglow.datasets.bags.cursor import CdrCursor, Cursor, protobuf_fields, text_of
+from foreglow.datasets.bags.cursor import CdrCursor, Cursor, latest_fields, text_of
 from foreglow.datasets.bags.pixels import Pixels, grey_image
 from foreglow.datasets.images import decode_image
 from foreglow.types import Image
@@ -62,7 +62,7 @@ def _compressed(cursor: Cursor, seconds: Literal["i", "I"]) -> ImageMessage:
 
 
 def _foxglove_image(data: memoryview) -> ImageMessage:
-    fields = protobuf_fields(data)
+    fields = latest_fields(data)
     pixels = Pixels(
         height_px=_number(fields, 3, "height"),
         width_px=_number(fields, 2, "width"),
@@ -75,7 +75,7 @@ def _foxglove_image(data: memoryview) -> ImageMessage:
 
 
 def _foxglove_compressed(data: memoryview) -> ImageMessage:
-    fields = protobuf_fields(data)
+    fields = latest_fields(data)
     return ImageMessage(_foxglove_stamp_ns(fields), _bytes(fields, 2, "data"))
 
 
@@ -101,7 +101,7 @@ def _ros_stamp_ns(cursor: Cursor, seconds: Literal["i", "I"]) -> int:
 
 def _foxglove_stamp_ns(fields: Mapping[int, int | memoryview]) -> int:
     """The google.protobuf.Timestamp in field 1."""
-    stamp = protobuf_fields(_bytes(fields, 1, "timestamp"))
+    stamp = latest_fields(_bytes(fields, 1, "timestamp"))
     return _number(stamp, 1, "timestamp.seconds") * NS + _number(stamp, 2, "timestamp.nanos")
 
 

@@ -101,11 +101,7 @@ class Recording:
         return Frame(decoded.image(), _time_ns(decoded, message), frame=index, path=path)
 
     def _found(self, name: str | None) -> Topic:
-        """The topic called `name`, or the first with images.
-
-        Raises:
-            ValueError: If there is none; the message lists the topics.
-        """
+        """The topic called `name`, or the first with images; without any, the error lists the topics."""
         topics: dict[str, Topic] = {}
         for message in self._container.messages(None, self._refuse):
             topic = topics.setdefault(message.topic.name, message.topic)
@@ -120,7 +116,6 @@ class Recording:
         raise ValueError(f"{self.path}: expected {wanted} with images ({', '.join(IMAGE_TYPES)}), found {known}")
 
     def _rate_hz(self) -> float | None:
-        """The rate by the median step between the first readable time stamps."""
         times_ns = []
         for message in itertools.islice(self._container.messages({self.topic}, self._refuse), NUM_TIMED):
             try:

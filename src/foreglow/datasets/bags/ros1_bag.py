@@ -92,13 +92,7 @@ class Ros1Bag:
         return sum(1 for _ in self._heads(file)) == sum(counts)
 
     def _heads(self, file: BinaryIO) -> Iterator[tuple[int, dict[str, bytes], int]]:
-        """Position, header and length of the data of each complete record; `file` is then at its data.
-
-        Ends at a record that is cut.
-
-        Raises:
-            _HeaderError: If a header is malformed.
-        """
+        """Position, header and data length of each complete record, with `file` at its data; ends at a cut one."""
         position = file.tell()
         while position + 8 <= self._size:
             length = int.from_bytes(file.read(4), "little")
@@ -159,11 +153,7 @@ class _Connections:
 
 
 def _fields(data: memoryview, *, needs_op: bool = True) -> dict[str, bytes]:
-    """The fields `name=value` of a header; the header of a record has `op`, a single byte.
-
-    Raises:
-        ValueError: If `op` is missing, or the header is malformed.
-    """
+    """The fields `name=value` of a header; the header of a record has `op`, a single byte."""
     if len(data) > MAX_HEADER_BYTES:
         raise ValueError(f"header: expected at most {MAX_HEADER_BYTES} bytes, got more")
     cursor, fields = Cursor(data), dict[str, bytes]()

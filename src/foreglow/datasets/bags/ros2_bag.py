@@ -99,11 +99,7 @@ class SqliteBag:
 
 
 def _check_tables(connection: sqlite3.Connection) -> None:
-    """Passes a bag whose tables hold what is read: a view, and a column that is computed, can make any amount of it.
-
-    Raises:
-        sqlite3.DatabaseError: If it has others.
-    """
+    """Refuses tables other than those read: a view, and a column that is computed, can make any amount of it."""
     query = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
     names = [name for (name,) in connection.execute(query).fetchmany(3)]
     columns = [column for name in names for column in connection.execute(f"PRAGMA table_xinfo({name})")]
@@ -164,7 +160,6 @@ def _storage(path: Path) -> Container:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files in the metadata, all in the folder itself."""
     path = folder / METADATA
     metadata = read_yaml(path)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None

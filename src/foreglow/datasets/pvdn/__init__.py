@@ -7,7 +7,15 @@
 
 from foreglow.datasets.pvdn.download import download_pvdn
 from foreglow.datasets.pvdn.reader import PVDN, PVDN_RATE_HZ, Selection
-from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName, is_pvdn, is_split, split_folder, split_in
+from foreglow.datasets.pvdn.splits import (
+    SPLIT_NAMES,
+    SplitName,
+    is_pvdn,
+    is_split,
+    shipped_drive,
+    split_folder,
+    split_in,
+)
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, write_pvdn
 
 __all__ = [
@@ -21,6 +29,7 @@ __all__ = [
     "download_pvdn",
     "is_pvdn",
     "is_split",
+    "shipped_drive",
     "split_folder",
     "split_in",
     "write_pvdn",

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foreglow.datasets.cache import FrameCache
 from foreglow.datasets.images import read_image
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.labelled import LabelledSource
@@ -93,7 +92,6 @@ class PVDN(LabelledSource):
         *,
         select: Selection | None = None,
         on_error: OnError = "stop",
-        cache: FrameCache | None = None,
     ) -> None:
         """Reads the labels.
 
@@ -101,7 +99,6 @@ class PVDN(LabelledSource):
             root: The split's or the sequence's folder, or a folder that has this split only, one or two levels below.
             select: The wanted images; None for all.
             on_error: What an image that is missing, broken or of the wrong size does; labels must always be right.
-            cache: Where decoded images are kept for the next pass; None decodes each time.
 
         Raises:
             FileNotFoundError: If the folder or a label file is missing.
@@ -118,7 +115,6 @@ class PVDN(LabelledSource):
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
         self.skipped: list[str] = []
         self._on_error = checked_on_error(on_error)
-        self._read = read_image if cache is None else cache.read_image
         self._vehicle = SimulatedVehicle(self.root)
         self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
 
@@ -148,7 +144,7 @@ class PVDN(LabelledSource):
         record = self.image(image_id)
         self._check_exists(image_id)
         path = self.image_path(image_id)
-        image = self._read(path)
+        image = read_image(path)
         if image.shape != (record.height_px, record.width_px):
             raise ValueError(
                 f"{path}: image size: expected {record.width_px}x{record.height_px} px as in image_annotations.json, "

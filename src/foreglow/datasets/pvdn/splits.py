@@ -1,4 +1,6 @@
-"""Where the splits of a data set in PVDN's layout lie: `DATA/train`, or `DATA/CYCLE/train`, and so on."""
+"""Where the splits of a data set in PVDN's layout lie: `DATA/train`, or `DATA/CYCLE/train`, and so on; and the drive
+that ships with the package: simulated, in this layout, with labels, calibration and truth.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,20 @@ from typing import Literal, TypeAlias
 
 SplitName: TypeAlias = Literal["train", "val", "test"]
 SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")
+
+DEMO_DRIVE = "curve"
+
+
+def shipped_drive(name: str = DEMO_DRIVE) -> Path:
+    """The folder of the drive called `name`, a split that `PVDN` reads.
+
+    Raises:
+        FileNotFoundError: If no drive of this name is installed.
+    """
+    folder = Path(__file__).resolve().parents[2] / "shipped_drives" / name
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: no such drive in this installation")
+    return folder
 
 
 def split_folder(data: Path | str, name: SplitName) -> Path:

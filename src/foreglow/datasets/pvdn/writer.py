@@ -73,21 +73,12 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     1
     """
 
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        info: Mapping[str, Any] | None = None,
-        camera_configurations: tuple[CameraConfiguration, ...] = CAMERA_CONFIGURATIONS,
-        categories: tuple[Category, ...] = CATEGORIES,
-    ) -> None:
+    def __init__(self, root: Path | str, *, info: Mapping[str, Any] | None = None) -> None:
         """Makes the split's folders.
 
         Args:
             root: The split's folder, such as `out/night/val`; made if absent, must hold no split yet.
             info: Describes the data set: description, url, version, year, contributor, date_created, changed.
-            camera_configurations: The list that `LabelledImage.camera_configuration` points into.
-            categories: Names of the image categories.
 
         Raises:
             ValueError: If the folder holds images or labels already.
@@ -96,8 +87,6 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         self.root = Path(root)
         _make_folders(self.root)
         self._info = dict(info or {})
-        self._camera_configurations = camera_configurations
-        self._categories = categories
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}
         self._annotations: list[ImageAnnotation] = []
@@ -151,8 +140,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         images_file = ImageAnnotationsFile(
             info=self._info,
             licences=(),
-            camera_configurations=self._camera_configurations,
-            categories=self._categories,
+            camera_configurations=CAMERA_CONFIGURATIONS,
+            categories=CATEGORIES,
             images=tuple(self._images.values()),
             annotations=tuple(self._annotations),
         )
@@ -168,10 +157,10 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         frame = labelled.frame
         if frame.frame in self._images or frame.frame in added:
             raise ValueError(f"{self.root}: image id: expected each once, {frame.frame} is there twice")
-        if not 0 <= labelled.camera_configuration < len(self._camera_configurations):
+        if not 0 <= labelled.camera_configuration < len(CAMERA_CONFIGURATIONS):
             raise ValueError(
                 f"{self.root}: camera_configuration: expected an index in a list of "
-                f"{len(self._camera_configurations)}, got {labelled.camera_configuration}"
+                f"{len(CAMERA_CONFIGURATIONS)}, got {labelled.camera_configuration}"
             )
         size_px = frame.width_px, frame.height_px
         return image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)

@@ -204,15 +204,11 @@ def read_dbc(path: Path) -> dict[str, Message]:
 
 
 def _check_dbc(text: str, origin: str) -> None:
-    """Passes a DBC whose messages are not too long, nor its ranges.
-
-    Raises:
-        ValueError: If one is; the message begins with `origin`.
-    """
+    """ValueError if a message of a DBC is too long, or its ranges are."""
     ends = [(int(size[:20]), "a message") for size in re.findall(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", text)]
     ends += [
-        ((int(place[:20]) + int(length[:20])) // 8, "a signal")
-        for place, length in re.findall(r":\s*(\d+)\s*\|\s*(\d+)\s*@", text)
+        ((int(start[:20]) + int(length[:20])) // 8, "a signal")
+        for start, length in re.findall(r":\s*(\d+)\s*\|\s*(\d+)\s*@", text)
     ]
     longest = max(ends, default=(0, ""))
     if longest[0] > MAX_MESSAGE_BYTES:
@@ -294,7 +290,6 @@ class CanDecoder:
                 self._add(time_ns, name, {field: decoded[signal] for field, signal in signals.items()})
 
     def _add(self, time_ns: int, section: str, values: dict[str, float]) -> None:
-        """Adds the values of a section, by field."""
         if section == "segment":
             self._street_frames.add_segment(values, time_ns)
         elif section == "slope":
@@ -306,7 +301,6 @@ class CanDecoder:
 
 
 def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, bytes]]:
-    """Time, key and data of the frames in a log whose key (id, is extended) is among `keys`."""
     import can
     from can.io.blf import BLFParseError
 
@@ -337,8 +331,6 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
 
 
 class _TextLog(io.TextIOWrapper):
-    """A log in text, whose lines are not too long."""
-
     def __init__(self, path: Path) -> None:
         super().__init__(path.open("rb"), encoding="latin-1")
         lines: Any = super()
@@ -349,13 +341,7 @@ class _TextLog(io.TextIOWrapper):
 
 
 def _check_objects(path: Path) -> None:
-    """Passes a .blf whose objects have a size that can be, unpacked too; python-can takes whatever there is.
-
-    Raises:
-        ValueError: If one has not; the message says where.
-
-    Source: the layout that python-can reads, can.io.blf.
-    """
+    """ValueError if an object of a .blf has a size that cannot be; python-can (can.io.blf) takes whatever there is."""
     with path.open("rb") as file:
         header_size = int.from_bytes(file.read(8)[4:], "little")
         _check_object(header_size, "header")
@@ -390,14 +376,14 @@ def _unpacked(data: bytes, origin: str) -> bytes:
 
 def _after_objects(data: bytes, origin: str) -> bytes:
     """What follows the whole objects in `data`: the beginning of one that goes on in the next container."""
-    place = 0
-    while 0 <= (begin := data.find(b"LOBJ", place, place + 8)) <= len(data) - _OBJECT_HEAD:
+    position = 0
+    while 0 <= (begin := data.find(b"LOBJ", position, position + 8)) <= len(data) - _OBJECT_HEAD:
         (size,) = struct.unpack_from("<I", data, begin + 8)
         _check_object(size, f"{origin}: object {begin} bytes into the container")
         if begin + size > len(data):
             break
-        place = begin + size
-    return data[place:]
+        position = begin + size
+    return data[position:]
 
 
 def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:

@@ -56,8 +56,6 @@ def write_can_log(
 
 
 class _Encoder:
-    """Turns messages into frames of our own DBC."""
-
     def __init__(self) -> None:
         self._messages = read_dbc(OWN_DBC)
         self._sections = dict(read_mapping(OWN_MAPPING).sections())
@@ -76,7 +74,6 @@ class _Encoder:
             yield self._encoded(self._sections["speed"].message, values, time_ns)
 
     def _frame(self, section: str, values: dict[str, float], time_ns: int) -> can.Message:
-        """A frame of a section, whose values are given by field."""
         signals = self._sections[section].signals()
         return self._encoded(
             self._sections[section].message, {signals[field]: value for field, value in values.items()}, time_ns
@@ -100,7 +97,6 @@ class _Encoder:
 
 
 def _check_order(message: StreetMessage, time_ns: int) -> None:
-    """Checks that the segments of a message follow each other, each with a number of its own."""
     numbers = [segment.segment_id for segment in message.segments]
     for index, segment in enumerate(message.segments):
         if index and segment.parent_id != numbers[index - 1]:

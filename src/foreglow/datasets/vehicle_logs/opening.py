@@ -110,7 +110,6 @@ class VehicleFiles:
         return None if message is None else road_from_message(message)
 
     def _time_ns(self, frame: Frame, first_ns: int, last_ns: int, name: str) -> int:
-        """The frame's time by the clock of data from `first_ns` to `last_ns`."""
         time_ns = frame.timestamp_ns - self._offset_ns
         if max(first_ns - time_ns, time_ns - last_ns) > MAX_CLOCK_GAP_S * 1e9:
             raise ValueError(
@@ -176,11 +175,7 @@ def open_vehicle_data(
 
 
 def _check_on_road(track: PoseTrack, roads: RoadMap, name: str, map_name: str) -> None:
-    """Checks that at least one pose has a road ahead.
-
-    Raises:
-        ValueError: If there is none.
-    """
+    """ValueError if no pose has a road ahead."""
     times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_TRIED_POSES)].tolist()
     found = [pose for time_ns in times_ns if (pose := track.pose(time_ns)) is not None]
     if not any(roads.ahead(pose, is_on_road=not track.has_attitude) for pose in found):

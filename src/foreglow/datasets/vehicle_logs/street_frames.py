@@ -71,7 +71,6 @@ class StreetFrames:
         return StreetMessage(segments=tuple(chain), remaining_length_m=remaining_m, error_class=error_class)
 
     def _chain(self, number: int | None, time_ns: int, most: int) -> list[StreetSegment]:
-        """The known segments in a row from `number` on."""
         chain: list[StreetSegment] = []
         seen: set[int] = set()
         while number is not None and number in self._segments and number not in seen and len(chain) < most:

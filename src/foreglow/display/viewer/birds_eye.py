@@ -90,12 +90,12 @@ def track_bars(camera: Camera, tracks: Tracks, caster: RayCaster) -> TrackBars:
     pixels[..., 1] = 0.5 * (boxes[:, 1] + boxes[:, 3])
     rays = caster.cast(camera, pixels.reshape(-1, 2))
     origin, directions = rays.origin_m[:2], rays.directions[:, :2].reshape(3, count, 2)
-    places = origin + tracks.ranges_m[:, np.newaxis] * directions[1]
+    middles_m = origin + tracks.ranges_m[:, np.newaxis] * directions[1]
     bars = tuple(
-        _bar(origin, directions[0, place], directions[2, place], range_m, sigma_m)
-        for place, (range_m, sigma_m) in enumerate(zip(tracks.ranges_m.tolist(), tracks.sigmas_m.tolist(), strict=True))
+        _bar(origin, directions[0, index], directions[2, index], range_m, sigma_m)
+        for index, (range_m, sigma_m) in enumerate(zip(tracks.ranges_m.tolist(), tracks.sigmas_m.tolist(), strict=True))
     )
-    return TrackBars(places, bars)
+    return TrackBars(middles_m, bars)
 
 
 def _bar(origin: Floats, left: Floats, right: Floats, range_m: float, sigma_m: float) -> Floats:

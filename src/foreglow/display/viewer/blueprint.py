@@ -67,7 +67,7 @@ def blueprint(*, has_lux: bool, window_s: float | None = None) -> rrb.Blueprint:
         rrb.Horizontal(
             camera,
             birds_eye,
-            rrb.Vertical(*plots, row_shares=[1.6 if one.origin == "plots/ms" else 1.0 for one in plots]),
+            rrb.Vertical(*plots, row_shares=[1.6 if plot.origin == "plots/ms" else 1.0 for plot in plots]),
             column_shares=[5.0, 3.0, 3.0],
         ),
         rrb.BlueprintPanel(state="collapsed"),

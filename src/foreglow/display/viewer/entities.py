@@ -125,9 +125,9 @@ def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | No
     """What the boxes are, beside them, where it covers least: words of the plausible tracks, scores of detections."""
     named: list[tuple[NDArray[Any], str, Colour]] = []
     if tracks is not None:
-        for place in np.flatnonzero(tracks.is_plausible).tolist():
-            box = _grown(tracks.boxes_xyxy_px[place], 2.0 * MARGIN_PX)
-            named.append((box, track_words(tracks, place), TRACK_BGR))
+        for index in np.flatnonzero(tracks.is_plausible).tolist():
+            box = _grown(tracks.boxes_xyxy_px[index], 2.0 * MARGIN_PX)
+            named.append((box, track_words(tracks, index), TRACK_BGR))
     if detections is not None:
         boxes = _grown(detections.accepted_boxes_xyxy_px, MARGIN_PX)
         scores = detections.scores[detections.is_accepted].tolist()
@@ -137,14 +137,14 @@ def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | No
     for box, _, _ in named:
         x1, y1, x2, y2 = np.rint(box).astype(int).tolist()
         rectangles.append((x1, y1, x2, y2))
-    taken, places = list(rectangles), []
+    taken, centres = list(rectangles), []
     for rectangle, (_, words, _) in zip(rectangles, named, strict=True):
         label_px = round(letter_px * len(words)), round(line_px)
         label = place_label(rectangle, label_px, taken, (frame.width_px, frame.height_px))
         taken.append(label)
-        places.append((0.5 * (label[0] + label[2]), 0.5 * (label[1] + label[3])))
+        centres.append((0.5 * (label[0] + label[2]), 0.5 * (label[1] + label[3])))
     points = rr.Points2D(
-        np.reshape(places, (-1, 2)),
+        np.reshape(centres, (-1, 2)),
         labels=[words for _, words, _ in named],
         colors=[_rgb(colour) for _, _, colour in named],
         radii=0.0,
@@ -153,17 +153,17 @@ def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | No
     return "camera/words", points
 
 
-def track_words(tracks: Tracks, place: int) -> str:
+def track_words(tracks: Tracks, index: int) -> str:
     """Number, range and standard deviation, whether it is a lamp itself, and its state unless it is confirmed.
 
     Such as `#3 85+-12 m, indirect, coasting`.
     """
-    words = [f"#{tracks.ids[place]}{range_text(tracks.ranges_m[place], tracks.sigmas_m[place])}"]
-    direct = float(tracks.direct_probabilities[place])
+    words = [f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}"]
+    direct = float(tracks.direct_probabilities[index])
     if not np.isnan(direct):
         words.append("direct" if direct > 0.5 else "indirect")
-    if tracks.states[place] != TrackState.CONFIRMED:
-        words.append(TrackState(tracks.states[place]).name.lower())
+    if tracks.states[index] != TrackState.CONFIRMED:
+        words.append(TrackState(tracks.states[index]).name.lower())
     return ", ".join(words)
 
 
@@ -179,21 +179,20 @@ def map_entities(frame: Frame, tracks: Tracks | None, beam: BeamCommand | None, 
         radii = rr.Radius.ui_points(_track_radii(tracks))
         entities.append(("map/tracks", rr.LineStrips3D(strips, colors=_track_colours(tracks), radii=radii)))
         is_placed = tracks.is_plausible & np.isfinite(bars.places_m).all(axis=1)
-        words = [track_words(tracks, place) for place in np.flatnonzero(is_placed).tolist()]
-        places = _named_places(_flat(bars.places_m[is_placed], "tracks"), words, TRACK_BGR, radius=4.0)
-        entities.append(("map/tracks/places", places))
+        words = [track_words(tracks, index) for index in np.flatnonzero(is_placed).tolist()]
+        labels = _named_places(_flat(bars.places_m[is_placed], "tracks"), words, TRACK_BGR, radius=4.0)
+        entities.append(("map/tracks/places", labels))
     if beam is not None:
         entities += _gap_entities(frame, beam)
     return entities
 
 
 def _gap_entities(frame: Frame, beam: BeamCommand) -> Entities:
-    """The dark gaps from above, and in the image."""
     gaps = list(zip(beam.gaps_rad, beam.gap_ranges_m.tolist(), strict=True))
     sectors = [_flat(gap_sector_m(borders_rad, range_m), "gaps") for borders_rad, range_m in gaps]
     corners = np.concatenate([np.zeros((0, 3)), *sectors])
     starts = np.cumsum([0, *(len(sector) for sector in sectors)])
-    fans = [fan_triangles(len(one)) + np.uint32(start) for one, start in zip(sectors, starts, strict=False)]
+    fans = [fan_triangles(len(sector)) + np.uint32(start) for sector, start in zip(sectors, starts, strict=False)]
     triangles = np.concatenate([np.zeros((0, 3), np.uint32), *fans])
     filled: Any = rr.Clear(recursive=False)
     if sectors:

@@ -148,10 +148,10 @@ class RerunSink:
         entities: list[Entity] = []
         for slot in freed:
             entities += [(f"plots/{name}/{slot}", rr.Clear(recursive=False)) for name in ("ranges", "confidences")]
-        for place, slot in zip(plausible, taken, strict=True):
-            entities.append((f"plots/confidences/{slot}", rr.Scalars(tracks.confidences[place])))
-            if not math.isnan(tracks.ranges_m[place]):
-                entities.append((f"plots/ranges/{slot}", rr.Scalars(tracks.ranges_m[place])))
+        for index, slot in zip(plausible, taken, strict=True):
+            entities.append((f"plots/confidences/{slot}", rr.Scalars(tracks.confidences[index])))
+            if not math.isnan(tracks.ranges_m[index]):
+                entities.append((f"plots/ranges/{slot}", rr.Scalars(tracks.ranges_m[index])))
         return entities
 
     def _note_faults(self, origin: str, faults: tuple[str, ...]) -> list[Entity]:
@@ -195,16 +195,15 @@ class Slots:
 
     def assign(self, ids: Sequence[int]) -> tuple[list[int], list[int]]:
         """The slot of each id, and the slots whose id is no longer there."""
-        gone = [one for one in self._slots if one not in ids]
-        freed = [self._slots.pop(one) for one in gone]
+        gone = [id_ for id_ in self._slots if id_ not in ids]
+        freed = [self._slots.pop(id_) for id_ in gone]
         used = set(self._slots.values())
         free = (slot for slot in range(len(ids) + len(used)) if slot not in used)
-        for one in ids:
-            if one not in self._slots:
-                self._slots[one] = next(free)
-        return [self._slots[one] for one in ids], freed
+        for id_ in ids:
+            if id_ not in self._slots:
+                self._slots[id_] = next(free)
+        return [self._slots[id_] for id_ in ids], freed
 
 
 def _stage_times(stage_ms: Mapping[str, float]) -> dict[str, float]:
-    """The stages' times and their total; nothing without any."""
     return {**stage_ms, "total": sum(stage_ms.values())} if stage_ms else {}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from foreglow.classifier.inputs import InputSpec
-from foreglow.classifier.onnx import open_session
+from foreglow.classifier.session import open_session
 from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.score_calibrator import Calibrator
 

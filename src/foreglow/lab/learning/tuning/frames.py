@@ -1,7 +1,7 @@
 """Decoded frames in one memory-mapped file: trials read them as fast as memory, and processes share them.
 
-`FrameCache` has one file for each image, which costs an open file while it is mapped and 0.3 ms to find. Here hundreds
-of frames stay open during the whole search, and the proposals take only 0.2 ms per frame.
+A file for each image would cost an open file while it is mapped, and 0.3 ms to find. Here hundreds of frames stay open
+during the whole search, and the proposals take only 0.2 ms per frame.
 """
 
 from __future__ import annotations
