@@ -25,7 +25,7 @@ def export_mot(
 
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import read_predictions
-    from foreglow.lab.evaluation.tracks import mot
+    from foreglow.lab.evaluation import mot
     from foreglow.runs.frames_file import read_tracks
 
     if score:

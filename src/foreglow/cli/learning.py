@@ -26,7 +26,7 @@ from foreglow.options import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from foreglow.lab.learning.annotate import Annotation
+    from foreglow.lab.learning.annotation import Annotation
     from foreglow.lab.learning.training_run import TrainedModel
     from foreglow.lab.learning.tuning import Tuning
 
@@ -46,7 +46,7 @@ def annotate(
 
     from foreglow.display.progress import StepProgress
     from foreglow.files import write_json_results
-    from foreglow.lab.learning.annotate import annotate_split, splits_to_annotate
+    from foreglow.lab.learning.annotation import annotate_split, splits_to_annotate
 
     workers = work.workers()
     configuration = PipelineOptions(preset=preset, config=config).configuration()
@@ -65,7 +65,7 @@ def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Tab
     """The generated boxes, and how well the positive ones explain the key points: one column per split."""
     from rich.table import Table
 
-    from foreglow.lab.reports.numbers import number
+    from foreglow.lab.reports.page import number
 
     caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
     table = Table("", title=f"boxes of {parameters}", caption=caption, title_justify="left", caption_justify="left")
@@ -166,7 +166,7 @@ def train(
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
     from foreglow.lab.learning import recipes
-    from foreglow.lab.learning.training_bar import TrainingBar
+    from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.learning.training_run import train_model
     from foreglow.lab.reports.training_curves import draw_training
 

@@ -22,7 +22,7 @@ import torch
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.lab.learning import import_weights
-from foreglow.lab.learning.probes import render_probes
+from foreglow.lab.learning.folding import render_probes
 from foreglow.lab.learning.weights import ImportedModel
 from foreglow.types import Frame, Proposals
 from tests.lab.learning.networks import onnx_logits, random_network

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -26,13 +26,20 @@ from foreglow.files import write_atomic
 from foreglow.lab.evaluation.boxes.score_calibration import log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.augmentation import augment
-from foreglow.lab.learning.batches import batches, content_digest, epoch_indices, is_direct, sample_weights
+from foreglow.lab.learning.batches import (
+    batches,
+    content_digest,
+    epoch_indices,
+    is_direct,
+    learning_rate,
+    sample_weights,
+)
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.schedules import learning_rate
 from foreglow.lab.learning.scores import box_scores, direct_accuracy
+from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""
@@ -41,34 +48,6 @@ CURVES = "curves.csv"
 
 # Larger batches are slower on a CPU, since their activations do not fit any cache.
 _SCORING_BATCH = 32
-
-
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """Figures of one pass over the training samples.
-
-    Attributes:
-        number: Number of the epoch, from 1.
-        learning_rate: Rate of its last step.
-        train_loss: Mean loss over its augmented samples, during training.
-        val_loss: Loss of the validation samples after it, without augmentation; positives weighted as in training.
-        precision: Precision of the validation boxes at a score of 0.5.
-        recall: Recall of the validation boxes at a score of 0.5.
-        f1: F of the validation boxes at a score of 0.5; NaN without positives.
-        direct_accuracy: Balanced accuracy in separating lamps from their light, over the validation boxes with light,
-            at a probability of 0.5; NaN if that is not trained.
-        seconds: Duration, validation included.
-    """
-
-    number: int
-    learning_rate: float
-    train_loss: float
-    val_loss: float
-    precision: float
-    recall: float
-    f1: float
-    direct_accuracy: float
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,18 +72,6 @@ class TrainingResult:
     num_train: int
     num_val: int
     device: str
-
-
-class TrainingProgress(Protocol):
-    """Callbacks for the progress of a training."""
-
-    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """Called when `num_done` of the `num_steps` steps of epoch number `epoch` are done."""
-        ...
-
-    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """Called when `epoch` is done, out of at most `num_epochs`."""
-        ...
 
 
 def train(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.util
 import io
 import math
 import platform
@@ -11,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import expit
@@ -24,33 +25,17 @@ from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
-from foreglow.lab.learning.score_calibrator import Calibrator, fit_calibrator
-from foreglow.lab.learning.scores import box_scores
+from foreglow.lab.learning.scores import Calibrator, box_scores, fit_calibrator
+from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 
 if TYPE_CHECKING:
-    from foreglow.lab.learning.training import Epoch, TrainingResult
+    from foreglow.lab.learning.training import TrainingResult
 
 MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
 """Files that a training writes to its folder, besides `training.CURVES` and the checkpoint."""
 
 _NUM_COMPARED = 400
-
-
-class RunProgress(Protocol):
-    """Callbacks for the progress of a run: first the samples of both splits, then the training."""
-
-    def samples(self, split: str, num_done: int, num_images: int) -> None:
-        """Called when the samples of `num_done` images of a split are collected."""
-        ...
-
-    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """As `TrainingProgress.step`."""
-        ...
-
-    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """As `TrainingProgress.epoch`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +86,6 @@ def train_model(
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
-    from foreglow.lab.learning.event_files import WithEventFiles, event_files_wanted
     from foreglow.lab.learning.training import train
 
     started = time.perf_counter()
@@ -113,7 +97,7 @@ def train_model(
         name: joined([_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
         for name in names
     }
-    reported = WithEventFiles(folder, progress) if event_files_wanted() else progress
+    reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
     result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=reported)
     write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     summary = {

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.learning.layers import layers_from_state
+from foreglow.lab.learning.export import layers_from_state
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ import tomli_w
 from foreglow.files import write_atomic, write_json_results
 from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
-from foreglow.lab.reports.numbers import number
-from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.lab.reports.page import Figure, Page, Table, number
 from foreglow.provenance import provenance
 
 SPLITS = ("train", "val", "test")

@@ -11,8 +11,7 @@ import pytest
 from foreglow.config import PipelineConfig, ProposalConfig
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import read_split_labels, run_split
-from foreglow.lab.evaluation.boxes.disturbances import UNDISTURBED, blur, gain
-from foreglow.lab.evaluation.boxes.robustness import robustness
+from foreglow.lab.evaluation.boxes.robustness import UNDISTURBED, blur, gain, robustness
 from foreglow.lab.evaluation.boxes.split_run import run_variants
 from foreglow.pipeline import Pipeline
 from foreglow.types import Frame, FrameResult

@@ -15,7 +15,6 @@ from foreglow.datasets.images import png
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
 from foreglow.lab.evaluation.boxes.lights import Light
-from foreglow.lab.learning.tuning.frames import stack_frames
 from foreglow.lab.learning.tuning.measurement import (
     NUM_CHUNKS,
     Bench,
@@ -25,6 +24,7 @@ from foreglow.lab.learning.tuning.measurement import (
     interleaved,
     measure_split,
     read_material,
+    stack_frames,
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame, Image

@@ -10,8 +10,17 @@ import pytest
 
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
 from foreglow.lab.learning.tuning.measurement import Measurement
-from foreglow.lab.learning.tuning.objectives import OBJECTIVES, light_loss, objective, q_loss, q_only_loss, shortfalls
-from foreglow.lab.learning.tuning.spaces import PAPER, SPACES, space
+from foreglow.lab.learning.tuning.objectives import (
+    OBJECTIVES,
+    PAPER,
+    SPACES,
+    light_loss,
+    objective,
+    q_loss,
+    q_only_loss,
+    shortfalls,
+    space,
+)
 
 EMPTY = evaluate_boxes({1: np.empty((0, 2))}, Predictions({}, {}))
 

@@ -13,8 +13,8 @@ import pytest
 from foreglow.config import read_config
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
+from foreglow.lab.learning.tuning.objectives import PAPER
 from foreglow.lab.learning.tuning.search import _splits
-from foreglow.lab.learning.tuning.spaces import PAPER
 from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command

@@ -11,9 +11,19 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.lab.studies.detector.figures import FOUND_BGR, MISSED_BGR, Choice, Shown, draw, pictures
-from foreglow.lab.studies.detector.page import hidden_table, kind_table, main_table, write_report
-from foreglow.lab.studies.detector.plan import DetectorPlan
+from foreglow.lab.studies.detector.models import DetectorPlan
+from foreglow.lab.studies.detector.page import (
+    FOUND_BGR,
+    MISSED_BGR,
+    Choice,
+    Shown,
+    draw,
+    hidden_table,
+    kind_table,
+    main_table,
+    pictures,
+    write_report,
+)
 from foreglow.lab.studies.detector.run import RowResult, run_experiment
 from foreglow.types import Frame
 from tests.lab.studies.detector_data import make_data, make_model

@@ -14,9 +14,8 @@ from foreglow.config import PRESETS, preset
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
-from foreglow.lab.studies.detector.figures import choose, pictures
-from foreglow.lab.studies.detector.models import missing_reason, split_digest
-from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
+from foreglow.lab.studies.detector.models import ROWS, DetectorPlan, missing_reason, split_digest
+from foreglow.lab.studies.detector.page import choose, pictures
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo

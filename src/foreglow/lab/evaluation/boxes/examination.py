@@ -21,9 +21,9 @@ from foreglow.lab.evaluation.boxes.breakdown import (
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
-from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found, share_found_ahead
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
+from foreglow.lab.evaluation.vehicles import FirstFound, first_found, share_found_ahead
 from foreglow.runs.predictions import Predictions
 
 RunTime: TypeAlias = Mapping[str, float | None]

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.pvdn.splits import SplitName
-from foreglow.lab.learning.annotate import Progress
+from foreglow.lab.learning.annotation import Progress
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
-from foreglow.lab.learning.tuning.objectives import objective
-from foreglow.lab.learning.tuning.spaces import PAPER, Parameters, space
+from foreglow.lab.learning.tuning.objectives import PAPER, Parameters, objective, space
 from foreglow.lab.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
 from foreglow.parallel import Local, Parent, Workers
 

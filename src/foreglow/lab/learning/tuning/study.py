@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
-from foreglow.lab.learning.tuning.objectives import objective
-from foreglow.lab.learning.tuning.spaces import PAPER, space
+from foreglow.lab.learning.tuning.objectives import PAPER, objective, space
 
 if TYPE_CHECKING:
     import optuna

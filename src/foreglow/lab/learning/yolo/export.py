@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled, split_folder
@@ -115,7 +115,10 @@ def export_yolo(
             if not label_file.exists():  # written after the image
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
-                write_atomic(images / f"{image_id:06d}.png", _png(squashed(frame.image, size_px, frame.path)))
+                write_atomic(
+                    images / f"{image_id:06d}.png",
+                    cv2.imencode(".png", squashed(frame.image, size_px, frame.path))[1].tobytes(),
+                )
                 write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
             num_boxes[name] += label_file.read_bytes().count(b"\n")
             num_done += 1
@@ -214,21 +217,24 @@ def _claim(folder: Path, settings: ExportSettings) -> None:
     """Makes the folder and writes the settings to it, or checks them against those of an earlier export."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / SETTINGS_NAME
-    if not path.exists():
+    if path.exists():
+        check_claim(path, settings, read_json(path, ExportSettings), "export")
+    else:
         write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
-        return
-    known = read_json(path, ExportSettings)
-    for name, value in settings.model_dump().items():
-        if value != getattr(known, name):
+
+
+def check_claim(path: Path, wanted: BaseModel, known: BaseModel, what: str) -> None:
+    """Passes settings that are those of the `what` that was begun before, which are in the file `path`.
+
+    Raises:
+        ValueError: If a field differs.
+    """
+    for name in type(wanted).model_fields:
+        ours, theirs = getattr(wanted, name), getattr(known, name)
+        if ours != theirs:
             raise ValueError(
-                f"{path}: {name}: expected {value!r} to go on with this export, it has {getattr(known, name)!r}; "
-                "choose another folder"
+                f"{path}: {name}: expected {ours!r} to go on with this {what}, it has {theirs!r}; choose another folder"
             )
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    _, data = cv2.imencode(".png", image)
-    return data.tobytes()
 
 
 def _data_text(splits: Sequence[SplitName]) -> str:

@@ -12,10 +12,8 @@ import numpy as np
 from foreglow.datasets import LabelledSource
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
-from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
 from foreglow.lab.evaluation.boxes.lights import Light
-from foreglow.lab.evaluation.tracks.encounters import vehicle_facts
-from foreglow.lab.evaluation.tracks.track_quality import match_tracks
+from foreglow.lab.evaluation.vehicles import FirstFound, first_found, match_tracks, vehicle_facts
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 

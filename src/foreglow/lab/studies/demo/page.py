@@ -8,9 +8,8 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from foreglow.lab.evaluation.boxes.first_found import share_found_ahead
-from foreglow.lab.evaluation.tracks.encounters import UNKNOWN_VEHICLE
-from foreglow.lab.reports.numbers import number
+from foreglow.lab.evaluation.vehicles import UNKNOWN_VEHICLE, share_found_ahead
+from foreglow.lab.reports.page import number
 from foreglow.lab.studies.demo.metrics import Moment, Story
 
 PLACES = {

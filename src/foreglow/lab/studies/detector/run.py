@@ -29,6 +29,10 @@ from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
 from foreglow.lab.studies.detector.models import (
+    COMPARISONS,
+    ROWS,
+    THRESHOLD,
+    DetectorPlan,
     Workspace,
     classifier_model,
     missing_reason,
@@ -36,7 +40,6 @@ from foreglow.lab.studies.detector.models import (
     yolo_note,
     yolo_run,
 )
-from foreglow.lab.studies.detector.plan import COMPARISONS, ROWS, THRESHOLD, DetectorPlan
 from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import make_proposer
@@ -44,7 +47,7 @@ from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
 
 if TYPE_CHECKING:
-    from foreglow.lab.learning.training_run import RunProgress
+    from foreglow.lab.learning.training_progress import RunProgress
 
 
 class RowResult(Record):
@@ -196,9 +199,9 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
     return _measured(name, found.predictions, found.frame_ms, workspace, labels).model_copy(
         update={
             "note": yolo_note(trained),
-            "num_parameters": trained.num_parameters,
-            "num_multiply_adds": trained.num_multiply_adds,
-            "num_multiply_adds_frame": float(trained.num_multiply_adds),
+            "num_parameters": trained.results.num_parameters,
+            "num_multiply_adds": trained.results.num_multiply_adds,
+            "num_multiply_adds_frame": float(trained.results.num_multiply_adds),
             "ceiling": _ceiling(_unscored(proposed), labels),
         }
     )

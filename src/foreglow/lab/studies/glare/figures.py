@@ -13,8 +13,8 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
 from foreglow.lab.studies.glare.drive import AREAS, DriverEye, GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.drive_score import DriveScore
 from foreglow.lab.studies.glare.metrics import BINS, LIMITS
+from foreglow.lab.studies.glare.pooled import DriveScore
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint
 
 PURPLE, RED, LIT, DARK = "#9a4c8f", "#e0403a", "#fdf0c8", "#4a4f5c"

@@ -12,11 +12,8 @@ from typing import TypeAlias
 from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import LeadScore
 from foreglow.lab.evaluation.ratios import ratio
-from foreglow.lab.reports.numbers import number, percent, signed
-from foreglow.lab.reports.occurrence import REMARK, occurrence_table
-from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.lab.reports.page import Figure, Page, Table, number, percent, signed
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive
-from foreglow.lab.studies.glare.drive_score import DriveScore
 from foreglow.lab.studies.glare.figures import (
     README_WIDTH_IN,
     bin_figure,
@@ -26,9 +23,10 @@ from foreglow.lab.studies.glare.figures import (
     sensitivity_figure,
 )
 from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
-from foreglow.lab.studies.glare.pooled import BinGlare, GroupGlare, Interval, Moments, WrongDimming
+from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
+from foreglow.lab.studies.occurrence.run import REMARK, occurrence_table
 
 Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
 """By head, what stands in a policy's cell."""

@@ -6,17 +6,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.drive_score import DriveScore, score_drive
 from foreglow.lab.studies.glare.metrics import (
     FMVSS_108,
     RESTORE_S,
     Limits,
 )
 from foreglow.lab.studies.glare.pooled import (
+    DriveScore,
     GroupGlare,
     RoadKept,
     Smoothness,
     WrongDimming,
+    score_drive,
 )
 
 POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")

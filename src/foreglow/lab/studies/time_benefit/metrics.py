@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.files import fields_to_json
-from foreglow.lab.evaluation.boxes.first_found import FirstFound
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.evaluation.ratios import mean, ratio, share
-from foreglow.lab.evaluation.tracks.encounters import Encounter
-from foreglow.lab.evaluation.tracks.track_quality import SequenceTracks
+from foreglow.lab.evaluation.vehicles import Encounter, FirstFound, SequenceTracks
 
 
 @dataclass(frozen=True, slots=True)
