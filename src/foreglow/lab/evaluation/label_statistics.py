@@ -27,7 +27,6 @@ class LabelledImage:
     """The labels of an image.
 
     Attributes:
-        num_vehicles: Annotated vehicles.
         direct: Lamps, positions x, y as shares of the image's width and height.
         indirect: Their indirect light, likewise.
     """
@@ -62,18 +61,11 @@ class LabelStatistics:
     Hidden images have indirect instances only, images in sight have a direct instance.
 
     Attributes:
-        num_sequences: Sequences.
-        num_images: Images.
         num_instances: Direct and indirect instances.
         share_without_vehicle: Images without any vehicle.
         instances_per_image: Over all images.
         share_direct: Share of direct instances.
-        share_hidden: Images that are hidden.
-        share_in_sight: Images that are in sight.
-        indirect_per_hidden_image: Mean.
         share_one_when_hidden: Hidden images with exactly one instance.
-        indirect_per_image_in_sight: Mean.
-        direct_per_image_in_sight: Mean.
         num_indirect_first: Sequences in which an indirect instance comes before the first direct instance.
         num_direct_first: Sequences in which a direct instance comes first, or both come in the same image.
         num_begun: Sequences whose first image already has an instance: their first times are unknown, and they count
@@ -111,9 +103,6 @@ class Comparison:
     """A figure of real and simulated labels.
 
     Attributes:
-        name: Its name.
-        real: Of the real labels.
-        simulated: Of the simulated labels.
         ratio: Simulated over real; NaN where either is undefined, or only the real figure is 0.
         is_close: Whether the ratio is within `MAX_RATIO` both ways.
     """

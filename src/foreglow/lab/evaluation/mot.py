@@ -40,8 +40,6 @@ class MotScores:
 
     Attributes:
         hota: Higher order tracking accuracy, mean over the overlaps .05 to .95.
-        det_a: Its detection part.
-        ass_a: Its association part.
         idf1: F of identities, at an overlap of .5.
         mota: CLEAR's accuracy, at an overlap of .5.
         num_switches: How often an object's track changes.
@@ -60,14 +58,7 @@ class MotScores:
 def export_mot(
     dataset: LabelledSource, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
 ) -> None:
-    """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
-
-    Args:
-        dataset: Images with labels; a sequence without a light is left out, as the measures ask.
-        proposals: All boxes of a run, accepted or not.
-        tracks: By image id, the same run's tracks.
-        folder: Where the files go.
-        name: What the tracker is called.
+    """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
 
     Raises:
         FileNotFoundError: If a label file is missing.

@@ -27,8 +27,6 @@ class FirstFound:
     Times are seconds from the first image of the sequence; NaN where it never happens.
 
     Attributes:
-        sequence_id: The sequence.
-        vehicle_id: The vehicle.
         light_s: Its first labelled light, direct or not.
         found_s: First accepted box that holds a light of it.
         lamp_s: Its first labelled lamp.
@@ -98,8 +96,6 @@ class Encounter:
     """The first vehicle of a sequence. Times are seconds from the sequence's first image; NaN for never.
 
     Attributes:
-        sequence_id: The sequence.
-        sequence: Its folder.
         scenario: Name of the simulator's scenario, such as `crest`; empty where unknown.
         vehicle_id: The vehicle (PVDN: oid).
         vehicle: Its kind: car, van, lorry, motorcycle; `vehicle` where unknown.
@@ -196,7 +192,6 @@ class SequenceTracks:
     A track *has held* a light once one of its detections, so far, had the light in its box, edges included.
 
     Attributes:
-        sequence_id: The sequence.
         duration_s: Its images over their rate.
         num_plausible: Tracks that were plausible at some time.
         num_false: Those of them that never held a light, neither labelled nor doubtful, as long as they lived.

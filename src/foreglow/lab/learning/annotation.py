@@ -82,9 +82,6 @@ class Annotation:
     """The generated boxes of one split.
 
     Attributes:
-        root: The split's folder.
-        num_images: Number of images.
-        num_boxes: Number of boxes in the files.
         num_positive: Number of boxes with a key point.
         num_ignored: Number of proposals with doubtful light and no key point, which are left out of the files.
         quality: How well the positive boxes cover the key points: the upper bound of any classifier on these boxes.
@@ -180,13 +177,6 @@ def annotate_split(
     A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
     are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
     are kept, unless an image or its key points are newer than the boxes.
-
-    Args:
-        root: The split's folder.
-        config: Its proposal stage is used.
-        preset: Name of the parameters, for the record.
-        workers: Workers that take a sequence each; None annotates in this process.
-        progress: Called after every sequence.
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.

@@ -94,12 +94,6 @@ class RangedView:
 def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: Progress | None = None) -> Hypotheses:
     """The model fitted on the train split of `data`, with sigmas scaled on its val split.
 
-    Args:
-        data: A data set of simulated drives.
-        config: Its proposals make the boxes; its distance stage says where pitch and position come from.
-        seed: Seed of the order of images.
-        progress: Called after every image and epoch.
-
     Raises:
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or no light has a box and a known range.

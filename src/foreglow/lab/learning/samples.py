@@ -60,7 +60,6 @@ class Jitter(FrozenModel):
         centre: Largest shift of the centre to either side, as a share of the box's width and height.
         min_scale: Smallest factor on width and height, drawn for each.
         max_scale: Largest factor on width and height.
-        seed: Seed of the random numbers.
     """
 
     num_copies: Annotated[int, Field(ge=0, le=16)] = 0

@@ -56,8 +56,6 @@ class TrainingResult:
 
     Attributes:
         network: The network with the weights of the best epoch, on the CPU, in evaluation mode.
-        epochs: All epochs, in order.
-        best: The epoch that was kept.
         val_logits: Shape (N, `Recipe.num_outputs`), float32: uncalibrated logits of all validation samples, including
             ignored ones.
         num_train: Number of training samples that are not ignored.

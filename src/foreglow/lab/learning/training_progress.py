@@ -15,7 +15,6 @@ class Epoch:
     """Figures of one pass over the training samples.
 
     Attributes:
-        number: Number of the epoch, from 1.
         learning_rate: Rate of its last step.
         train_loss: Mean loss over its augmented samples, during training.
         val_loss: Loss of the validation samples after it, without augmentation; positives weighted as in training.

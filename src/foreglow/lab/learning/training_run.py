@@ -43,8 +43,6 @@ class TrainedModel:
     """The result of a run.
 
     Attributes:
-        folder: Folder with all files.
-        model: The calibrated ONNX model.
         summary: The content of `summary.json`.
         result: Network, epochs and validation logits before calibration.
     """
@@ -117,12 +115,6 @@ def train_model(
 
 def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
     """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
-
-    Args:
-        recipe: The recipe that it was trained with.
-        result: The result of the training.
-        val: The validation samples, used for the calibration.
-        folder: Folder for both files.
 
     Returns:
         Figures for `summary.json`, by name.

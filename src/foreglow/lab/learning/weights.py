@@ -21,7 +21,6 @@ class ImportedModel:
     """An imported model and its size.
 
     Attributes:
-        path: The ONNX model.
         num_channels: Channels of the eight hidden layers, convolutions first.
         num_parameters: Number of weights and biases, with batch normalisation merged into them.
         num_multiply_adds: Multiply-adds for one crop.

@@ -76,7 +76,6 @@ class Table:
     """A table of text.
 
     Attributes:
-        head: Titles of the columns.
         rows: As many cells in each as there are columns, or the first cell and a `Missing`.
     """
 
@@ -121,7 +120,6 @@ class Figure:
 
     Attributes:
         data: A PNG or JPEG file.
-        caption: What it shows.
         file: Name of its file beside the page, without which it can only be part of an HTML page.
     """
 

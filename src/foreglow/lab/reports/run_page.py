@@ -34,10 +34,6 @@ HEIGHTS_IN = {"lights": 2.2, "ranges": 1.7, "confidences": 1.2, "beam": 1.7, "le
 def sequence_figure(results: Sequence[FrameResult], num_columns: int) -> bytes:
     """What happened in one sequence over time, as PNG; what the run did not compute is left out.
 
-    Args:
-        results: Of its frames, in the order of time.
-        num_columns: LEDs in a row of one lamp.
-
     Raises:
         ModuleNotFoundError: If matplotlib is not installed.
     """
@@ -200,9 +196,7 @@ class KeyMoment:
     """A frame worth looking at.
 
     Attributes:
-        words: Why.
         time_s: From the first frame of its sequence.
-        result: Its result.
     """
 
     words: str

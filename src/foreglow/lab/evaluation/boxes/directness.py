@@ -67,7 +67,6 @@ class VehicleQuality:
     """How well plausible tracks are grouped into vehicles, image by image.
 
     Attributes:
-        num_pairs: Pairs that were made.
         precision: Share of the pairs in which both tracks hold a lamp of the same vehicle; NaN without pairs.
         num_vehicles: Vehicles with two lamps in tracks of their own.
         recall: Share of these vehicles for which such a pair was made; NaN without vehicles.
@@ -101,15 +100,7 @@ def directness(
     tracks: Mapping[int, Tracks] | None = None,
     cameras: Mapping[int, Camera] | None = None,
 ) -> Directness:
-    """All figures of a run.
-
-    Args:
-        labels: Of the split.
-        predictions: The run's boxes.
-        threshold: A box is accepted if its score is above.
-        tracks: By image id, where the run has any.
-        cameras: By sequence id, where they are known.
-    """
+    """All figures of a run."""
     return Directness(
         boxes=directness_of_boxes(labels, predictions, threshold),
         tracks=None if tracks is None else directness_of_tracks(labels, tracks),
@@ -144,13 +135,7 @@ def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> D
 def vehicles_of_tracks(
     labels: SplitLabels, tracks: Mapping[int, Tracks], cameras: Mapping[int, Camera]
 ) -> VehicleQuality | None:
-    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's.
-
-    Args:
-        labels: Of the split.
-        tracks: By image id.
-        cameras: By sequence id; images of other sequences are left out.
-    """
+    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's."""
     num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
     for image_id, in_image in tracks.items():
         camera = cameras.get(labels.sequence_of.get(image_id, -1))

@@ -27,14 +27,10 @@ class Light:
     """A light artifact in an image: a keypoint of the labels, with what else is known about it.
 
     Attributes:
-        image_id: The image.
-        sequence_id: Its sequence.
         vehicle_id: The vehicle whose light it is (PVDN: oid).
         position_px: Full-frame pixels x, y.
         kind: A name in `LIGHT_KINDS`: `lamp` for the lamp itself; of other light what it is seen on, or `indirect` if
             the set is not simulated.
-        is_direct: Whether it is the lamp itself.
-        is_rear: Whether it comes from rear lamps.
         is_hidden: Whether no lamp of its vehicle is labelled in this or an earlier image of the sequence.
         range_m: From the camera to the vehicle; NaN where unknown.
         grey: Grey levels that the light adds at its peak; NaN where unknown.

@@ -191,15 +191,10 @@ class RobustnessRow:
     """The figures under one disturbance.
 
     Attributes:
-        name: Of the disturbance.
         f1: F as `evaluate_boxes` has it, NaN where not defined.
-        precision: Its precision.
-        recall: Its recall.
         ceiling: Recall of all proposals.
-        recall_hidden: Recall of hidden vehicles' light.
         false_boxes_per_frame: In all images.
         false_boxes_per_empty_frame: In images without any vehicle's light.
-        proposals_per_frame: Boxes that are proposed.
     """
 
     name: str
@@ -223,14 +218,6 @@ def robustness(
     progress: Progress | None = None,
 ) -> tuple[RobustnessRow, ...]:
     """The figures of the configured pipeline under each disturbance, at its own threshold, in one pass over the images.
-
-    Args:
-        dataset: The split.
-        labels: Its labels.
-        config: Of the pipeline; each disturbance has a pipeline of its own.
-        disturbances: What is done to the images.
-        seed: Of the disturbances; the same seed, the same images.
-        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If an image or the model is missing.

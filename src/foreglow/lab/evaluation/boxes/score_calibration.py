@@ -27,8 +27,6 @@ class Bin:
     """Boxes of similar scores.
 
     Attributes:
-        num: How many.
-        mean_score: Their mean score.
         share: Share of them that hold a light artifact.
     """
 
@@ -48,8 +46,6 @@ class Calibration:
         brier: Mean of (score - label)^2.
         nll: Mean of -log of the probability given to the label, in nats; scores kept 1e-7 from 0 and 1.
         temperature: What the logits have to be divided by for the lowest nll: above 1 for too sure a classifier.
-        nll_at_temperature: The nll with it.
-        ece_at_temperature: The calibration error with it.
         bins: The reliability diagram, by score, in bins of equal counts: the figures are theirs.
         tenths: The diagram in bins of a tenth of the score, without empty bins: most boxes have low scores, so bins of
             equal counts say little of the high ones.

@@ -31,7 +31,6 @@ class FrameStack:
     """A file of decoded frames, one after another; small enough to be sent to another process.
 
     Attributes:
-        path: The file of pixels.
         shapes: Rows and columns of each frame.
         dtypes: Data type of each frame, uint8 or uint16.
     """
@@ -61,13 +60,6 @@ def stack_frames(
     progress: Progress | None = None,
 ) -> FrameStack:
     """The images `image_ids` of `dataset`, decoded into `folder`; the file of an earlier call is used again.
-
-    Args:
-        dataset: The data set of the images.
-        image_ids: The images, in the wanted order.
-        folder: Folder for the pixels, 1.2 MB for an image of 1280x960; made if it does not exist.
-        jobs: Number of threads that decode.
-        progress: Called after every image.
 
     Raises:
         FileNotFoundError: If an image is missing.
@@ -136,8 +128,6 @@ class Measurement:
     """The rating of one proposer's boxes. NaN where undefined.
 
     Attributes:
-        num_images: Number of images.
-        num_boxes: Number of boxes in them.
         quality: Quality of all boxes; boxes without a key point do not change its recall, q, q_K and q_B.
         recall_lamps: Share of the lamps that are in a box.
         recall_strongest: Share of the `NUM_STRONGEST` strongest reflections of each image that are in a box.
@@ -215,8 +205,6 @@ class Material:
 
     Attributes:
         image_ids: The images in the order of the trials: each of the `NUM_CHUNKS` parts is spread over all sequences.
-        lights: The lights of each image.
-        frames: The pixels.
     """
 
     image_ids: tuple[int, ...]

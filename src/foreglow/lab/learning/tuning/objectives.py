@@ -77,7 +77,6 @@ class Objective:
     """Something to search for.
 
     Attributes:
-        loss: The loss to minimise.
         space: Name of the space that is searched by default.
     """
 
@@ -154,7 +153,6 @@ class Space:
     """A search space.
 
     Attributes:
-        ranges: The range of each parameter.
         first: The paper's parameters in this space: the first trial.
         fields: Turns parameters into fields of `ProposalConfig`; all other fields are the paper's.
     """

@@ -31,9 +31,7 @@ class TuningSettings:
     Attributes:
         num_trials: Total number of trials, of all processes and earlier calls.
         num_images: Number of images of train, evenly spread over its sequences.
-        objective: Name of the objective.
         space: Name of the space; None for the objective's default.
-        seed: Seed of all random numbers.
         num_finalists: Number of the best on train that are compared on val.
         storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
             output folder.
@@ -64,7 +62,6 @@ class TrialRecord:
     """One trial.
 
     Attributes:
-        number: Its number in the study.
         state: COMPLETE, or PRUNED if it was stopped early.
         loss: Loss over the frames that it was measured on.
         parameters: Its parameters by name.
@@ -142,13 +139,6 @@ def tune(
     Trials are measured on a subset of train. The best few and the paper's parameters are then compared on all of val,
     and the best there is chosen; without a val split, the best on train. If there is a test split, the chosen and the
     paper's parameters are rated on all of it.
-
-    Args:
-        data: A data set with a train split.
-        out: Folder for the decoded frames and, unless `settings` say otherwise, the study.
-        settings: What to search.
-        progress: Called after every decoded frame and every trial.
-        workers: Workers that run the trials of one study; None runs them in this process.
 
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.

@@ -38,8 +38,6 @@ class StudyPlan:
         storage: URL of a database, or path of a journal file.
         name: Name of the study in the storage.
         num_trials: Number of trials, of all processes together, after which the study is finished.
-        objective: Name of the objective.
-        space: Name of the space.
         seed: Seed of all random numbers; with one process, the same seed gives the same trials.
     """
 
@@ -119,14 +117,7 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
 
 
 def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], report: Callable[[], None]) -> None:
-    """Runs trials until the study has `plan.num_trials`, of this process and others, or until `is_stopped`.
-
-    Args:
-        plan: The study.
-        material: The frames.
-        is_stopped: Called before each trial.
-        report: Called after each trial.
-    """
+    """Runs trials until the study has `plan.num_trials`, of this process and others, or until `is_stopped`."""
     study = open_study(plan)
     bench = Bench(material)
     paper = tuple(bench.measure(PAPER))

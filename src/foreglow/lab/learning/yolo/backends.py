@@ -40,7 +40,6 @@ class YoloConfig(FrozenModel):
     """How a YOLO is trained; everything else is the library's default.
 
     Attributes:
-        backend: The library.
         size: Nano, tiny, small, medium, large or extra large; the paper uses `s` and `x`.
         image_size_px: Side of the network's square images, a multiple of 32; the paper uses 960.
         epochs: Passes over the training split.
@@ -84,11 +83,6 @@ class Backend(ABC):
     @abstractmethod
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
         """Trains from random weights, or continues a training in `folder`; returns the path of the best weights.
-
-        Args:
-            data_file: `data.yaml` of an exported data set.
-            folder: Folder for everything that the library writes.
-            config: How to train.
 
         Raises:
             ValueError: If the library does not have this size, or a checkpoint in `folder` is broken.

@@ -34,10 +34,8 @@ class ExportSettings(FrozenModel):
     """The settings of an export; a folder holds exports of one setting only.
 
     Attributes:
-        data: The data set's folder.
         boxes: `preset NAME`, or `as annotated` for the boxes in the data set's `labels/bounding_boxes`.
         size_px: Side of the images.
-        splits: The splits that are exported.
     """
 
     data: str
@@ -52,9 +50,6 @@ class YoloExport:
 
     Attributes:
         data_file: Its `data.yaml`, the input of every YOLO.
-        settings: Its settings.
-        num_images: Number of images by split.
-        num_boxes: Number of labelled boxes by split.
     """
 
     data_file: Path

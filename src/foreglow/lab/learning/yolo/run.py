@@ -37,7 +37,6 @@ class YoloSettings(Record):
     """The part of `config.json` that must not change: another configuration needs another folder.
 
     Attributes:
-        training: How it is trained.
         boxes: The boxes that it is trained on, as in `ExportSettings`.
         export_size_px: Side of the squares that frames are scaled to; the library scales them to its own size.
     """
@@ -52,8 +51,6 @@ class YoloResults(Record):
 
     Attributes:
         weights: Path, from the run's folder, of the weights that did best on the validation split.
-        num_parameters: Number of weights and biases.
-        num_multiply_adds: Multiply-adds for one image.
         seconds: Duration of the last call, without earlier calls of an interrupted training.
     """
 
@@ -150,12 +147,6 @@ def predict_yolo(
     run: YoloRun, dataset: LabelledSource, *, num_threads: int | None = None, progress: Progress | None = None
 ) -> YoloPredictions:
     """Runs the network of `run` over the selected images of `dataset`.
-
-    Args:
-        run: A finished training.
-        dataset: The split.
-        num_threads: Number of CPU threads; None does not change it.
-        progress: Called after each frame.
 
     Raises:
         FileNotFoundError: If the weights or an image are missing.

@@ -27,7 +27,6 @@ class Moment:
 
     Attributes:
         time_s: From the first image of the sequence.
-        light: The light that makes the moment, in its image.
         score: Highest score of the boxes around it; NaN where there is none, or boxes have no scores.
     """
 
@@ -41,7 +40,6 @@ class Story:
     """What happens in one sequence with the vehicle whose light is visible first.
 
     Attributes:
-        sequence: The sequence's folder.
         vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
         times: When its light is visible, when it is found, and when its first lamp is.
         light: Its first light; the strongest one where there are several.

@@ -70,12 +70,10 @@ class DetectorPlan:
     Attributes:
         rows: Names of rows, of `ROWS`.
         given: Trained models by row: an ONNX file or a folder of `train`, or for a YOLO a folder of `yolo train`.
-        split: The split that everything is measured on.
         may_train: Whether rows without a given model are trained.
         with_yolo: Whether the YOLO rows are made.
         epochs: By recipe, how many to train; a recipe that is not named has its own number.
         patience: Training ends this many epochs after the best one; None for the recipe's.
-        seed: Of all training, and of the bootstrap.
         yolo_epochs: Passes over the training split for a YOLO that is trained here.
         yolo_image_size_px: Side of its images.
         device: `auto`, `cpu` or `cuda`.
@@ -114,11 +112,8 @@ class Workspace:
     """Where an experiment runs.
 
     Attributes:
-        data: The data set.
         out: Everything that is made goes here.
-        plan: What is asked for.
         progress: Called as it goes on.
-        training: Likewise, while networks are trained.
     """
 
     data: Path

@@ -35,12 +35,7 @@ class Choice:
     """One image of one row.
 
     Attributes:
-        row: Name of the row.
-        image_id: The image.
         is_best: Whether it shows what works, rather than what does not.
-        num_found: Lights in an accepted box.
-        num_missed: Lights in none.
-        num_false: Accepted boxes without a light.
     """
 
     row: str
@@ -56,8 +51,6 @@ class Shown:
     """A chosen image with what is to be drawn on it.
 
     Attributes:
-        choice: What it stands for.
-        frame: The image.
         result: Its accepted boxes, with scores.
         lights_px: Shape (K, 2): labelled lights.
         is_found: Shape (K,): whether it lies in an accepted box.

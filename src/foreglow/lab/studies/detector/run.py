@@ -59,7 +59,6 @@ class RowResult(Record):
         reason: Why it could not be made; None if it was. All below are empty then.
         key: Digest of what decides its figures.
         note: How the model came about.
-        num_parameters: Numbers of the model.
         num_multiply_adds: For one crop, or for one image of a YOLO.
         num_multiply_adds_frame: For one frame: a crop's times the mean number of proposals, or a YOLO's.
         run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
@@ -67,7 +66,6 @@ class RowResult(Record):
         num_boxes: Mean boxes a frame with a score above the threshold.
         ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it.
         examination: The metrics and all else, an `Examination` as `to_json` has it.
-        made_with: Version, commit, processor.
     """
 
     name: str
@@ -92,9 +90,6 @@ class DetectorResults:
 
     Attributes:
         data: The data set, as the user gave it.
-        labels: Of the split.
-        plan: What was asked for.
-        rows: In the table's order.
         predictions: By row, of those that were made.
         comparisons: Differences of F between rows, with their names as `a` and `b`.
     """
@@ -127,13 +122,6 @@ def run_experiment(
 
     Every row is kept in `out/rows`, its predictions in `out/predictions`, its training in `out/models`: an interrupted
     call goes on, and a repeated one measures nothing twice.
-
-    Args:
-        data: A data set with the splits train, val and test.
-        out: Folder for everything.
-        plan: What to make.
-        progress: Called as it goes on.
-        training: Likewise, while networks are trained.
 
     Raises:
         FileNotFoundError: If a file of the data set or of a given model is missing.

@@ -44,7 +44,6 @@ class ErrorSummary:
         within_one_sigma: Share whose truth is at most one sigma from the estimate, of those with a finite sigma.
         within_two_sigma: As `within_one_sigma`, for two sigmas.
         absolute_low: Lower end of the 95 % interval of `median_absolute`; NaN where it was not asked for.
-        absolute_high: Upper end.
     """
 
     num: int
@@ -131,10 +130,8 @@ class Finding:
     Attributes:
         axis: What the groups differ in: `range`, `reach`, `series`, `tracks`, `pitch`, `localisation`, `terrain`,
             `kind`, or `vehicle`, where the truth is the range of the vehicle and not that of the light.
-        method: The method.
         light: `direct`, `indirect` or `all`.
         group: Within the axis, such as `30-60 m`; `all` of it.
-        errors: The figures.
     """
 
     axis: str

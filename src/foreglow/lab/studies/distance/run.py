@@ -38,14 +38,8 @@ class RangedLight:
     """A labelled light with a box and a known range.
 
     Attributes:
-        image_id: The image.
-        sequence_id: Its drive.
         instance_id: Identifies the light throughout the drive.
-        is_direct: Whether it is the lamp itself.
-        kind: What it is seen on.
-        truth_m: Its range along the viewing ray.
         vehicle_range_m: From the camera to the vehicle that causes it.
-        scenario: Name of the drive's scene.
         error_class: Of the street message's longitudinal error.
         box: Index, among the proposals of the image, of the smallest one that holds its keypoint.
         box_xyxy_px: That proposal.
@@ -144,10 +138,8 @@ class DistancePlan:
     """What is asked for.
 
     Attributes:
-        split: The split that is measured on, of a data set.
         estimators: Names of `ESTIMATORS`.
         config: Of the detector whose boxes are given a range, and of the pitch.
-        seed: Of the intervals.
     """
 
     split: SplitName = "test"
@@ -201,9 +193,6 @@ class DistanceResults:
 
     Attributes:
         name: The split.
-        plan: What was asked for.
-        num_images: Images of the split.
-        rate_hz: Their rate.
         left_out: Labelled lights without a range to compare with or without a box, by reason.
         lights: The N others, in the order of sequence and image.
         ranges_m: By method, shape (N,); NaN without estimate.
@@ -241,11 +230,6 @@ class DistanceResults:
 
 def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
     """Ranges for every labelled light of a simulated split whose range is known, from the smallest box around it.
-
-    Args:
-        data: A data set with the split, or a split itself.
-        plan: What to measure.
-        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If a file of the data set is missing.

@@ -141,11 +141,7 @@ def bin_figure(results: GlareResults) -> bytes:
 
 
 def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
-    """How dose, road light and wrong dimming move with one parameter, a line for each policy.
-
-    Args:
-        points: All of one parameter.
-    """
+    """How dose, road light and wrong dimming move with the one parameter of `points`, a line for each policy."""
     figure, panels = subplots(3, width_in=3.6, height_in=3.2)
     names = list(dict.fromkeys(point.policy for point in points))
     titles = {

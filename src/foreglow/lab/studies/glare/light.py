@@ -39,7 +39,6 @@ class EyeLight(NamedTuple):
     Attributes:
         range_m: From our vehicle's origin; NaN where it is beside or behind our lamps, or too far away.
         azimuth_rad: Of the eye in our vehicle's frame, to the left; NaN as the range.
-        is_in_sight: Whether it sees one of our lamps.
         base_lx: By both low beams.
         leds_lx: Shape (2, L), by each LED at level 1.
     """

@@ -65,7 +65,6 @@ class Limits:
     """How much light may reach other drivers' eyes.
 
     Attributes:
-        name: What they are from.
         oncoming: For drivers who come towards us.
         preceding: For drivers whom we follow, at their mirrors.
     """
@@ -145,8 +144,6 @@ class EyeScore:
     """What one policy did to one other driver.
 
     Attributes:
-        vehicle_id: The vehicle.
-        kind: What it is.
         is_oncoming: Whether it comes towards us.
         lead_s: From its first labelled light to the first sight of us; positive in an occluded approach, NaN without
             either. Light is labelled in our camera's images, sight is from the eye to our lamps: on an open road they

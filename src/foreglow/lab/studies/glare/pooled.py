@@ -39,14 +39,9 @@ class DriveScore:
     """One policy on one drive: what adds up to its figures.
 
     Attributes:
-        drive: The scene.
-        scenario: What was drawn.
         is_empty: Whether there is no other driver at all.
-        eyes: Other drivers.
         present: Light on the road while a vehicle is there.
         passed: Light on the road after the vehicle has passed and light had time to return.
-        switching: How much the light changes.
-        dimming: Light dimmed while nobody is there.
     """
 
     drive: str
@@ -118,9 +113,7 @@ class Moments:
     once, however long it is in sight.
 
     Attributes:
-        num: Eyes whose first sight of us is in their drive.
         median: Half of them have no longer one.
-        mean: Over all of them.
         p90: 90th percentile.
         dark_share: Share of them that are dark from the beginning.
     """
@@ -150,7 +143,6 @@ class BinGlare:
     Attributes:
         name: The bin, such as `30-60 m`, or `all`.
         glare: Sums, see `Glare`.
-        above_share: Time above the limit over time in sight.
         over_low_lxs: Dose that is not the low beam's: what is left if that of the low beam alone is taken off.
         vs_production: Dose over that of the policy `production`; NaN where that has none, however large this one is.
     """
@@ -180,7 +172,6 @@ class GroupGlare:
     """Glare of all oncoming, or all preceding drivers.
 
     Attributes:
-        num_eyes: Drivers.
         bins: By range, the last one is all of them.
         dose_vs_production: Dose over that of `production`, all bins; NaN where that has none, or is not among the
             policies. A few long glares can decide it: see the drives.
@@ -243,10 +234,7 @@ class RoadKept:
 
     Attributes:
         seconds: Duration of the phase; without any, the shares are NaN.
-        own_lane: Share on our own lane.
-        verge: Share on the verge.
         low_own_lane: The low beam's share on our own lane.
-        low_verge: That on the verge.
     """
 
     seconds: float
@@ -305,8 +293,6 @@ class WrongDimming:
     Attributes:
         minutes: Time with nobody there; without any, all else is NaN.
         num_events: Times that full beam was dimmed.
-        events_per_minute: Their rate.
-        dimmed_share: Share of the time below full.
         area_dimmed: Share of the LEDs' light that is off, on average while dimmed; NaN where nothing is dimmed.
         road_dimmed: Share of the road's light that is lost, on average while dimmed.
     """

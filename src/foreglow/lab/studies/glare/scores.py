@@ -32,15 +32,11 @@ class PolicyScore:
     """One row of the table.
 
     Attributes:
-        name: The policy.
-        oncoming: Glare of oncoming drivers.
-        preceding: Glare of preceding drivers.
         present: Light on the road while a vehicle is there.
         passed: Light on the road after the vehicle has passed and light had time to return.
         smoothness: How much the light changes.
         empty: Wrong dimming in drives without any other driver.
         between: Wrong dimming in the other drives, long before and after.
-        drives: The scores drive by drive.
     """
 
     name: str
@@ -78,8 +74,6 @@ class SensitivityPoint:
     Attributes:
         parameter: What was varied, such as `latency`.
         unit: Its unit, such as `ms`; may be empty.
-        value: Its value.
-        policy: Whose.
         dose_vs_production: Dose of oncoming drivers over that of `production`.
         road_kept: Light on the own lane while a vehicle is there, over full beam.
         wrong_per_minute: Wrong dimming in drives without any other driver.
@@ -107,8 +101,6 @@ class GlareResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The set of drives.
-        limits: What the limits are from.
         restore_s: Time that light had to return after a vehicle.
         seconds: Of all drives.
         policies: The rows, in the order of `POLICIES`.
@@ -143,13 +135,6 @@ def score_glare(
     seed: int = 0,
 ) -> GlareResults:
     """The figures of all policies of `drives`, which are gone through once.
-
-    Args:
-        name: What to call the set.
-        drives: All with runs of the same policies.
-        limits: For light at other drivers' eyes.
-        restore_s: Time that light has to return after a vehicle has passed.
-        seed: Of the bootstrap.
 
     Raises:
         ValueError: If there is no drive, or one has other policies than the first.

@@ -37,8 +37,6 @@ class Setting:
 
     Attributes:
         parameter: What is changed.
-        unit: Of its value; may be empty.
-        value: The value.
         latency_s: From exposure to light.
         beam: Changed fields of the beam stage.
         tracker: Changed fields of the tracker.
@@ -90,7 +88,6 @@ class DrivenScene:
 
     Attributes:
         drive: What was lit, and what every policy and setting shone.
-        sightings: Of hidden vehicles.
     """
 
     drive: GlareDrive

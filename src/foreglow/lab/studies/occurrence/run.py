@@ -20,11 +20,6 @@ from foreglow.pipeline import Pipeline
 def run_experiment(split: Path, config: PipelineConfig, progress: Progress | None = None) -> tuple[Sighting, ...]:
     """What our policy expects on a simulated split, as it was rendered: the beam changes nothing in its images.
 
-    Args:
-        split: Folder of the split.
-        config: The pipeline; of its beam stage the parameters of our policy are used.
-        progress: Called after each image.
-
     Raises:
         FileNotFoundError: If an image, a label file or the simulator's truth is missing.
         ValueError: If one is broken.

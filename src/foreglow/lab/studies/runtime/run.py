@@ -48,7 +48,6 @@ class NetworkTimes:
     """Run-times of one way to run the pipeline.
 
     Attributes:
-        name: The way.
         parts_ms: By part, shape (F,), milliseconds, NaN for a frame that was lost; of `PARTS` and other names of what
             comes between. The complete pipeline is from the array to the beam command in process, and from exposure
             until the command was sent elsewhere.
@@ -104,11 +103,7 @@ class RuntimeResults:
     """What was measured.
 
     Attributes:
-        name: Of the data.
         frame_s: Time of a frame.
-        config: Of the pipeline.
-        processor: The machine's name of its processor.
-        networks: In the order in which they were measured.
         missing: By name, why others were not.
     """
 

@@ -43,10 +43,7 @@ class SimulatorResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The data set.
-        labels: Statistics of its labels.
         label_rows: These statistics beside those of real labels; None without real labels.
-        pixels: Statistics of images with a lamp in sight.
         pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
         leads_s: First lamp minus first indirect light, for each drive that has both; negative if the lamp comes first.

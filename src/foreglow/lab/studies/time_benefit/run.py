@@ -74,11 +74,7 @@ class TimeBenefitResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The split.
-        config: What detected.
         encounters: The first vehicle of each sequence with one.
-        num_sequences: All sequences.
-        methods: The rows of the table.
         curves: By rule of confirmation, one row a setting.
     """
 
