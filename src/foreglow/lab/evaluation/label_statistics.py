@@ -245,7 +245,6 @@ def _percentiles(name: str, points: Sequence[Point]) -> dict[str, float]:
 
 
 def _figures(statistics: LabelStatistics) -> dict[str, float]:
-    """The figures that can be compared, by name."""
     num_known = statistics.num_indirect_first + statistics.num_direct_first
     names = (
         "instances_per_image",

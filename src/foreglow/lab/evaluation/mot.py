@@ -181,6 +181,5 @@ def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
 
 
 def _length(info: Path) -> int:
-    """The sequence's number of frames."""
     fields = dict(line.split("=", 1) for line in info.read_text(encoding="utf-8").splitlines() if "=" in line)
     return int(fields["seqLength"])

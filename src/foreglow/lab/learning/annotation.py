@@ -111,8 +111,6 @@ class Annotation:
 
 
 class _SequenceRecord(FrozenModel):
-    """The numbers of boxes in one sequence."""
-
     directory: str
     num_images: int
     num_boxes: int
@@ -213,7 +211,6 @@ def annotate_split(
 def _annotate_sequence(
     root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
 ) -> _SequenceRecord:
-    """Writes the boxes of one sequence."""
     dataset, proposer = _dataset(root, call), make_proposer(config)
     counts = []
     for image_id in dataset.only(directory).frame_ids:

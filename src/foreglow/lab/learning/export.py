@@ -122,7 +122,6 @@ def _without_dust(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _summed(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shape (outputs, inputs): the sum over each filter."""
     return np.asarray(weight.sum(axis=tuple(range(2, weight.ndim))))
 
 

@@ -78,7 +78,6 @@ def _weights(name: str, constants: dict[str, Any], makers: dict[str, Any]) -> An
 
 
 def _value(node: Any) -> Any:
-    """The tensor of a `Constant` node; None for a plain number."""
     return next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
 
 

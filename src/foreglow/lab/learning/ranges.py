@@ -146,7 +146,6 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
 
 
 def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Progress | None) -> Hypotheses:
-    """`start` with the parameters that minimise (2)."""
     import torch
 
     rng = np.random.default_rng(seed)
@@ -229,7 +228,6 @@ def _as_tensors(numbers: Parameters) -> Parameters:
 
 
 def _tensor_view(view: View) -> View:
-    """The view with arrays as tensors."""
     import torch
 
     boxes = type(view.boxes)(*(torch.as_tensor(column) for column in view.boxes))

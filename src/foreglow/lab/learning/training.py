@@ -186,8 +186,6 @@ def curves_csv(epochs: list[dict[str, float]]) -> str:
 
 
 class _Trainer:
-    """Network, running mean and optimiser of a training."""
-
     def __init__(self, recipe: Recipe, samples: Samples, make_network: MakeNetwork, device: torch.device) -> None:
         torch.manual_seed(recipe.seed)
         self._recipe, self._samples, self._device = recipe, samples, device
@@ -217,13 +215,11 @@ class _Trainer:
         return network, averaged, _on_cpu(self._optimiser.state_dict())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restores the state of `checkpoint`."""
         self.network.load_state_dict(checkpoint.network)
         self._averaged = {name: value.to(self._device) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)
 
     def run_epoch(self, checkpoint: Checkpoint, val: Samples, progress: TrainingProgress | None) -> Epoch:
-        """One pass over the training samples, and the validation after it."""
         started = time.perf_counter()
         number = len(checkpoint.epochs) + 1
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
@@ -351,7 +347,6 @@ def _epoch_seed(recipe: Recipe, epoch: int) -> int:
 
 
 def _on_cpu(state: State) -> State:
-    """A copy of an optimiser's state with its tensors on the CPU."""
     moments = {
         key: {name: value.cpu().clone() if isinstance(value, Tensor) else value for name, value in entry.items()}
         for key, entry in state["state"].items()

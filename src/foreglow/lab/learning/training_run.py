@@ -198,7 +198,6 @@ def _as_text(values: dict[str, Any]) -> dict[str, str]:
 
 
 def _without_nan(value: Any) -> Any:
-    """`value` with None instead of NaN and infinity."""
     if isinstance(value, dict):
         return {key: _without_nan(part) for key, part in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

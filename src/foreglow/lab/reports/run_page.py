@@ -88,7 +88,6 @@ def _draw_proposals(axes: Any, results: Sequence[FrameResult], times_s: Floats) 
 
 
 def _draw_tracks(axes: Any, name: str, results: Sequence[FrameResult], times_s: Floats) -> None:
-    """One of the panels about tracks."""
     histories = _histories(results, times_s)
     longest = sorted(histories, key=lambda track: -len(histories[track]))[:MAX_ROWS]
     period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.05
@@ -137,7 +136,6 @@ def _histories(results: Sequence[FrameResult], times_s: Floats) -> dict[int, Flo
 
 
 def _colour(row: Floats) -> tuple[str, float]:
-    """Of one frame of a track: what its light is, pale while it coasts."""
     direct, is_coasting = row[4], row[5]
     kind = GREY if np.isnan(direct) else BLUE if direct > 0.5 else AMBER
     return kind, 0.4 if is_coasting else 1.0
@@ -261,7 +259,6 @@ def _page(run: RecordedRun) -> Page:
 
 
 def _facts(run: RecordedRun) -> Table:
-    """What was run, and what came of it."""
     summary = run.summary
     made_with = f"Foreglow {summary.version}"
     if summary.commit is not None:
@@ -346,7 +343,6 @@ def _annotated(frame: Frame, result: FrameResult) -> NDArray[np.uint8]:
 
 
 def _figure_words(results: Sequence[FrameResult]) -> str:
-    """What the figure of a sequence shows."""
     words = f"{len(results)} frames."
     if any(result.tracks is not None for result in results):
         words += " Plausible tracks, pale while nothing of them is detected; their ranges, filtered, and confidences."

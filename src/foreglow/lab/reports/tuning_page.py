@@ -60,7 +60,6 @@ def _best_toml(tuning: Tuning) -> str:
 
 
 def _trials(tuning: Tuning) -> Table:
-    """A row for each trial."""
     parameters = SPACES[tuning.settings.space_name].ranges
     measured = ["num_images", "num_boxes", *HEADINGS]
     rows = [
@@ -208,7 +207,6 @@ def _rank(loss: float, trials: Sequence[TrialRecord]) -> float:
 
 
 def _importance_figure(importances: dict[str, float]) -> Any:
-    """A bar a parameter."""
     figure, (axes,) = subplots(1, 5.0, 0.4 * len(importances) + 0.9)
     names = sorted(importances, key=lambda name: importances[name])
     axes.barh(names, [importances[name] for name in names], color=GREY)

@@ -174,5 +174,4 @@ def split_keypoints_px(dataset: LabelledSource) -> dict[int, NDArray[np.int32]]:
 
 
 def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Mean and population standard deviation; NaN of nothing."""
     return (float(values.mean()), float(values.std())) if len(values) else (math.nan, math.nan)

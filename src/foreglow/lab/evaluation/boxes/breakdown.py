@@ -290,5 +290,4 @@ def _false_boxes(is_false: NDArray[np.bool_], has_doubtful: NDArray[np.bool_], n
 
 
 def _positions(lights: Iterable[Light | Instance]) -> NDArray[np.float64]:
-    """Their positions, shape (K, 2)."""
     return np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)

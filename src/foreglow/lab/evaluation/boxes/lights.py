@@ -139,7 +139,6 @@ def _light(
 
 
 def _ranked(lights: Sequence[Light]) -> Iterator[Light]:
-    """`lights` with their ranks, in their order."""
     indirect = sorted((light for light in lights if not light.is_direct), key=lambda light: -_strength(light))
     rank_of = {id(light): rank for rank, light in enumerate(indirect)}
     for light in lights:

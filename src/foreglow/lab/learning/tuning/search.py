@@ -218,7 +218,6 @@ def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:
 
 
 def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[ProposalConfig]:
-    """The best configurations on train, each once, and the paper's."""
     complete = sorted(
         (trial for trial in trials if trial.state == "COMPLETE"), key=lambda trial: (trial.loss, trial.number)
     )

@@ -168,7 +168,6 @@ def _draw_boxes(picture: Picture, image_id: int, predictions: Predictions, thres
 
 
 def _draw_caption(sheet: Picture, scene: _Scene, number: int, corner_px: tuple[int, int]) -> None:
-    """The moment's number, its time and what happens."""
     left, top = corner_px
     _draw_number(sheet, number, (left + 34, top + 62), scene.colour_bgr)
     _write(sheet, f"{scene.moment.time_s:.2f} s", (left + 90, top + 82), 1.9, scene.colour_bgr)

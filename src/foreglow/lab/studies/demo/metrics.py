@@ -183,7 +183,6 @@ def has_labels(dataset: LabelledSource) -> bool:
 def _confirmations_s(
     labels: SplitLabels, tracks: Mapping[int, Tracks], predictions: Predictions
 ) -> dict[tuple[int, int], float]:
-    """By sequence and vehicle, when it is first confirmed."""
     quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
     vehicles = (vehicle for sequence in quality for vehicle in sequence.vehicles)
     return {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in vehicles}

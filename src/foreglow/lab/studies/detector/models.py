@@ -268,7 +268,6 @@ def _train(name: str, workspace: Workspace, folder: Path) -> None:
 
 
 def _recipe(name: str, plan: DetectorPlan) -> Any:
-    """The recipe with the plan's schedule and seed."""
     from foreglow.lab.learning import recipes
 
     fields: dict[str, Any] = {"seed": plan.seed}

@@ -236,7 +236,6 @@ def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
 
 
 def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:
-    """Paired bootstraps of F between the rows of `COMPARISONS` that were made."""
     counts = {
         name: scene_counts(match_boxes(labels.keypoints_px, predicted), labels.sequence_of, THRESHOLD)
         for name, predicted in predictions.items()

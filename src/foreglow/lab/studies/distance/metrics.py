@@ -161,7 +161,6 @@ def light_sorts(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
 
 
 def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_]) -> Iterator[Finding]:
-    """All figures of one sort of light."""
     truth_m, main_methods = results.column("truth_m"), results.main_methods
 
     def errors(ranges_m: Floats, sigmas_m: Floats | None, truth_m: Floats = truth_m) -> ErrorSummary:
@@ -209,7 +208,6 @@ def _reach_groups(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
 
 
 def _groups(results: DistanceResults) -> Mapping[str, Mapping[str, NDArray[np.bool_]]]:
-    """By axis and group, which lights are in it."""
     classes, scenarios, kinds = (results.column(name) for name in ("error_class", "scenario", "kind"))
     return {
         "localisation": {f"{bound:g} m": classes == number for number, bound in enumerate(ERROR_BOUNDS_M)},

@@ -242,7 +242,6 @@ def _table(findings: Sequence[Finding], *, with_group: bool) -> Table:
 
 
 def _median_absolute(errors: ErrorSummary) -> str:
-    """With its interval where it has one."""
     interval = f" [{errors.absolute_low:.2f}, {errors.absolute_high:.2f}]"
     return number(errors.median_absolute, 3) + ("" if math.isnan(errors.absolute_low) else interval)
 

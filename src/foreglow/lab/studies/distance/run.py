@@ -316,7 +316,6 @@ def _detections(detector: Pipeline, frame: Frame) -> Detections:
 def _estimated(
     frame: Frame, detections: Detections, methods: Mapping[Method, RangeEstimator]
 ) -> Iterator[tuple[Method, Ranges]]:
-    """Ranges of all boxes by each method."""
     frames = {tilt_deg: tilted(frame, float(np.radians(tilt_deg))) for tilt_deg in TILTS_DEG if tilt_deg} | {0.0: frame}
     for method, estimator in methods.items():
         yield method, estimator.estimate(frames[method.tilt_deg], detections)
@@ -330,7 +329,6 @@ def _tracks_of(boxes: NDArray[np.intp], tracks: Tracks) -> NDArray[np.intp]:
 
 
 def _joined(parts: Sequence[Estimates]) -> Estimates:
-    """Ranges and sigmas of all images, one after another."""
     ranges_m, sigmas_m = zip((np.zeros(0), np.zeros(0)), *parts, strict=True)
     return np.concatenate(ranges_m), np.concatenate(sigmas_m)
 

@@ -112,7 +112,6 @@ def box_figure(results: GlareResults) -> bytes:
 
 
 def _values(drive: DriveScore) -> tuple[Sequence[float], ...]:
-    """Of the four panels of `box_figure`."""
     met, light = drive.of_group(is_oncoming=True), drive.present
     kept = [[ratio(light.kept_lxs[area], light.full_lxs[area])] for area in range(len(AREAS))]
     return [drive.dose_lxs(is_oncoming=True)] if met else [], [eye.first_glare_s for eye in met], *kept
@@ -275,11 +274,9 @@ def _positive(lux: Floats) -> Floats:
 
 
 def _words(name: str) -> str:
-    """What figures call a policy."""
     return WORDS.get(name, name)
 
 
 def _colour(name: str, names: Sequence[str]) -> str:
-    """That of a policy; the same one in all figures."""
     others = [other for other in names if other not in COLOURS]
     return COLOURS.get(name) or OTHERS[others.index(name) % len(OTHERS)]

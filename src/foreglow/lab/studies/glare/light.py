@@ -140,7 +140,6 @@ def seen_lamps(expected_lx: Floats, found_lx: float) -> NDArray[np.bool_]:
 
 
 def _aimed(headlamps: Headlamps, ego: EgoSpec) -> Headlamps:
-    """The lamps with the scene's mis-aim."""
     aim = Pose(np.zeros(3), rotation(float(np.radians(ego.yaw_aim_deg)), float(np.radians(ego.pitch_aim_deg))))
     left, right = (Headlamp(lamp.vehicle_from_lamp @ aim, lamp.matrix) for lamp in (headlamps.left, headlamps.right))
     return dataclasses.replace(headlamps, left=left, right=right)

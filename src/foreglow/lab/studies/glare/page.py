@@ -159,7 +159,6 @@ def drives_csv(results: GlareResults) -> str:
 
 
 def _figures(results: GlareResults) -> Iterator[Figure]:
-    """Those of all drives together."""
     words = "Drives (points), their quartiles and 5th and 95th percentile"
     yield Figure(box_figure(results), words, "boxes.png")
     words = "Dose above the limit by range, all drives together; linear up to 0.1 lx s, logarithmic above"
@@ -181,7 +180,6 @@ def _drive_figures(drive: GlareDrive, policies: Sequence[str]) -> Iterator[Figur
 
 
 def _readme_figure(drives: Sequence[GlareDrive]) -> dict[str, bytes]:
-    """By its file name; nothing without drives."""
     if not drives:
         return {}
     drive = next((drive for drive in drives if drive.pictures), drives[len(drives) // 2])
@@ -238,7 +236,6 @@ def _notes(results: GlareResults) -> Iterator[str]:
 
 
 def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[tuple[str, str, Table]]:
-    """Heading, remark and table of every section."""
     policies = results.policies
     yield (
         "Policies",

@@ -138,7 +138,6 @@ def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
 
 
 def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], parent: Parent) -> None:
-    """Drives one scene and writes what is kept of it."""
     number, named = item
     drives = Drives(config, plan.delays, plan.quality)
 

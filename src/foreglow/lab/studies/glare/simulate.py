@@ -155,7 +155,6 @@ class Drives:
         return [commanded[max(index, 0)] for index in latest.tolist()]
 
     def _expectations(self, frames: Sequence[Frame], results: Sequence[FrameResult]) -> Expectations:
-        """What our policy expected in each frame."""
         policy = ForeglowPolicy(self._config.beam, self._headlamps)
         expected = Expectations(self._config.beam.coverage)
         for frame, tracks in zip(frames, self._tracked(frames, results, {}), strict=True):
@@ -222,7 +221,6 @@ class _Record:
         )
 
     def _sightings_of(self, vehicle_id: int) -> list[tuple[DriveFrame, VehicleTruth]]:
-        """The frames in which a vehicle is there, each with what is known of it."""
         return [
             (known, vehicle) for known in self.known for vehicle in known.vehicles if vehicle.vehicle_id == vehicle_id
         ]
@@ -247,7 +245,6 @@ class _Record:
         )
 
     def _first_lights(self, times_s: Floats) -> dict[int, float]:
-        """By vehicle, when its first light is labelled."""
         first: dict[int, float] = {}
         for known, time_s in zip(self.known, times_s.tolist(), strict=True):
             for vehicle in known.vehicles:

@@ -143,7 +143,6 @@ def _network_record(times: NetworkTimes, frame_s: float) -> dict[str, Any]:
 
 
 def _frames_csv(results: RuntimeResults) -> str:
-    """A line a frame of every network."""
     parts = list(dict.fromkeys(part for times in results.networks for part in times.parts_ms))
     rows: list[list[Any]] = []
     for times in results.networks:

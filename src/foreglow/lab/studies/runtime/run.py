@@ -240,7 +240,6 @@ def in_fresh_process(call: Callable[..., NetworkTimes], *arguments: Any) -> Netw
 
 
 def _stages(stage_ms: Mapping[str, float]) -> dict[str, float]:
-    """The stages' run-times by the paper's names."""
     return {part: stage_ms[stage] for part, stage in STAGES.items() if stage in stage_ms}
 
 
