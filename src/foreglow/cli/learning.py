@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from foreglow.lab.learning.annotation import Annotation
-    from foreglow.lab.learning.training_run import TrainedModel
     from foreglow.lab.learning.tuning import Tuning
 
 
@@ -177,20 +176,19 @@ def train(
     configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
     try:
         with TrainingBar() as progress:
-            trained = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
+            summary = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
     except KeyboardInterrupt:
         typer.echo(f"{out}: the same command continues from the last whole epoch", err=True)
         raise
     finally:  # also for a training that was interrupted
         draw_training(out)
-    typer.echo("\n".join(_training_lines(trained)))
+    typer.echo("\n".join(_training_lines(summary, out)))
 
 
-def _training_lines(trained: TrainedModel) -> list[str]:
+def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
     """What came of a training; the last line says how to use it."""
     from foreglow.display.summary_lines import counted
 
-    summary = trained.summary
     counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
     lines = [
         f"{name}: {counted(counts[name]['positive'], 'box')} with light, {counts[name]['negative']} without, "
@@ -203,9 +201,9 @@ def _training_lines(trained: TrainedModel) -> list[str]:
         f"calibrated with temperature {figures['temperature']:.2f}: calibration error "
         f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
     ]
-    if not (trained.folder / "curves.png").is_file():
+    if not (folder / "curves.png").is_file():
         lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")
-    return [*lines, f"look in {trained.folder}; use it with foreglow run SOURCE --config {trained.folder}/config.toml"]
+    return [*lines, f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml"]
 
 
 @app.command("fit-ranges")

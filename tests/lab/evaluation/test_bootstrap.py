@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
+from foreglow.geometry import Floats
 from foreglow.lab.evaluation import evaluate_boxes
 from foreglow.lab.evaluation.bootstrap import (
     f1,
     paired_bootstrap,
     percentile_interval,
-    precision,
     ratio,
-    recall,
     scene_counts,
 )
 from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.evaluation.ratios import ratios
 from tests.lab.evaluation.scored_boxes import random_case
 
 
@@ -58,6 +58,14 @@ def test_a_better_one_in_every_scene() -> None:
     back = paired_bootstrap(worse, better, num_resamples=500)
     assert math.isclose(back.mean, -found.mean)
     assert back.probability == 0.0
+
+
+def recall(counts: Floats) -> Floats:
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 2])
+
+
+def precision(counts: Floats) -> Floats:
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
 def test_the_seed_decides() -> None:

@@ -61,16 +61,6 @@ def f1(counts: Counts) -> NDArray[np.float64]:
     return ratios(tp, tp + 0.5 * (fp + fn))
 
 
-def recall(counts: Counts) -> NDArray[np.float64]:
-    """Recall: tp / (tp + fn)."""
-    return ratios(counts[..., 0], counts[..., 0] + counts[..., 2])
-
-
-def precision(counts: Counts) -> NDArray[np.float64]:
-    """Precision: tp / (tp + fp)."""
-    return ratios(counts[..., 0], counts[..., 0] + counts[..., 1])
-
-
 def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of two columns, the first over the second; NaN where that is 0.
 

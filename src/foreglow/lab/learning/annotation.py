@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +22,7 @@ from foreglow.datasets import PVDN, LabelledSource, split_folder
 from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
-from foreglow.datasets.pvdn.splits import SPLIT_NAMES
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
 from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -147,19 +148,25 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
         if names and names != (root.resolve().name,):
             raise ValueError(f"{root}: split: expected none, since this is a single split, got {', '.join(names)}")
         return (root,)
-    wanted = tuple(name for name in SPLIT_NAMES if name in names) if names else SPLIT_NAMES
-    found: list[Path] = []
-    missing: FileNotFoundError | None = None
-    for name in wanted:
-        try:
-            found.append(split_folder(root, name))
-        except FileNotFoundError as error:
-            if names:
-                raise
-            missing = error
-    if not found and missing is not None:
-        raise FileNotFoundError(f"{root}: expected a split, or a data set with train, val or test") from missing
-    return tuple(found)
+    if names:
+        return tuple(split_folder(root, name) for name in SPLIT_NAMES if name in names)
+    found = existing_splits(root)
+    if not found:
+        raise FileNotFoundError(f"{root}: expected a split, or a data set with train, val or test")
+    return tuple(found.values())
+
+
+def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:
+    """The folders of those of the named splits of `data` that exist.
+
+    Raises:
+        ValueError: If a name fits several folders.
+    """
+    found: dict[SplitName, Path] = {}
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            found[name] = split_folder(data, name)
+    return found
 
 
 def annotate_split(

@@ -161,21 +161,6 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return Samples(**arrays, digest=digest)
 
 
-def collect_samples(dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None) -> Samples:
-    """All samples of the selected images of `dataset`, in memory.
-
-    For a large split, whose samples should be kept between runs, see `sample_cache.cached_samples`.
-
-    Raises:
-        FileNotFoundError: If an image or a keypoint file is missing.
-        ValueError: If one of them is broken.
-    """
-    parts = list(samples_by_image(dataset, config, progress))
-    if not parts:
-        return no_samples(config.inputs)
-    return joined(parts)
-
-
 def samples_by_image(
     dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None
 ) -> Iterator[Samples]:

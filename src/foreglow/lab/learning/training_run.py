@@ -6,11 +6,9 @@ import dataclasses
 import hashlib
 import importlib.util
 import io
-import math
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,22 +33,9 @@ if TYPE_CHECKING:
 MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
 """Files that a training writes to its folder, besides `training.CURVES` and the checkpoint."""
 
+LABELS = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
+
 _NUM_COMPARED = 400
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainedModel:
-    """The result of a run.
-
-    Attributes:
-        summary: The content of `summary.json`.
-        result: Network, epochs and validation logits before calibration.
-    """
-
-    folder: Path
-    model: Path
-    summary: dict[str, Any]
-    result: TrainingResult
 
 
 def train_model(
@@ -62,10 +47,10 @@ def train_model(
     device: str = "auto",
     cache: Path | None = None,
     progress: RunProgress | None = None,
-) -> TrainedModel:
+) -> dict[str, Any]:
     """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
-    An interrupted run continues when it is called again with the same arguments.
+    An interrupted run continues when it is called again with the same arguments. Returns what `summary.json` holds.
 
     Args:
         data: One or more data sets with the splits train and val.
@@ -102,15 +87,16 @@ def train_model(
         **provenance(),
         "data": [str(path) for path in data],
         **finish(recipe, result, samples["val"], folder),
-        "samples": {name: _counts(split) for name, split in samples.items()},
+        "samples": {
+            name: {kind: split.num_labelled(label) for kind, label in LABELS.items()} for name, split in samples.items()
+        },
         "seconds": round(time.perf_counter() - started, 1),
         "recipe": recipe.model_dump(mode="json"),
     }
-    model = folder / MODEL
-    used = config.classifier.model_copy(update={"model": model, "support": recipe.inputs.support})
+    used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
     write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
-    write_json_results(folder / SUMMARY, _without_nan(summary), indent=2)
-    return TrainedModel(folder, model, summary, result)
+    write_json_results(folder / SUMMARY, summary, indent=2)
+    return summary
 
 
 def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
@@ -131,7 +117,8 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     logits, labels = result.val_logits[is_labelled, 0], val.labels[is_labelled]
     calibrator = fit_calibrator(logits, labels, recipe.calibration)
     network = calibrated(result.network, calibrator)
-    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **_as_text(provenance())}
+    made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
+    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
     write_model(network, recipe.inputs, folder / MODEL, about)
     chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
@@ -186,18 +173,3 @@ def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]
         "log_loss": {"before": log_loss(logits, labels), "after": log_loss(after, labels)},
         "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
     }
-
-
-def _counts(samples: Samples) -> dict[str, int]:
-    kinds = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
-    return {name: samples.num_labelled(label) for name, label in kinds.items()}
-
-
-def _as_text(values: dict[str, Any]) -> dict[str, str]:
-    return {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in values.items()}
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(part) for key, part in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -109,9 +109,9 @@ def reliability(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> tup
     )
 
 
-def expected_calibration_error(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> float:
+def expected_calibration_error(scores: ArrayLike, labels: ArrayLike) -> float:
     """Mean over the boxes of |share of artifacts - mean score| of their bin of equal counts; NaN of nothing."""
-    return _ece(reliability(scores, labels, num_bins))
+    return _ece(reliability(scores, labels))
 
 
 def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:

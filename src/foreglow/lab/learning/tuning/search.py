@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
-from foreglow.datasets.pvdn.splits import SplitName
-from foreglow.lab.learning.annotation import Progress
+from foreglow.lab.learning.annotation import Progress, existing_splits
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER, Parameters, objective, space
 from foreglow.lab.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
@@ -148,7 +145,8 @@ def tune(
     """
     import optuna  # noqa: F401  before anything is decoded
 
-    splits, workers = dict(_splits(Path(data))), workers or Local()
+    folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
+    splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
     material = read_material(
         splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
@@ -172,15 +170,6 @@ def tune(
     paper = next(finalist for finalist in finalists if finalist.config == PAPER)
     seconds = {"trials": searched_s - started_s, "comparison": time.monotonic() - searched_s}
     return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
-
-
-def _splits(data: Path) -> Iterator[tuple[SplitName, LabelledSource]]:
-    """Train, which must exist, and the other splits that exist."""
-    yield "train", open_labelled(split_folder(data, "train"))
-    names: tuple[SplitName, ...] = ("val", "test")
-    for name in names:
-        with contextlib.suppress(FileNotFoundError):
-            yield name, open_labelled(split_folder(data, name))
 
 
 def _run_trials(

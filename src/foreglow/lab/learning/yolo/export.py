@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from foreglow.config import FrozenModel, preset
-from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled, split_folder
+from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
-from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 
@@ -86,10 +86,14 @@ def export_yolo(
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
         ValueError: If a file is broken, there is no such preset, or `folder` holds another export.
     """
-    wanted = {name: found for name in splits if (found := _split_or_none(data, name)) is not None}
+    if not data.is_dir():
+        raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
+    wanted = existing_splits(data, splits)
     if not wanted:
         raise FileNotFoundError(f"{data}: expected one of the splits {', '.join(splits)}, found none")
-    is_annotated = preset_name is None and all(_has_boxes(found) for found in wanted.values())
+    is_annotated = preset_name is None and all(
+        any((found / "labels" / "bounding_boxes").glob("*.json")) for found in wanted.values()
+    )
     settings = ExportSettings(
         data=str(Path(data).resolve()),
         boxes="as annotated" if is_annotated else f"preset {preset_name or 'paper'}",
@@ -193,19 +197,6 @@ def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         raise ValueError(f"{origin}: expected an image of 8 bits for a YOLO, got {image.dtype}")
     return np.asarray(cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _split_or_none(data: Path, name: SplitName) -> Path | None:
-    if not Path(data).is_dir():
-        raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
-    try:
-        return split_folder(data, name)
-    except FileNotFoundError:
-        return None
-
-
-def _has_boxes(split: Path) -> bool:
-    return next((split / "labels" / "bounding_boxes").glob("*.json"), None) is not None
 
 
 def _claim(folder: Path, settings: ExportSettings) -> None:

@@ -127,19 +127,6 @@ class Workspace:
         return None if self.progress is None else functools.partial(self.progress, step)
 
 
-@dataclass(frozen=True, slots=True)
-class ClassifierModel:
-    """A classifier that is ready to run.
-
-    Attributes:
-        config: The whole pipeline, at the table's threshold.
-        note: How it came about, for the reader.
-    """
-
-    config: PipelineConfig
-    note: str
-
-
 def missing_reason(name: str, plan: DetectorPlan) -> str | None:
     """Why row `name` cannot be made with this plan on this machine, and what to do; None if it can."""
     spec = ROWS[name]
@@ -176,8 +163,10 @@ def row_key(name: str, workspace: Workspace) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def classifier_model(name: str, workspace: Workspace) -> ClassifierModel:
-    """The classifier of row `name`, as given or trained now; an interrupted training goes on.
+def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, str]:
+    """The pipeline with the classifier of row `name`, as given or trained now, and how that came about.
+
+    An interrupted training goes on.
 
     Raises:
         FileNotFoundError: If a file is missing.
@@ -194,11 +183,11 @@ def classifier_model(name: str, workspace: Workspace) -> ClassifierModel:
         folder = given
     else:
         note = f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
-        return ClassifierModel(_with_model(configured, given), note)
+        return _with_model(configured, given), note
     used = read_config(folder / "config.toml", configured)
     if used.proposals.model_dump() != configured.proposals.model_dump():
         raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of the preset {spec.preset}")
-    return ClassifierModel(_with_model(used, folder / "model.onnx"), _note(folder))
+    return _with_model(used, folder / "model.onnx"), _note(folder)
 
 
 def yolo_run(name: str, workspace: Workspace) -> YoloRun:

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from foreglow.datasets import LabelledSource
 from foreglow.display.overlay import Measures, Picture, annotate
 from foreglow.lab.evaluation import Predictions, SplitLabels, match_lights
+from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
 from foreglow.lab.studies.detector.models import ROWS, THRESHOLD
@@ -30,25 +31,17 @@ HIDDEN_WEIGHT = 3.0
 """How much more a light counts whose vehicle has not shown a lamp so far: finding it is what this is about."""
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """One image of one row.
+class Choice(NamedTuple):
+    """An image to show of a row; `is_best` if it shows what works, rather than what does not."""
 
-    Attributes:
-        is_best: Whether it shows what works, rather than what does not.
-    """
-
-    row: str
     image_id: int
     is_best: bool
-    num_found: int
-    num_missed: int
     num_false: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """A chosen image with what is to be drawn on it.
+    """A chosen image of a row with what is to be drawn on it.
 
     Attributes:
         result: Its accepted boxes, with scores.
@@ -56,6 +49,7 @@ class Shown:
         is_found: Shape (K,): whether it lies in an accepted box.
     """
 
+    row: str
     choice: Choice
     frame: Frame
     result: FrameResult
@@ -63,7 +57,7 @@ class Shown:
     is_found: NDArray[np.bool_]
 
 
-def choose(row: str, labels: SplitLabels, predictions: Predictions) -> tuple[Choice, ...]:
+def choose(labels: SplitLabels, predictions: Predictions) -> tuple[Choice, ...]:
     """The best and the worst images of a row, best first, at most one of a scene each.
 
     The best have the most found lights less missed ones and false boxes, hidden vehicles' light counted three times;
@@ -92,9 +86,7 @@ def choose(row: str, labels: SplitLabels, predictions: Predictions) -> tuple[Cho
                 return
             if scene not in scenes:
                 scenes.add(scene)
-                lights = is_found[matches.image_of_point == index]
-                num_found = int(lights.sum())
-                yield Choice(row, image_id, is_best, num_found, len(lights) - num_found, int(false[index]))
+                yield Choice(image_id, is_best, int(false[index]))
 
     return (*chosen(good, NUM_BEST, True), *chosen(missed + false, NUM_WORST, False))
 
@@ -107,21 +99,20 @@ def pictures(results: DetectorResults, dataset: LabelledSource) -> Iterator[Show
         ValueError: If one is broken.
     """
     for row, predictions in results.predictions.items():
-        for choice in choose(row, results.labels, predictions):
+        for choice in choose(results.labels, predictions):
             frame = dataset.read(choice.image_id)
             scores = predictions.scores[choice.image_id]
             is_accepted = scores > THRESHOLD
             boxes = predictions.boxes_xyxy_px[choice.image_id][is_accepted]
-            lights = results.labels.keypoints_px[choice.image_id].reshape(-1, 1, 2)
-            is_inside = np.logical_and(boxes[:, :2] <= lights, lights <= boxes[:, 2:]).all(axis=2)
-            result = _result(frame, boxes, scores[is_accepted])
-            yield Shown(choice, frame, result, lights[:, 0], np.asarray(np.any(is_inside, axis=1)))
+            lights_px = results.labels.keypoints_px[choice.image_id]
+            is_found = lies_in(lights_px[:, None], boxes).any(axis=1)
+            yield Shown(row, choice, frame, _result(frame, boxes, scores[is_accepted]), lights_px, np.asarray(is_found))
 
 
 def figure(shown: Shown) -> Figure:
     """The drawn image, with what is found in it, and what is not, in words."""
-    choice = shown.choice
-    words = f"{choice.num_found} found, {choice.num_missed} missed, {choice.num_false} false"
+    choice, num_missed = shown.choice, int((~shown.is_found).sum())
+    words = f"{int(shown.is_found.sum())} found, {num_missed} missed, {choice.num_false} false"
     mark = "works" if choice.is_best else "does not"
     data = jpeg(draw(shown), PICTURE_WIDTH_PX, JPEG_QUALITY)
     return Figure(data, f"{mark}: {shown.frame.sequence}, image {choice.image_id}: {words}")
@@ -169,7 +160,7 @@ def write_report(results: DetectorResults, pictures: Iterable[Shown], folder: Pa
         "Brightened. Boxes are accepted ones, with their scores; circles are labelled lights in a box, red crosses "
         "those in none. Two images that show what works, three that show what does not, each of another drive.",
     )
-    for row, shown in itertools.groupby(pictures, key=lambda picture: picture.choice.row):
+    for row, shown in itertools.groupby(pictures, key=lambda picture: picture.row):
         page.pictures(map(figure, shown), ROWS[row].title)
     return page.write(folder / "report.html", results=results, files=files)
 

@@ -158,17 +158,17 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
 def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.model_counts import count_model
 
-    model = classifier_model(name, workspace)
-    assert model.config.classifier.model is not None
-    counts = count_model(model.config.classifier.model)
-    pipeline = Pipeline(model.config.detector_only)
+    config, note = classifier_model(name, workspace)
+    assert config.classifier.model is not None
+    counts = count_model(config.classifier.model)
+    pipeline = Pipeline(config.detector_only)
     pipeline.step(dataset.read(dataset.frame_ids[0]))  # buffers are made with the first frame
     progress, done = workspace.progress_of(f"{name}: images"), itertools.count(1)
     run = run_split(dataset, pipeline, progress and (lambda *_: progress(next(done), len(dataset))))
     row = _measured(name, run.predictions, run.total_ms, workspace, labels)
     return row.model_copy(
         update={
-            "note": model.note,
+            "note": note,
             "num_parameters": counts.num_parameters,
             "num_multiply_adds": counts.num_multiply_adds,
             "num_multiply_adds_frame": counts.num_multiply_adds * row.num_proposals,

@@ -19,7 +19,6 @@ from foreglow.lab.evaluation.ratios import mean, percentiles, ratio, share
 from foreglow.lab.studies.glare.drive import GlareDrive, PolicyRun
 from foreglow.lab.studies.glare.metrics import (
     BINS,
-    RESTORE_S,
     Dimming,
     EyeScore,
     Glare,
@@ -67,9 +66,9 @@ class DriveScore:
         return np.asarray(np.array(doses, np.float64).reshape(-1, len(BINS.bin_names), 2).sum(axis=0))
 
 
-def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits, restore_s: float = RESTORE_S) -> DriveScore:
+def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits) -> DriveScore:
     """What one policy did on one drive."""
-    when = phases(drive, restore_s)
+    when = phases(drive)
     return DriveScore(
         drive=drive.name,
         scenario=drive.scenario,

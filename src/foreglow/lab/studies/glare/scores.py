@@ -131,7 +131,6 @@ def score_glare(
     drives: Iterable[GlareDrive],
     limits: Limits = FMVSS_108,
     *,
-    restore_s: float = RESTORE_S,
     seed: int = 0,
 ) -> GlareResults:
     """The figures of all policies of `drives`, which are gone through once.
@@ -148,17 +147,17 @@ def score_glare(
         if drive.runs.keys() != scores.keys():
             raise ValueError(f"drive {drive.name}: expected runs of {', '.join(scores)}, got {', '.join(drive.runs)}")
         for policy, run in drive.runs.items():
-            scores[policy].append(score_drive(drive, run, limits, restore_s))
+            scores[policy].append(score_drive(drive, run, limits))
         seconds += len(drive.times_s) / drive.rate_hz
     if not scores:
         raise ValueError(f"{name}: expected at least one drive with runs of policies, found none")
     production = scores.get(PRODUCTION)
     policies = (PolicyScore.of(policy, of_policy, production, seed) for policy, of_policy in scores.items())
-    return GlareResults(name, limits.name, restore_s, seconds, tuple(policies))
+    return GlareResults(name, limits.name, RESTORE_S, seconds, tuple(policies))
 
 
-def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 0.75)) -> tuple[str, ...]:
-    """Drives to show, chosen by a rule: those at `shares` of the way from the smallest to the largest dose.
+def typical_drives(results: GlareResults) -> tuple[str, ...]:
+    """Drives to show, chosen by a rule: those at the quartiles of the dose.
 
     The dose is that of `production` at oncoming drivers (else of the first policy), of drives with an occluded approach
     of one, or with any oncoming driver where there is no such drive; none without.
@@ -168,5 +167,5 @@ def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 
     met = [drive for drive in drives if drive.of_group(is_oncoming=True)]
     occluded = [drive for drive in met if any(eye.is_occluded for eye in drive.of_group(is_oncoming=True))]
     ordered = sorted(occluded or met, key=lambda drive: (drive.dose_lxs(is_oncoming=True), drive.drive))
-    chosen = [round(part * (len(ordered) - 1)) for part in shares] if ordered else []
+    chosen = [round(part * (len(ordered) - 1)) for part in (0.25, 0.5, 0.75)] if ordered else []
     return tuple(dict.fromkeys(ordered[index].drive for index in chosen))
