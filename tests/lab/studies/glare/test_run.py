@@ -21,11 +21,10 @@ from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.lab.studies.glare.light import OurLight, seen_lamps
 from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
-from foreglow.lab.studies.glare.simulate import Setting, settings_of
+from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 

@@ -105,12 +105,10 @@ def _lights(
             x, y = instance.position_px
             key = (image_id, vehicle.oid, instance.iid)
             if known is not None and key not in known:
-                raise ValueError(
-                    f"image {image_id}: expected instance {instance.iid} of vehicle {vehicle.oid} in the simulator's truth"
-                )
-            range_m, kind, grey = (
-                known[key] if known else (math.nan, LAMP if instance.is_direct else INDIRECT, math.nan)
-            )
+                what = f"instance {instance.iid} of vehicle {vehicle.oid}"
+                raise ValueError(f"image {image_id}: expected {what} in the simulator's truth")
+            unknown = (math.nan, LAMP if instance.is_direct else INDIRECT, math.nan)
+            range_m, kind, grey = unknown if known is None else known[key]
             yield Light(
                 image_id=image_id,
                 sequence_id=sequence_id,

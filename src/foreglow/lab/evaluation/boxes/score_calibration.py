@@ -95,7 +95,7 @@ def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Cal
 def reliability(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> tuple[Bin, ...]:
     """Boxes in `num_bins` bins of as equal counts as ties allow: equal scores share a bin; fewer bins if need be.
 
-    >>> [(one.num, one.share) for one in reliability([0.1, 0.2, 0.8, 0.9], [False, False, True, False], 2)]
+    >>> [(part.num, part.share) for part in reliability([0.1, 0.2, 0.8, 0.9], [False, False, True, False], 2)]
     [(2, 0.0), (2, 0.5)]
     """
     given, truth = np.asarray(scores, np.float64), np.asarray(labels, np.float64)

@@ -148,9 +148,9 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
             if parent.is_stopped:
                 raise KeyboardInterrupt
 
-    driven = drives.driven(named.scene, named.name, pairs())
-    write_glare_drive(_drive_file(folder, named.name), driven.drive)
-    write_json_results(_sightings_file(folder, named.name), driven.sightings)
+    drive, sightings = drives.driven(named.scene, named.name, pairs())
+    write_glare_drive(_drive_file(folder, named.name), drive)
+    write_json_results(_sightings_file(folder, named.name), sightings)
 
 
 def _drive_file(folder: Path, name: str) -> Path:
