@@ -242,6 +242,6 @@ def import_weights(
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""
     from foreglow.lab.learning import import_weights
 
-    model = import_weights(weights, out, fold)
-    millions = model.num_multiply_adds / 1e6
-    typer.echo(f"wrote {model.path}: {model.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")
+    layers = import_weights(weights, out, fold)
+    millions = layers.num_multiply_adds / 1e6
+    typer.echo(f"wrote {out}: {layers.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")

@@ -83,6 +83,7 @@ def test_boxes_without_light_are_labelled_zero(split: Path) -> None:
     assert labels.labels == (0.0, 0.0)
 
 
+@pytest.mark.process
 def test_processes_change_nothing(split: Path) -> None:
     first = annotate_split(split, PAPER), box_files(split)
     (split / "labels" / RECORD_NAME).unlink()

@@ -20,7 +20,7 @@ from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.torch, pytest.mark.slow]  # Optuna comes with the same extra
 
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 SEED = 3
