@@ -55,8 +55,6 @@ def test_learns_a_blob_and_keeps_the_best_epoch(tmp_path: Path) -> None:
     result = run(tmp_path, changed(RECIPE, {"epochs": 12, "best_by": "f1"}))
     assert result.best.f1 > 0.9
     assert result.best.f1 == max(epoch.f1 for epoch in result.epochs)
-    assert result.num_train == 270
-    assert result.num_val == 135
     used = VAL.labels != -1
     is_right = (result.val_logits[used, 0] > 0) == (VAL.labels[used] == 1)
     assert is_right.mean() > 0.9

@@ -58,8 +58,6 @@ class TrainingResult:
         network: The network with the weights of the best epoch, on the CPU, in evaluation mode.
         val_logits: Shape (N, `Recipe.num_outputs`), float32: uncalibrated logits of all validation samples, including
             ignored ones.
-        num_train: Number of training samples that are not ignored.
-        num_val: Number of validation samples that are not ignored.
         device: Device of the training: `cpu` or `cuda`.
     """
 
@@ -67,8 +65,6 @@ class TrainingResult:
     epochs: tuple[Epoch, ...]
     best: Epoch
     val_logits: NDArray[np.float32]
-    num_train: int
-    num_val: int
     device: str
 
 
@@ -100,7 +96,6 @@ def train(
             another training or a damaged checkpoint, or there is no such device.
     """
     chosen = torch_device(device)
-    is_used = train_samples.labels != IGNORED
     for name, samples in (("train", train_samples), ("val", val_samples)):
         for label, kind in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
             if samples.num_labelled(label) == 0:
@@ -137,8 +132,6 @@ def train(
         epochs=epochs,
         best=epochs[checkpoint.best_epoch - 1],
         val_logits=val_logits,
-        num_train=int(is_used.sum()),
-        num_val=int((val_samples.labels != IGNORED).sum()),
         device=chosen.type,
     )
 

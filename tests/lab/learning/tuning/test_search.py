@@ -112,7 +112,7 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
 def plan_of(data: Path, out: Path, num_trials: int = 24) -> StudyPlan:
     material = read_material(open_labelled(split_folder(data, "train")), 600, out / "frames")
     name = f"q-paper-{NUM_ALL}-{material.digest}"
-    return StudyPlan(str(out / "study.journal"), name, num_trials, "q", "paper", SEED)
+    return StudyPlan(str(out / "study.journal"), name, TuningSettings(num_trials=num_trials, space="paper", seed=SEED))
 
 
 def test_interrupted_trial_is_given_up(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

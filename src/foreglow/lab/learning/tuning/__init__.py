@@ -2,6 +2,7 @@
 
 from foreglow.lab.learning.tuning.measurement import Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, SPACES
-from foreglow.lab.learning.tuning.search import Finalist, TrialRecord, Tuning, TuningSettings, tune
+from foreglow.lab.learning.tuning.search import Finalist, TrialRecord, Tuning, tune
+from foreglow.lab.learning.tuning.study import TuningSettings
 
 __all__ = ["OBJECTIVES", "SPACES", "Finalist", "Measurement", "TrialRecord", "Tuning", "TuningSettings", "tune"]

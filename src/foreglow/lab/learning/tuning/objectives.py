@@ -72,35 +72,12 @@ def shortfalls(found: Measurement, paper: Measurement) -> dict[str, float]:
     return {name: 0.0 if math.isnan(value) else max(0.0, value) for name, value in missed.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class Objective:
-    """Something to search for.
-
-    Attributes:
-        space: Name of the space that is searched by default.
-    """
-
-    loss: Loss
-    space: str
-
-
-OBJECTIVES: dict[str, Objective] = {
-    "q": Objective(q_loss, "paper"),
-    "q-only": Objective(q_only_loss, "paper"),
-    "light": Objective(light_loss, "wide"),
+OBJECTIVES: dict[str, tuple[Loss, str]] = {
+    "q": (q_loss, "paper"),
+    "q-only": (q_only_loss, "paper"),
+    "light": (light_loss, "wide"),
 }
-
-
-def objective(name: str) -> Objective:
-    """The objective called `name`.
-
-    Raises:
-        ValueError: If there is none; the message lists those that exist.
-    """
-    if name not in OBJECTIVES:
-        raise ValueError(f"objective: expected one of {', '.join(OBJECTIVES)}, got {name!r}")
-    return OBJECTIVES[name]
-
+"""The loss to minimise, and the name of the space that is searched by default."""
 
 Parameters: TypeAlias = Mapping[str, bool | int | float]
 """Values by the names of a space's ranges."""
@@ -110,42 +87,20 @@ PAPER = PRESETS["paper"].proposals
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
-    """Whole numbers from `low` to `high` in steps."""
-
-    low: int
-    high: int
-    step: int = 1
-
-    def suggest(self, trial: Trial, name: str) -> int:
-        """One of these numbers."""
-        return trial.suggest_int(name, self.low, self.high, step=self.step)
-
-
-@dataclass(frozen=True, slots=True)
-class Real:
-    """Numbers from `low` to `high` in steps."""
+class Range:
+    """Numbers from `low` to `high` in steps: whole ones, if these are; switches, if they are truth values."""
 
     low: float
     high: float
-    step: float
+    step: float = 1
 
-    def suggest(self, trial: Trial, name: str) -> float:
-        """One of these numbers, without the rounding errors of adding steps."""
+    def suggest(self, trial: Trial, name: str) -> bool | int | float:
+        """One of these, without the rounding errors of adding steps."""
+        if isinstance(self.low, bool):
+            return bool(trial.suggest_categorical(name, (True, False)))
+        if isinstance(self.low, int):
+            return trial.suggest_int(name, self.low, int(self.high), step=int(self.step))
         return round(trial.suggest_float(name, self.low, self.high, step=self.step), 9)
-
-
-@dataclass(frozen=True, slots=True)
-class Switch:
-    """On or off."""
-
-    def suggest(self, trial: Trial, name: str) -> bool:
-        """One of the two."""
-        return bool(trial.suggest_categorical(name, (True, False)))
-
-
-def _same(parameters: Parameters) -> dict[str, Any]:
-    return dict(parameters)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,9 +112,9 @@ class Space:
         fields: Turns parameters into fields of `ProposalConfig`; all other fields are the paper's.
     """
 
-    ranges: Mapping[str, Whole | Real | Switch]
+    ranges: Mapping[str, Range]
     first: Parameters
-    fields: Callable[[Parameters], dict[str, Any]] = _same
+    fields: Callable[[Parameters], dict[str, Any]] = dict
 
     def suggest(self, trial: Trial) -> dict[str, bool | int | float]:
         """A value for each parameter."""
@@ -186,10 +141,10 @@ SPACES: dict[str, Space] = {
     # The ranges of the paper's parameter search.
     "paper": Space(
         {
-            "kappa": Real(0.25, 0.75, 0.05),
-            "window_px": Whole(5, 25),
-            "min_deviation": Real(0.0, 0.1, 0.01),
-            "gap_px": Whole(1, 9),
+            "kappa": Range(0.25, 0.75, 0.05),
+            "window_px": Range(5, 25),
+            "min_deviation": Range(0.0, 0.1, 0.01),
+            "gap_px": Range(1, 9),
         },
         _PAPER_FIRST,
     ),
@@ -197,15 +152,15 @@ SPACES: dict[str, Space] = {
     # boxes, splitting, and the two switches that the paper does not mention.
     "wide": Space(
         {
-            "kappa": Real(0.25, 0.75, 0.025),
-            "window_px": Whole(5, 79, 2),
-            "min_deviation": Real(0.0, 0.05, 0.0025),
-            "gap_px": Whole(1, 9),
-            "min_area_px": Whole(6, 26, 5),
-            "min_width_px": Whole(3, 6),
-            "split_saddle": Real(0.0, 0.9, 0.025),
-            "is_capped": Switch(),
-            "is_blurred": Switch(),
+            "kappa": Range(0.25, 0.75, 0.025),
+            "window_px": Range(5, 79, 2),
+            "min_deviation": Range(0.0, 0.05, 0.0025),
+            "gap_px": Range(1, 9),
+            "min_area_px": Range(6, 26, 5),
+            "min_width_px": Range(3, 6),
+            "split_saddle": Range(0.0, 0.9, 0.025),
+            "is_capped": Range(False, True),
+            "is_blurred": Range(False, True),
         },
         {
             **_PAPER_FIRST,
@@ -218,14 +173,3 @@ SPACES: dict[str, Space] = {
         _wide_fields,
     ),
 }
-
-
-def space(name: str) -> Space:
-    """The space called `name`.
-
-    Raises:
-        ValueError: If there is none; the message lists those that exist.
-    """
-    if name not in SPACES:
-        raise ValueError(f"space: expected one of {', '.join(SPACES)}, got {name!r}")
-    return SPACES[name]

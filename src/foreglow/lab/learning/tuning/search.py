@@ -13,45 +13,20 @@ from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.lab.learning.annotation import Progress, existing_splits
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
-from foreglow.lab.learning.tuning.objectives import PAPER, Parameters, objective, space
-from foreglow.lab.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
+from foreglow.lab.learning.tuning.objectives import PAPER, Parameters
+from foreglow.lab.learning.tuning.study import (
+    StudyPlan,
+    TuningSettings,
+    importances,
+    num_finished,
+    open_study,
+    prepare,
+    work,
+)
 from foreglow.parallel import Local, Parent, Workers
 
 if TYPE_CHECKING:
     import optuna
-
-
-@dataclass(frozen=True, slots=True)
-class TuningSettings:
-    """What is searched, and how.
-
-    Attributes:
-        num_trials: Total number of trials, of all processes and earlier calls.
-        num_images: Number of images of train, evenly spread over its sequences.
-        space: Name of the space; None for the objective's default.
-        num_finalists: Number of the best on train that are compared on val.
-        storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
-            output folder.
-    """
-
-    num_trials: int = 200
-    num_images: int = 600
-    objective: str = "q"
-    space: str | None = None
-    seed: int = 0
-    num_finalists: int = 10
-    storage: str | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("num_trials", "num_images", "num_finalists"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        space(self.space_name)
-
-    @property
-    def space_name(self) -> str:
-        """The space that is searched."""
-        return self.space or objective(self.objective).space
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +125,8 @@ def tune(
     material = read_material(
         splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
-    plan = StudyPlan(
-        storage=settings.storage or str(out / "study.journal"),
-        name=f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}",
-        num_trials=settings.num_trials,
-        objective=settings.objective,
-        space=settings.space_name,
-        seed=settings.seed,
-    )
+    name = f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}"
+    plan = StudyPlan(settings.storage or str(out / "study.journal"), name, settings)
     started_s = time.monotonic()
     study = open_study(plan)
     prepare(study, plan)
@@ -179,10 +148,10 @@ def _run_trials(
 
     def tell() -> None:
         if progress is not None:
-            progress("trials", num_finished(study), plan.num_trials)
+            progress("trials", num_finished(study), plan.settings.num_trials)
 
     tell()
-    num_workers = min(workers.num_workers, plan.num_trials - num_finished(study))
+    num_workers = min(workers.num_workers, plan.settings.num_trials - num_finished(study))
     items = {f"worker {number}": number for number in range(1, num_workers + 1)}
     paths = (material.frames.path, *([] if "://" in plan.storage else [Path(plan.storage)]))
     for _ in workers.each(functools.partial(_work, plan, material), items, tell, paths=paths):
@@ -210,21 +179,18 @@ def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[Pro
     complete = sorted(
         (trial for trial in trials if trial.state == "COMPLETE"), key=lambda trial: (trial.loss, trial.number)
     )
-    searched = space(settings.space_name)
-    configs = list(dict.fromkeys(searched.config(_clean(trial.parameters)) for trial in complete))
+    rounded = [  # as in `Range.suggest`
+        {name: round(value, 9) if isinstance(value, float) else value for name, value in trial.parameters.items()}
+        for trial in complete
+    ]
+    configs = list(dict.fromkeys(map(settings.searched.config, rounded)))
     best = configs[: settings.num_finalists]
     return best if PAPER in best else [*best, PAPER]
 
 
-def _clean(parameters: Parameters) -> dict[str, bool | int | float]:
-    """The parameters rounded as in `Real.suggest`."""
-    return {name: round(value, 9) if isinstance(value, float) else value for name, value in parameters.items()}
-
-
 def _on_train(configs: list[ProposalConfig], bench: Bench, settings: TuningSettings) -> list[Finalist]:
     measured = {config: list(bench.measure(config))[-1] for config in dict.fromkeys([*configs, PAPER])}
-    loss = objective(settings.objective).loss
-    return [Finalist(config, measured[config], loss(measured[config], measured[PAPER])) for config in configs]
+    return [Finalist(config, measured[config], settings.loss(measured[config], measured[PAPER])) for config in configs]
 
 
 def _on_val(
@@ -235,9 +201,8 @@ def _on_val(
         return sorted(finalists, key=lambda finalist: finalist.train_loss)
     measured = measure_split(val, [finalist.config for finalist in finalists], progress)
     paper = next(found for finalist, found in zip(finalists, measured, strict=True) if finalist.config == PAPER)
-    loss = objective(settings.objective).loss
     rated = [
-        dataclasses.replace(finalist, val=found, val_loss=loss(found, paper))
+        dataclasses.replace(finalist, val=found, val_loss=settings.loss(found, paper))
         for finalist, found in zip(finalists, measured, strict=True)
     ]
     return sorted(rated, key=lambda finalist: (finalist.val_loss, finalist.train_loss))
