@@ -12,6 +12,7 @@ but a doubtful one is left out, since nobody is to be blamed for it.
 
 from __future__ import annotations
 
+import configparser
 import contextlib
 import io
 from collections.abc import Iterable, Mapping
@@ -97,7 +98,11 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
     """
     import trackeval
 
-    lengths = {path.parent.name: _length(path) for path in sorted((folder / "gt").glob("*/seqinfo.ini"))}
+    lengths = {}
+    for path in sorted((folder / "gt").glob("*/seqinfo.ini")):
+        info = configparser.ConfigParser()
+        info.read_string(path.read_text(encoding="utf-8"))
+        lengths[path.parent.name] = info.getint("Sequence", "seqLength")
     if not lengths or not (folder / "trackers" / name / "data").is_dir():
         raise ValueError(f"{folder}: expected the files of export-mot with a tracker {name}, found none")
     settings = {
@@ -178,8 +183,3 @@ def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
         f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"
         f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
     )
-
-
-def _length(info: Path) -> int:
-    fields = dict(line.split("=", 1) for line in info.read_text(encoding="utf-8").splitlines() if "=" in line)
-    return int(fields["seqLength"])

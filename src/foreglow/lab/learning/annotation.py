@@ -7,7 +7,7 @@ import functools
 import itertools
 import math
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -254,7 +254,8 @@ def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceReco
     """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
     if not path.is_file():
         return {}
-    there = validated(_Record, _lists_as_tuples(read_toml(path)), str(path))
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in read_toml(path).items()}
+    there = validated(_Record, fields, str(path))
     if not there.is_made_like(wanted):
         return {}
     finished = {sequence.directory: sequence for sequence in there.sequences}
@@ -266,18 +267,16 @@ def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceReco
 
 
 def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> bool:
+    def changed_ns(*paths: Path) -> int:
+        return max((path.stat().st_mtime_ns for path in paths if path.exists()), default=0)
+
+    keypoints = dataset.root / "labels" / "keypoints"
     return record.num_images == len(sequence.image_ids) and all(
         _box_file(dataset, image_id).exists()
-        and _box_file(dataset, image_id).stat().st_mtime_ns
-        >= max(path.stat().st_mtime_ns for path in _sources(dataset, image_id))
+        and changed_ns(_box_file(dataset, image_id))
+        >= changed_ns(dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
         for image_id in sequence.image_ids
     )
-
-
-def _sources(dataset: PVDN, image_id: int) -> Iterator[Path]:
-    """The existing files that the boxes of an image are made from."""
-    keypoints = dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json"
-    yield from (path for path in (dataset.image_path(image_id), keypoints) if path.exists())
 
 
 def _box_file(dataset: PVDN, image_id: int) -> Path:
@@ -286,8 +285,3 @@ def _box_file(dataset: PVDN, image_id: int) -> Path:
 
 def _toml(record: _Record) -> bytes:
     return tomli_w.dumps(record.model_dump()).encode()
-
-
-def _lists_as_tuples(fields: dict[str, Any]) -> dict[str, Any]:
-    """The fields with TOML's arrays as tuples, which the record's types need."""
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.config import config_to_toml
 from foreglow.display.beam_view import MODES
@@ -325,7 +324,7 @@ def _add_sequences(page: Page, run: RecordedRun) -> None:
         page.figure(Figure(sequence_figure(results, num_columns), _figure_words(results)))
         page.pictures(
             Figure(
-                jpeg(_annotated(frames[moment.result.frame], moment.result), PICTURE_WIDTH_PX, PICTURE_QUALITY),
+                _picture(frames[moment.result.frame], moment.result),
                 f"{moment.time_s:.2f} s, frame {moment.result.frame}: {moment.words}",
             )
             for moment in moments[name]
@@ -338,8 +337,8 @@ def _add_sequences(page: Page, run: RecordedRun) -> None:
         page.text(f"Left out after the first {len(shown)} sequences: {left_out}.")
 
 
-def _annotated(frame: Frame, result: FrameResult) -> NDArray[np.uint8]:
-    return annotate(frame, result, Tone.of(frame.image))
+def _picture(frame: Frame, result: FrameResult) -> bytes:
+    return jpeg(annotate(frame, result, Tone.of(frame.image)), PICTURE_WIDTH_PX, PICTURE_QUALITY)
 
 
 def _figure_words(results: Sequence[FrameResult]) -> str:

@@ -176,8 +176,8 @@ def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, policies: Sequence[s
         style = {"oracle": (0, (1, 1.2))}.get(name, "-")
         alpha = 0.45 if name == "low" else 1.0
         axes.plot(
-            times_s, _positive(lux), color=colour, linewidth=width, linestyle=style, alpha=alpha, label=label,
-            solid_capstyle="butt",
+            times_s, np.where(lux > 0, lux, math.nan), color=colour, linewidth=width, linestyle=style, alpha=alpha,
+            label=label, solid_capstyle="butt",
         )  # fmt: skip
         if name not in ("low", "high"):
             axes.fill_between(times_s, lux, limit_lx, where=lux > limit_lx, color=colour, alpha=0.15, linewidth=0)
@@ -266,11 +266,6 @@ def _dark_areas(drive: GlareDrive, run: PolicyRun, zero_s: float) -> list[Floats
         early, late = time_s - half_s, time_s + half_s
         areas += [np.array([(right, early), (left, early), (left, late), (right, late)]) for right, left in gaps]
     return areas
-
-
-def _positive(lux: Floats) -> Floats:
-    """NaN where there is nothing to draw on a logarithmic axis."""
-    return np.where(lux > 0, lux, math.nan)
 
 
 def _words(name: str) -> str:

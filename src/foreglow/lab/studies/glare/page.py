@@ -64,9 +64,12 @@ def write_report(
     names = [policy.name for policy in results.policies]
     if own_policy(results) in names:
         page.items(summary_lines(results))
-    for heading, remark, table in (*_tables(results, others), *_occurrence(leads)):
+    for heading, remark, table in _tables(results, others):
         page.section(heading, remark)
         page.table(table)
+    if leads:
+        page.section("Occurrence point", REMARK)
+        page.table(occurrence_table(leads))
     page.section("All drives")
     for figure in _figures(results):
         page.figure(figure)
@@ -279,11 +282,6 @@ def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[t
         _table(_dimming_columns(lambda policy: policy.between), policies),
     )
     yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
-
-
-def _occurrence(leads: Sequence[LeadScore]) -> Iterator[tuple[str, str, Table]]:
-    if leads:
-        yield "Occurrence point", REMARK, occurrence_table(leads)
 
 
 def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:
