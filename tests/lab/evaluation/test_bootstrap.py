@@ -24,12 +24,12 @@ from tests.lab.evaluation.scored_boxes import random_case
 @pytest.mark.parametrize("threshold", [0.0, 0.45, 0.9])
 def test_counts_of_scenes_add_up_to_the_metrics(threshold: float) -> None:
     points, predictions = random_case(2)
-    counts = scene_counts(match_boxes(points, predictions), {one: one % 5 for one in points}, threshold)
+    counts = scene_counts(match_boxes(points, predictions), {image_id: image_id % 5 for image_id in points}, threshold)
     quality = evaluate_boxes(points, predictions, threshold)
     assert counts.shape == (5, 3)
     assert counts.sum(axis=0).tolist() == [quality.tp, quality.fp, quality.fn]
     assert math.isclose(float(f1(counts.sum(axis=0))), quality.f1)
-    own = {one: points[one] for one in points if one % 5 == 3}
+    own = {image_id: points[image_id] for image_id in points if image_id % 5 == 3}
     alone = evaluate_boxes(own, predictions, threshold)
     assert counts[3].tolist() == [alone.tp, alone.fp, alone.fn]
 

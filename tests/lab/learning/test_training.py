@@ -16,7 +16,8 @@ from foreglow.lab.learning.batches import epoch_indices, is_direct, sample_weigh
 from foreglow.lab.learning.recipes import Recipe, changed
 from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.scores import direct_accuracy
-from foreglow.lab.learning.training import Epoch, TrainingResult, train
+from foreglow.lab.learning.training import TrainingResult, train
+from foreglow.lab.learning.training_progress import Epoch
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]

@@ -88,7 +88,7 @@ def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[s
     """
     graph = Graph()
     name = "crops"
-    body = list(network.body)
+    body: list[Any] = list(network.body)
     for convolution, norm in zip(body[0::3], body[1::3], strict=True):  # a ReLU follows each
         scale = _array(norm.weight) / np.sqrt(_array(norm.running_var) + norm.eps)
         weight = _array(convolution.weight) * scale[:, None, None, None]

@@ -59,7 +59,7 @@ def test_all_images_in_order_with_a_reset_at_each_sequence(dataset: PVDN) -> Non
     first, second = sorted(IDS["S00001"]), sorted(IDS["S00003"])
     assert pipeline.notes == ["reset", *first, "reset", *second]
     assert run.image_ids == dataset.frame_ids == (*first, *second)
-    assert seen == [2 * one for one in run.image_ids]
+    assert seen == [2 * image_id for image_id in run.image_ids]
 
 
 def test_the_same_as_frame_by_frame(dataset: PVDN) -> None:
