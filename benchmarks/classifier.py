@@ -31,7 +31,7 @@ def measure(rounds: int) -> tuple[str, list[Row]]:
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         weights, models = imported_models(Path(folder))
-        classifiers = {name: OnnxClassifier(ClassifierConfig(model=model.path)) for name, model in models.items()}
+        classifiers = {name: OnnxClassifier(ClassifierConfig(model=path)) for name, (path, _) in models.items()}
     for count in NUM_CROPS:
         corners = random.integers(50, 850, (count, 2))
         boxes = np.concatenate([corners, corners + random.integers(10, 60, (count, 2))], axis=1)
@@ -43,7 +43,7 @@ def measure(rounds: int) -> tuple[str, list[Row]]:
         crops = Contender(partial(_native.extract_crops, image, proposals.boxes_xyxy_px, 2, 64), calls=5)
         times = interleaved({"crops": crops, **contenders}, rounds)
         for name in classifiers:
-            row: Row = {"variant": name, "multiply_adds": models[name].num_multiply_adds, "num_crops": count}
+            row: Row = {"variant": name, "multiply_adds": models[name][1].num_multiply_adds, "num_crops": count}
             rows.append(row | times[name].figures() | {"crops_median_ms": times["crops"].median_ms})
     return weights, rows
 

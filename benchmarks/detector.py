@@ -142,8 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         results["weights"], models = imported_models(Path(folder))
         pipelines = {
-            variant: Pipeline(PipelineConfig(classifier=ClassifierConfig(model=model.path)))
-            for variant, model in models.items()
+            variant: Pipeline(PipelineConfig(classifier=ClassifierConfig(model=path)))
+            for variant, (path, _) in models.items()
         }
     pipelines["preset foreglow"] = Pipeline()
     results["detector"] = measure_pipelines(image, pipelines, effort.rounds)

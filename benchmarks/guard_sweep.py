@@ -169,9 +169,9 @@ def _towards(lamps: Lamps, box: Floats, range_m: float, sigma_m: float, count: i
     lights = MOUNT.position_m + rays * ranges_m[:, np.newaxis, np.newaxis]
     points = np.concatenate([lights + np.array([0.0, 0.0, up_m]) for up_m in (0.0, 0.25, 0.5)]).reshape(-1, 3)
     leds, azimuths = [], []
-    for place, lamp in enumerate((lamps.left, lamps.right)):
+    for side, lamp in enumerate((lamps.left, lamps.right)):
         seen = points - lamp.vehicle_from_lamp.position_m
-        leds.append(lamps.intensities_cd(seen / np.linalg.norm(seen, axis=1, keepdims=True))[1][:, place])
+        leds.append(lamps.intensities_cd(seen / np.linalg.norm(seen, axis=1, keepdims=True))[1][:, side])
         azimuths.append(np.arctan2(seen[:, 1], seen[:, 0]))
     return np.stack(leds, 1), np.array([np.min(azimuths), np.max(azimuths)])
 

@@ -9,8 +9,8 @@ import torch
 from benchmarks.synthetic_frames import night_frame
 from foreglow.datasets import open_source
 from foreglow.lab.learning import import_weights
+from foreglow.lab.learning.export import Layers
 from foreglow.lab.learning.networks import ArtifactNetwork
-from foreglow.lab.learning.weights import ImportedModel
 from foreglow.types import Image
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -26,15 +26,12 @@ def benchmark_frame() -> tuple[str, Image]:
     return "generated frame (the real one is not part of the project)", night_frame()
 
 
-def imported_models(folder: Path) -> tuple[str, dict[str, ImportedModel]]:
+def imported_models(folder: Path) -> tuple[str, dict[str, tuple[Path, Layers]]]:
     """What the weights are, and the models of `VARIANTS`, written to `folder`."""
     weights, name = PUBLISHED / "pvdn_weights_pretrained.pt", "published weights"
     if not weights.exists():
         weights, name = folder / "random.pt", "random weights, of which folding can remove little"
         torch.manual_seed(0)
         torch.save(ArtifactNetwork().state_dict(), weights)
-    models = {
-        variant: import_weights(weights, folder / f"{index}.onnx", fold)
-        for index, (variant, fold) in enumerate(VARIANTS.items())
-    }
-    return name, models
+    paths = {variant: folder / f"{index}.onnx" for index, variant in enumerate(VARIANTS)}
+    return name, {variant: (path, import_weights(weights, path, VARIANTS[variant])) for variant, path in paths.items()}

@@ -89,20 +89,20 @@ def measure(contender: Contender, num_frames: int) -> Row:
         except TimeoutError:  # no image gets through
             return {"what": contender.name, "num_lost": num_frames, "num_frames": num_frames}
         answers = network.run(drive(num_frames), speed=contender.speed)
-    latencies = [one.latency_ms(nodes[-1]) for one in answers]
-    came = [one for one in latencies if one is not None]
+    latencies = [answer.latency_ms(nodes[-1]) for answer in answers]
+    came = [latency_ms for latency_ms in latencies if latency_ms is not None]
     parts = {
         node: {
-            part: float(np.median([one.times_ms[node][part] for one in answers if part in one.times_ms.get(node, {})]))
-            for part in next(one.times_ms[node] for one in answers if node in one.times_ms)
+            part: float(np.median([times_ms[part] for times_ms in of_node if part in times_ms]))
+            for part in next(times_ms for times_ms in of_node if times_ms)
         }
-        for node in nodes
+        for node, of_node in ((node, [answer.times_ms.get(node, {}) for answer in answers]) for node in nodes)
     }
     return {
         "what": contender.name,
         "num_frames": num_frames,
         "num_lost": num_frames - len(came),
-        "sent_ms": float(np.median([one.sent_ms for one in answers])),
+        "sent_ms": float(np.median([answer.sent_ms for answer in answers])),
         "parts_ms": parts,
         **percentiles(came),
     }
@@ -146,10 +146,10 @@ def killing(network: Any, victims: Sequence[str], rows: list[Row]) -> Iterator[F
         yield from itertools.islice(endless, 18)
         known, killed_ns = len(commands), time.time_ns()
         os.kill(network.processes[victim].popen.pid, signal.SIGKILL)
-        while (low := next((one for one in commands[known:] if one.beam.mode == BeamMode.LOW), None)) is None:
+        while (low := next((sent for sent in commands[known:] if sent.beam.mode == BeamMode.LOW), None)) is None:
             yield next(endless)
         known = commands.index(low)
-        while (high := next((one for one in commands[known:] if one.beam.mode != BeamMode.LOW), None)) is None:
+        while (high := next((sent for sent in commands[known:] if sent.beam.mode != BeamMode.LOW), None)) is None:
             yield next(endless)
         row = {"low_beam_ms": (low.received_ns - killed_ns) / 1e6, "high_beam_ms": (high.received_ns - killed_ns) / 1e6}
         rows.append({"killed": victim, "fault": " ".join(low.beam.faults), **row})
@@ -185,7 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, "ros2", arguments)
     num_frames = 20 if given.quick else 540
     contenders = CONTENDERS[:2] if given.quick else CONTENDERS
-    rows = [apart(in_process, num_frames), *(apart(measure, one, num_frames) for one in contenders)]
+    rows = [apart(in_process, num_frames), *(apart(measure, contender, num_frames) for contender in contenders)]
     CONSOLE.print(network_table(rows))
     killed = [] if given.quick else apart(reactions, 5)
     CONSOLE.print(reaction_table(killed))

@@ -50,7 +50,7 @@ def write_split(root: Path, num_frames: int) -> Path:
     images = [night_frame(seed, range_m=60.0 + 10.0 * seed) for seed in range(2)]
     with PVDNWriter(root) as writer:
         for number in range(1, NUM_SEQUENCES + 1):
-            frames = (Frame(images[place % 2], 0, 1000 * number + place) for place in range(num_frames))
+            frames = (Frame(images[index % 2], 0, 1000 * number + index) for index in range(num_frames))
             writer.add_sequence(PVDNSequence.plain(number), [LabelledImage(frame) for frame in frames])
     return root
 
@@ -64,8 +64,8 @@ def measured(workers: dict[str, Workers], out: Path, split: Path, rounds: int) -
     times = interleaved({name: Contender(functools.partial(run, by), 1) for name, by in workers.items()}, rounds, 0)
     alone = times["this process"]
     return [
-        {"workers": name, "median_ms": one.median_ms, "speed_up": one.speed_up_over(alone)}
-        for name, one in times.items()
+        {"workers": name, "median_ms": timing.median_ms, "speed_up": timing.speed_up_over(alone)}
+        for name, timing in times.items()
     ]
 
 

@@ -49,7 +49,7 @@ def _tile(scene: Scene, cycle: str, name: str) -> Picture:
 def _taken_apart(scene: Scene) -> Picture:
     """The first frame in which light is seen of a car that is not, with and without that light."""
     alone = scene.model_copy(update={"vehicles": ()})
-    shown = next(one for one in drive_frames(adapted(scene, SIZE_PX, 18.0, "day")) if _is_hidden(one))
+    shown = next(known for known in drive_frames(adapted(scene, SIZE_PX, 18.0, "day")) if _is_hidden(known))
     time_s = shown.frame.timestamp_ns / 1e9
     empty = _frame(alone, "day", time_s).frame.image
     added = np.clip(5.0 * (shown.frame.image.astype(float) - empty), 0, 255).astype(np.uint8)
@@ -72,9 +72,9 @@ def _brightened(grey: NDArray[np.integer], gain: float) -> Picture:
     return np.clip(gain * (grey.astype(np.float64) - BLACK_GREY), 0, 255).astype(np.uint8)
 
 
-def _is_hidden(one: DriveFrame) -> bool:
-    marks = [artifact for vehicle in one.vehicles for artifact in vehicle.artifacts if not artifact.is_doubtful]
-    return len(marks) > 0 and not any(artifact.is_direct for artifact in marks) and one.frame.timestamp_ns > 1e9
+def _is_hidden(known: DriveFrame) -> bool:
+    marks = [artifact for vehicle in known.vehicles for artifact in vehicle.artifacts if not artifact.is_doubtful]
+    return len(marks) > 0 and not any(artifact.is_direct for artifact in marks) and known.frame.timestamp_ns > 1e9
 
 
 def _frame(scene: Scene, cycle: str, time_s: float) -> DriveFrame:

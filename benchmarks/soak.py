@@ -28,7 +28,7 @@ from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import LiveLoop, Paced
-from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
+from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Image
 
 NUM_FRAMES, NUM_QUICK = 200_000, 900
 SETTLED_SHARE = 0.1
@@ -120,7 +120,7 @@ class Again:
 def reduced(frame: Frame, width_px: int) -> Frame:
     """The frame as a smaller imager behind the same lens would give it."""
     height_px = round(frame.image.shape[0] * width_px / frame.image.shape[1])
-    image = cv2.resize(frame.image, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    image: Image = cv2.resize(frame.image, (width_px, height_px), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
     camera = None if frame.camera is None else frame.camera.scaled(width_px, height_px)
     return dataclasses.replace(frame, image=image, camera=camera)
 

@@ -42,7 +42,7 @@ def measure(frames: Sequence[Frame], rate_hz: float, rounds: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(rounds + 1):
             pipeline.reset()
-            results, step_ms = zip(*(_timed(partial(pipeline.step, one)) for one in frames), strict=True)
+            results, step_ms = zip(*(_timed(partial(pipeline.step, frame)) for frame in frames), strict=True)
             samples[STEP].append(list(step_ms))
             for name, quality in QUALITIES.items():
                 path = Path(folder) / "run.rrd"

@@ -14,13 +14,14 @@ from typing import Any
 import av
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from foreglow.calibration import calibration_to_toml
 from foreglow.cli import app
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.geometry import Camera, Pose
-from foreglow.types import EgoMotion, Image
+from foreglow.types import EgoMotion
 from tests.datasets.bags.bags import images as random_images
 from tests.datasets.bags.bags import make_bag, raw
 from tests.datasets.tiny_pvdn import make_pvdn
@@ -137,7 +138,7 @@ def command(*words: object) -> None:
     app([str(word) for word in words], standalone_mode=False)
 
 
-def write_video(path: Path, codec: str, images: Sequence[Image]) -> None:
+def write_video(path: Path, codec: str, images: Sequence[NDArray[Any]]) -> None:
     with av.open(str(path), "w") as output:
         stream: Any = output.add_stream(codec, rate=18)
         stream.width, stream.height = WIDTH_PX, HEIGHT_PX

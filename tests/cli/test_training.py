@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import pytest
 
 pytest.importorskip("torch")
@@ -162,7 +161,6 @@ def test_the_paper_recipe_exports_its_network(data: Path, tmp_path: Path) -> Non
     """One step of the paper's network: exported in its own layout, calibrated, and checked against torch."""
     recipe = RECIPES["paper"].model_copy(update={"epochs": 1, "max_negatives_per_positive": 1.0})
     proposals = preset("paper").proposals.model_copy(update={"reference_width_px": 160})
-    trained = train_model([data], recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
-    assert trained.summary["num_parameters"] == 942_209
-    assert trained.summary["largest_difference_of_export"] < 1e-4
-    assert np.isfinite(trained.result.val_logits).all()
+    summary = train_model([data], recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
+    assert summary["num_parameters"] == 942_209
+    assert summary["largest_difference_of_export"] < 1e-4

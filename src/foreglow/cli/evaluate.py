@@ -155,7 +155,7 @@ def _table(quality: BoxQuality, title: str) -> Table:
     from rich.table import Table
 
     from foreglow.display.summary_lines import counted
-    from foreglow.lab.reports.numbers import number
+    from foreglow.lab.reports.page import number
 
     condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
     caption = f"{counted(quality.num_images, 'image')}, {condition}"

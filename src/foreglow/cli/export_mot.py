@@ -24,8 +24,7 @@ def export_mot(
     import importlib
 
     from foreglow.datasets import open_labelled
-    from foreglow.lab.evaluation import read_predictions
-    from foreglow.lab.evaluation.tracks import mot
+    from foreglow.lab.evaluation import mot, read_predictions
     from foreglow.runs.frames_file import read_tracks
 
     if score:

@@ -26,8 +26,7 @@ from foreglow.options import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from foreglow.lab.learning.annotate import Annotation
-    from foreglow.lab.learning.training_run import TrainedModel
+    from foreglow.lab.learning.annotation import Annotation
     from foreglow.lab.learning.tuning import Tuning
 
 
@@ -46,7 +45,7 @@ def annotate(
 
     from foreglow.display.progress import StepProgress
     from foreglow.files import write_json_results
-    from foreglow.lab.learning.annotate import annotate_split, splits_to_annotate
+    from foreglow.lab.learning.annotation import annotate_split, splits_to_annotate
 
     workers = work.workers()
     configuration = PipelineOptions(preset=preset, config=config).configuration()
@@ -65,7 +64,7 @@ def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Tab
     """The generated boxes, and how well the positive ones explain the key points: one column per split."""
     from rich.table import Table
 
-    from foreglow.lab.reports.numbers import number
+    from foreglow.lab.reports.page import number
 
     caption = "P, R, F, q: of the positive boxes, the most that a classifier of these boxes can reach"
     table = Table("", title=f"boxes of {parameters}", caption=caption, title_justify="left", caption_justify="left")
@@ -166,7 +165,7 @@ def train(
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
     from foreglow.lab.learning import recipes
-    from foreglow.lab.learning.training_bar import TrainingBar
+    from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.learning.training_run import train_model
     from foreglow.lab.reports.training_curves import draw_training
 
@@ -177,20 +176,19 @@ def train(
     configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
     try:
         with TrainingBar() as progress:
-            trained = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
+            summary = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
     except KeyboardInterrupt:
         typer.echo(f"{out}: the same command continues from the last whole epoch", err=True)
         raise
     finally:  # also for a training that was interrupted
         draw_training(out)
-    typer.echo("\n".join(_training_lines(trained)))
+    typer.echo("\n".join(_training_lines(summary, out)))
 
 
-def _training_lines(trained: TrainedModel) -> list[str]:
+def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
     """What came of a training; the last line says how to use it."""
     from foreglow.display.summary_lines import counted
 
-    summary = trained.summary
     counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
     lines = [
         f"{name}: {counted(counts[name]['positive'], 'box')} with light, {counts[name]['negative']} without, "
@@ -203,9 +201,9 @@ def _training_lines(trained: TrainedModel) -> list[str]:
         f"calibrated with temperature {figures['temperature']:.2f}: calibration error "
         f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
     ]
-    if not (trained.folder / "curves.png").is_file():
+    if not (folder / "curves.png").is_file():
         lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")
-    return [*lines, f"look in {trained.folder}; use it with foreglow run SOURCE --config {trained.folder}/config.toml"]
+    return [*lines, f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml"]
 
 
 @app.command("fit-ranges")
@@ -244,6 +242,6 @@ def import_weights(
     """Turn the published PVDN classifier into an ONNX model for `run --model`."""
     from foreglow.lab.learning import import_weights
 
-    model = import_weights(weights, out, fold)
-    millions = model.num_multiply_adds / 1e6
-    typer.echo(f"wrote {model.path}: {model.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")
+    layers = import_weights(weights, out, fold)
+    millions = layers.num_multiply_adds / 1e6
+    typer.echo(f"wrote {out}: {layers.num_parameters} parameters, {millions:.1f} million multiply-adds a crop")

@@ -59,7 +59,7 @@ def yolo_train(
     config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
     with StepProgress() as progress:
         run = train_yolo(data, out, config, preset_name=preset, progress=progress.of("images exported"))
-    millions, billions = run.num_parameters / 1e6, run.num_multiply_adds / 1e9
+    millions, billions = run.results.num_parameters / 1e6, run.results.num_multiply_adds / 1e9
     typer.echo(f"wrote {run.weights}: {millions:.2f} million parameters, {billions:.2f} billion multiply-adds an image")
 
 

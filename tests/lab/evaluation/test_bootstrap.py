@@ -7,29 +7,29 @@ import math
 import numpy as np
 import pytest
 
+from foreglow.geometry import Floats
 from foreglow.lab.evaluation import evaluate_boxes
 from foreglow.lab.evaluation.bootstrap import (
     f1,
     paired_bootstrap,
     percentile_interval,
-    precision,
     ratio,
-    recall,
     scene_counts,
 )
 from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.evaluation.ratios import ratios
 from tests.lab.evaluation.scored_boxes import random_case
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.45, 0.9])
 def test_counts_of_scenes_add_up_to_the_metrics(threshold: float) -> None:
     points, predictions = random_case(2)
-    counts = scene_counts(match_boxes(points, predictions), {one: one % 5 for one in points}, threshold)
+    counts = scene_counts(match_boxes(points, predictions), {image_id: image_id % 5 for image_id in points}, threshold)
     quality = evaluate_boxes(points, predictions, threshold)
     assert counts.shape == (5, 3)
     assert counts.sum(axis=0).tolist() == [quality.tp, quality.fp, quality.fn]
     assert math.isclose(float(f1(counts.sum(axis=0))), quality.f1)
-    own = {one: points[one] for one in points if one % 5 == 3}
+    own = {image_id: points[image_id] for image_id in points if image_id % 5 == 3}
     alone = evaluate_boxes(own, predictions, threshold)
     assert counts[3].tolist() == [alone.tp, alone.fp, alone.fn]
 
@@ -58,6 +58,14 @@ def test_a_better_one_in_every_scene() -> None:
     back = paired_bootstrap(worse, better, num_resamples=500)
     assert math.isclose(back.mean, -found.mean)
     assert back.probability == 0.0
+
+
+def recall(counts: Floats) -> Floats:
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 2])
+
+
+def precision(counts: Floats) -> Floats:
+    return ratios(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
 def test_the_seed_decides() -> None:

@@ -64,6 +64,6 @@ def test_nothing_expected_is_nan_and_covers_nothing() -> None:
     expectations, shares = Expectations(0.8), [0.0] * 18 + [1.0]
     for _ in shares:
         expectations.add(None)
-    for one in expectations.sightings(moments(shares), 18.0):
-        assert math.isnan(one.error_deg)
-        assert not one.is_covered
+    for sighting in expectations.sightings(moments(shares), 18.0):
+        assert math.isnan(sighting.error_deg)
+        assert not sighting.is_covered

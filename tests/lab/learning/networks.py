@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from foreglow.lab.learning.layers import Layers
+from foreglow.lab.learning.export import Layers
 
 pytest.importorskip("torch")
 

@@ -12,7 +12,7 @@ import pytest
 from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import annotation_quality
-from foreglow.lab.learning.annotate import RECORD_NAME, annotate_split, splits_to_annotate
+from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
 from tests.cli.commands import complaint, foreglow_command
@@ -83,6 +83,7 @@ def test_boxes_without_light_are_labelled_zero(split: Path) -> None:
     assert labels.labels == (0.0, 0.0)
 
 
+@pytest.mark.process
 def test_processes_change_nothing(split: Path) -> None:
     first = annotate_split(split, PAPER), box_files(split)
     (split / "labels" / RECORD_NAME).unlink()

@@ -13,9 +13,8 @@ pytest.importorskip("onnx")
 
 import torch
 
-from foreglow.lab.learning.export import build_onnx, phase_filters, write_onnx
-from foreglow.lab.learning.layers import layers_from_state
-from foreglow.lab.learning.probes import render_probes
+from foreglow.lab.learning.export import build_onnx, layers_from_state, phase_filters, write_onnx
+from foreglow.lab.learning.folding import render_probes
 from tests.lab.learning.networks import onnx_logits, random_layers, random_network, torch_logits
 
 pytestmark = pytest.mark.torch

@@ -14,11 +14,13 @@ from foreglow.types import Frame, Proposals
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreglow.lab.learning.export_compact import write_compact  # noqa: E402
 from foreglow.lab.learning.model_counts import count_model  # noqa: E402
-from foreglow.lab.learning.model_export import calibrated, write_model  # noqa: E402
+from foreglow.lab.learning.model_export import (  # noqa: E402
+    calibrated,
+    write_model,
+)
 from foreglow.lab.learning.networks import CompactNetwork  # noqa: E402
-from foreglow.lab.learning.score_calibrator import Calibrator  # noqa: E402
+from foreglow.lab.learning.scores import Calibrator  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
@@ -40,7 +42,7 @@ def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
     import onnxruntime as ort
 
     made = network(num_outputs=num_outputs)
-    write_compact(made, SPEC, tmp_path / "model.onnx", {})
+    write_model(made, SPEC, tmp_path / "model.onnx", {})
     crops, features = torch.rand(9, 2, 32, 32), torch.rand(9, SPEC.num_features)
     with torch.no_grad():
         wanted = made(crops, features).numpy()
@@ -51,7 +53,7 @@ def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
 
 
 def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:
-    write_compact(network(), SPEC, tmp_path / "model.onnx", {"recipe": "test"})
+    write_model(network(), SPEC, tmp_path / "model.onnx", {"recipe": "test"})
     classifier = OnnxClassifier(ClassifierConfig(model=tmp_path / "model.onnx"))
     assert classifier.spec == SPEC
     random = np.random.default_rng(0)
@@ -77,21 +79,21 @@ def test_the_second_output_says_what_is_direct(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[1].direct_probabilities, found[0].direct_probabilities, atol=1e-6)
     logits = [np.log(detections.scores) - np.log1p(-detections.scores) for detections in found]
     np.testing.assert_allclose(logits[1], logits[0] / 2 + 1, atol=1e-5)
-    write_compact(network(), SPEC, tmp_path / "one.onnx", {})
+    write_model(network(), SPEC, tmp_path / "one.onnx", {})
     first = OnnxClassifier(ClassifierConfig(model=tmp_path / "one.onnx")).classify(frame, boxes)
     assert np.isnan(first.direct_probabilities).all()
 
 
 def test_equal_networks_give_equal_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_compact(network(3), SPEC, tmp_path / f"{name}.onnx", {"seed": "3"})
+        write_model(network(3), SPEC, tmp_path / f"{name}.onnx", {"seed": "3"})
     assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
 
 
 def test_within_the_budget_of_one_core(tmp_path: Path) -> None:
     made = network()
     assert sum(weights.numel() for weights in made.parameters()) <= 60_000
-    write_compact(made, SPEC, tmp_path / "model.onnx", {})
+    write_model(made, SPEC, tmp_path / "model.onnx", {})
     counts = count_model(tmp_path / "model.onnx")
     assert counts.num_parameters <= 60_000
     assert counts.num_multiply_adds <= 10_000_000

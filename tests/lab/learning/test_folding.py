@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 pytest.importorskip("torch")
 
-from foreglow.lab.learning.folding import bound_effects, fold_constant_channels
-from foreglow.lab.learning.layers import Layers
-from foreglow.lab.learning.probes import render_probes
+from foreglow.lab.learning.export import Layers
+from foreglow.lab.learning.folding import bound_effects, fold_constant_channels, render_probes
 from tests.lab.learning.networks import random_layers, torch_logits
 
 pytestmark = pytest.mark.torch

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from foreglow.lab.learning.batches import learning_rate, num_plateaus
 from foreglow.lab.learning.recipes import RECIPES, Recipe, changed, read_recipe, recipe, recipe_to_toml
-from foreglow.lab.learning.schedules import learning_rate, num_plateaus
 
 
 @pytest.mark.parametrize("name", RECIPES)

@@ -20,9 +20,10 @@ from foreglow.lab.learning.samples import (
     SampleConfig,
     Samples,
     box_groups,
-    collect_samples,
     jittered,
+    joined,
     no_samples,
+    samples_by_image,
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
@@ -64,6 +65,10 @@ def test_samples_are_what_the_pipeline_would_classify(data: Path) -> None:
         x1, y1, x2, y2 = boxes.T
         assert (own.labels == 1).tolist() == ((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).tolist()
         assert set(own.sequence_ids.tolist()) == {dataset.sequence(image_id).id}
+
+
+def collect_samples(dataset: PVDN, config: SampleConfig) -> Samples:
+    return joined([no_samples(config.inputs), *samples_by_image(dataset, config)])
 
 
 def test_doubtful_light_is_marked(own: PVDN) -> None:

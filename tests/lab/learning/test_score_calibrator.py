@@ -7,8 +7,7 @@ import pytest
 from scipy.special import expit
 
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
-from foreglow.lab.learning.score_calibrator import Calibrator, fit_calibrator
-from foreglow.lab.learning.scores import BoxScores, box_scores
+from foreglow.lab.learning.scores import BoxScores, Calibrator, box_scores, fit_calibrator
 
 
 def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,29 +22,32 @@ import torch
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.lab.learning import import_weights
-from foreglow.lab.learning.probes import render_probes
-from foreglow.lab.learning.weights import ImportedModel
+from foreglow.lab.learning.export import Layers
+from foreglow.lab.learning.folding import render_probes
 from foreglow.types import Frame, Proposals
 from tests.lab.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
+
+Published: TypeAlias = dict[float | None, tuple[Path, Layers]]
 
 pytestmark = pytest.mark.torch
 
 
 @pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> dict[float | None, ImportedModel]:
+def published(tmp_path_factory: pytest.TempPathFactory) -> Published:
     """The published model by the tolerance of its folding."""
     weights, folder = shared_file("data/pvdn_weights_pretrained.pt"), tmp_path_factory.mktemp("models")
-    return {fold: import_weights(weights, folder / f"{fold}.onnx", fold) for fold in (None, 0.0, 1e-3)}
+    paths = {fold: folder / f"{fold}.onnx" for fold in (None, 0.0, 1e-3)}
+    return {fold: (path, import_weights(weights, path, fold)) for fold, path in paths.items()}
 
 
 @pytest.mark.parametrize(("fold", "tolerance"), [(None, 1e-3), (0.0, 1e-3), (1e-3, 5e-3)])
-def test_published_scores(published: dict[float | None, ImportedModel], fold: float | None, tolerance: float) -> None:
+def test_published_scores(published: Published, fold: float | None, tolerance: float) -> None:
     image: Any = cv2.imread(str(shared_file("data/pvdn_frame_047433.png")), cv2.IMREAD_GRAYSCALE)
-    imported = published[fold]
+    path, layers = published[fold]
     if fold:
-        assert imported.num_multiply_adds < 10e6
-    classifier = OnnxClassifier(ClassifierConfig(model=imported.path))
+        assert layers.num_multiply_adds < 10e6
+    classifier = OnnxClassifier(ClassifierConfig(model=path))
     for name in ("optimised", "baseline"):
         golden = json.loads(shared_file(f"reference/golden/{name}_scores.json").read_text())
         detections = classifier.classify(Frame(image, 0), Proposals(np.array(golden["boxes"], np.int32)))
@@ -53,10 +56,10 @@ def test_published_scores(published: dict[float | None, ImportedModel], fold: fl
         np.testing.assert_array_equal(detections.is_accepted, expected > 0.5)
 
 
-def test_folding_holds_beyond_its_own_probes(published: dict[float | None, ImportedModel]) -> None:
+def test_folding_holds_beyond_its_own_probes(published: Published) -> None:
     """Crops from another seed than those that folding tried."""
     crops = render_probes(64, 64, seed=12345)
-    logits = [onnx_logits(published[fold].path.read_bytes(), crops).astype(np.float64) for fold in (None, 1e-3)]
+    logits = [onnx_logits(published[fold][0].read_bytes(), crops).astype(np.float64) for fold in (None, 1e-3)]
     scores = [1 / (1 + np.exp(-values)) for values in logits]
     change = np.abs(scores[1] - scores[0])
     assert np.quantile(change, 0.9) < 1e-3
@@ -77,13 +80,13 @@ def save(path: Path, **changes: Any) -> Path:
 
 def test_metadata_and_figures(tmp_path: Path) -> None:
     weights = save(tmp_path / "weights.pt")
-    imported = import_weights(weights, tmp_path / "model.onnx")
-    properties = {entry.key: entry.value for entry in onnx.load(imported.path).metadata_props}
+    layers = import_weights(weights, tmp_path / "model.onnx")
+    properties = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}
     assert properties["source_sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
     assert properties["fold_tolerance"] == "none"
     assert properties["foreglow_version"]
-    assert imported.num_multiply_adds == 195_371_584
-    assert imported.num_parameters == 941_761
+    assert layers.num_multiply_adds == 195_371_584
+    assert layers.num_parameters == 941_761
 
 
 @pytest.mark.parametrize(

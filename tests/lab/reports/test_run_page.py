@@ -56,12 +56,16 @@ class Page(html.parser.HTMLParser):
     def pictures(self, kind: str) -> list[np.ndarray]:
         """All embedded ones of a kind, decoded."""
         start = f"data:image/{kind};base64,"
-        found = [base64.b64decode(one.removeprefix(start)) for one in self.references if one.startswith(start)]
+        found = [
+            base64.b64decode(reference.removeprefix(start))
+            for reference in self.references
+            if reference.startswith(start)
+        ]
         return [np.asarray(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)) for one in found]
 
 
 def check_self_contained(page: Page, path: Path) -> None:
-    assert all(one.startswith("data:image/") for one in page.references)
+    assert all(reference.startswith("data:image/") for reference in page.references)
     plain = re.sub(r"data:image/[^\"]*", "", path.read_text())
     assert not re.search(r"url\(|@import|https?://|<script|<link", plain)
 
@@ -82,7 +86,7 @@ def test_a_made_up_run(tmp_path: Path) -> None:
 def test_a_run_of_proposals_alone(tmp_path: Path) -> None:
     frames = [Frame(night_image(k), 50_000_000 * k, k) for k in range(3)]
     path = write_report(
-        write_run(tmp_path, [(one, result_of(one, [(1, 2, 9, 9)])) for one in frames]), tmp_path / "x.html"
+        write_run(tmp_path, [(frame, result_of(frame, [(1, 2, 9, 9)])) for frame in frames]), tmp_path / "x.html"
     )
     page = Page(path)
     assert "Over time" in page.text
@@ -97,7 +101,7 @@ def test_a_live_run(tmp_path: Path) -> None:
     counts = {"num_dropped": 7, "num_late": 2, "num_unrecorded": 0, "sink_errors": []}
     live = {**counts, "fault_counts": {"camera_gone": 1, "bus_failed": 1}, "faults": events}
     page = Page(write_report(write_run(tmp_path, [made_up(1)], live=live)))
-    cells = [one.strip() for one in page.texts]
+    cells = [text.strip() for text in page.texts]
     row = cells.index("camera gone")
     assert cells[row : row + 4] == ["camera gone", "2.00", "0.50", "no frame <for> 0.2 s"]
     assert cells[cells.index("bus failed") + 2] == "–"
@@ -114,7 +118,7 @@ def test_only_so_many_sequences_have_a_section(tmp_path: Path, monkeypatch: pyte
 
 def test_key_moments() -> None:
     results = [made_up(number, faults=("x",) if number < 3 else ())[1] for number in range(1, 5)]
-    moments = [(one.words, one.result.frame, one.time_s) for one in key_moments(results)]
+    moments = [(key_moment.words, key_moment.result.frame, key_moment.time_s) for key_moment in key_moments(results)]
     assert moments[:3] == [
         ("first light artifact", 1, 0.0),
         ("first confirmed track", 1, 0.0),
@@ -138,7 +142,7 @@ def test_the_drive_that_ships(shipped: Path) -> None:
     assert result.stdout == f"look in {path}\n"
     page = Page(path)
     check_self_contained(page, path)
-    assert [one.shape[1] for one in page.pictures("jpeg")] == [960] * 4
+    assert [picture.shape[1] for picture in page.pictures("jpeg")] == [960] * 4
     assert "first dark gap" in page.text
     assert path.stat().st_size < 2e6
     again = shipped / "again.html"

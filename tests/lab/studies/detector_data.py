@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.lab.learning.layers import Layers
+from foreglow.lab.learning.export import Layers
 from tests.lab.learning.networks import random_layers
 from tests.lab.learning.yolo.night_data import make_night_data
 

@@ -28,15 +28,11 @@ class Difference:
     """The figure of a less that of b, on the same scenes.
 
     Attributes:
-        a: The figure of a over all scenes.
-        b: That of b.
         mean: Mean difference over the resamples.
         low: 2.5th percentile.
         high: 97.5th percentile.
         probability: Share of the resamples in which a is at least as high as b.
-        num_scenes: Scenes.
         num_resamples: Resamples in which both figures are defined.
-        seed: Of the resamples.
     """
 
     a: float
@@ -65,16 +61,6 @@ def f1(counts: Counts) -> NDArray[np.float64]:
     return ratios(tp, tp + 0.5 * (fp + fn))
 
 
-def recall(counts: Counts) -> NDArray[np.float64]:
-    """Recall: tp / (tp + fn)."""
-    return ratios(counts[..., 0], counts[..., 0] + counts[..., 2])
-
-
-def precision(counts: Counts) -> NDArray[np.float64]:
-    """Precision: tp / (tp + fp)."""
-    return ratios(counts[..., 0], counts[..., 0] + counts[..., 1])
-
-
 def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of two columns, the first over the second; NaN where that is 0.
 
@@ -85,13 +71,7 @@ def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def scene_counts(matches: Matches, sequence_of: Mapping[int, int], threshold: float) -> Counts:
-    """Shape (S, 3): tp, fp and fn of each scene as `evaluate_boxes` counts them, scenes in the order of their ids.
-
-    Args:
-        matches: Keypoints and boxes of all images, those without either too.
-        sequence_of: By image id, its scene.
-        threshold: A box counts if its score is above.
-    """
+    """Shape (S, 3): tp, fp and fn of each scene as `evaluate_boxes` counts them, scenes in the order of their ids."""
     sequences = np.array([sequence_of[image_id] for image_id in matches.image_ids], np.int64)
     scenes, scene_of_image = np.unique(sequences, return_inverse=True)
     scene_of_point = scene_of_image[matches.image_of_point]

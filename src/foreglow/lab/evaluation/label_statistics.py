@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-import numpy as np
 from pydantic import Field, RootModel
 
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
+from foreglow.lab.evaluation.ratios import percentiles, ratio
 
 Point: TypeAlias = tuple[float, float]
 
@@ -27,7 +27,6 @@ class LabelledImage:
     """The labels of an image.
 
     Attributes:
-        num_vehicles: Annotated vehicles.
         direct: Lamps, positions x, y as shares of the image's width and height.
         indirect: Their indirect light, likewise.
     """
@@ -49,10 +48,7 @@ class Spread:
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
         """That of `values`, linear in between."""
-        if not len(values):
-            return cls(0, math.nan, math.nan, math.nan)
-        lower, median, upper = np.percentile(np.asarray(values, np.float64), (25, 50, 75)).tolist()
-        return cls(len(values), lower, median, upper)
+        return cls(len(values), *percentiles(values, (25, 50, 75)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +58,11 @@ class LabelStatistics:
     Hidden images have indirect instances only, images in sight have a direct instance.
 
     Attributes:
-        num_sequences: Sequences.
-        num_images: Images.
         num_instances: Direct and indirect instances.
         share_without_vehicle: Images without any vehicle.
         instances_per_image: Over all images.
         share_direct: Share of direct instances.
-        share_hidden: Images that are hidden.
-        share_in_sight: Images that are in sight.
-        indirect_per_hidden_image: Mean.
         share_one_when_hidden: Hidden images with exactly one instance.
-        indirect_per_image_in_sight: Mean.
-        direct_per_image_in_sight: Mean.
         num_indirect_first: Sequences in which an indirect instance comes before the first direct instance.
         num_direct_first: Sequences in which a direct instance comes first, or both come in the same image.
         num_begun: Sequences whose first image already has an instance: their first times are unknown, and they count
@@ -111,9 +100,6 @@ class Comparison:
     """A figure of real and simulated labels.
 
     Attributes:
-        name: Its name.
-        real: Of the real labels.
-        simulated: Of the simulated labels.
         ratio: Simulated over real; NaN where either is undefined, or only the real figure is 0.
         is_close: Whether the ratio is within `MAX_RATIO` both ways.
     """
@@ -146,15 +132,15 @@ def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: floa
         num_sequences=len(drives),
         num_images=len(images),
         num_instances=num_instances,
-        share_without_vehicle=_ratio(sum(image.num_vehicles == 0 for image in images), len(images)),
-        instances_per_image=_ratio(num_instances, len(images)),
-        share_direct=_ratio(len(direct), num_instances),
-        share_hidden=_ratio(len(hidden), len(images)),
-        share_in_sight=_ratio(len(in_sight), len(images)),
-        indirect_per_hidden_image=_ratio(sum(hidden), len(hidden)),
-        share_one_when_hidden=_ratio(hidden.count(1), len(hidden)),
-        indirect_per_image_in_sight=_ratio(sum(len(image.indirect) for image in in_sight), len(in_sight)),
-        direct_per_image_in_sight=_ratio(len(direct), len(in_sight)),
+        share_without_vehicle=ratio(sum(image.num_vehicles == 0 for image in images), len(images)),
+        instances_per_image=ratio(num_instances, len(images)),
+        share_direct=ratio(len(direct), num_instances),
+        share_hidden=ratio(len(hidden), len(images)),
+        share_in_sight=ratio(len(in_sight), len(images)),
+        indirect_per_hidden_image=ratio(sum(hidden), len(hidden)),
+        share_one_when_hidden=ratio(hidden.count(1), len(hidden)),
+        indirect_per_image_in_sight=ratio(sum(len(image.indirect) for image in in_sight), len(in_sight)),
+        direct_per_image_in_sight=ratio(len(direct), len(in_sight)),
         num_indirect_first=sum(lead > 0 for lead in leads),
         num_direct_first=sum(lead <= 0 for lead in leads),
         num_begun=len(begun),
@@ -169,8 +155,11 @@ def label_statistics(sequences: Iterable[Sequence[LabelledImage]], rate_hz: floa
 
 def compare_labels(real: LabelStatistics, simulated: LabelStatistics) -> tuple[Comparison, ...]:
     """Every figure that does not depend on the number of sequences, of real and simulated labels side by side."""
-    simulated_figures = _figures(simulated)
-    return tuple(_compared(name, value, simulated_figures[name]) for name, value in _figures(real).items())
+    others, rows = _figures(simulated), []
+    for name, value in _figures(real).items():
+        quotient = 1.0 if value == others[name] else ratio(others[name], value)
+        rows.append(Comparison(name, value, others[name], quotient, 1 / MAX_RATIO <= quotient <= MAX_RATIO))
+    return tuple(rows)
 
 
 def labels_of_split(dataset: LabelledSource) -> tuple[tuple[LabelledImage, ...], ...]:
@@ -182,24 +171,14 @@ def labels_of_split(dataset: LabelledSource) -> tuple[tuple[LabelledImage, ...],
     """
     drives: dict[int, list[LabelledImage]] = {}
     for image_id in dataset.frame_ids:
-        record = dataset.image(image_id)
-        vehicles = dataset.annotations(image_id)
-        points = [
-            (
-                instance.is_direct,
-                (instance.position_px[0] / record.width_px, instance.position_px[1] / record.height_px),
-            )
-            for vehicle in vehicles
-            for instance in vehicle.instances
-        ]
-        drives.setdefault(dataset.sequence(image_id).id, []).append(
-            LabelledImage(
-                num_vehicles=len(vehicles),
-                direct=tuple(point for is_direct, point in points if is_direct),
-                indirect=tuple(point for is_direct, point in points if not is_direct),
-            )
-        )
-    return tuple(tuple(images) for images in drives.values())
+        image, vehicles = dataset.image(image_id), dataset.annotations(image_id)
+        points: dict[bool, list[Point]] = {True: [], False: []}
+        for light in (light for vehicle in vehicles for light in vehicle.instances):
+            x, y = light.position_px
+            points[light.is_direct].append((x / image.width_px, y / image.height_px))
+        found = LabelledImage(len(vehicles), tuple(points[True]), tuple(points[False]))
+        drives.setdefault(dataset.sequence(image_id).id, []).append(found)
+    return tuple(map(tuple, drives.values()))
 
 
 class _DigestImage(Record):
@@ -245,18 +224,15 @@ def _lead_frames(drive: Sequence[LabelledImage]) -> float:
 
 
 def _percentiles(name: str, points: Sequence[Point]) -> dict[str, float]:
-    if not points:
-        return {f"{name}_{axis}_p{percent}": math.nan for axis in "xy" for percent in PERCENTILES}
-    values = np.percentile(np.array(points, np.float64), PERCENTILES, axis=0)
+    by_axis = {axis: percentiles([point[column] for point in points], PERCENTILES) for column, axis in enumerate("xy")}
     return {
-        f"{name}_{axis}_p{percent}": float(values[row, column])
-        for column, axis in enumerate("xy")
-        for row, percent in enumerate(PERCENTILES)
+        f"{name}_{axis}_p{percent}": value
+        for axis, values in by_axis.items()
+        for percent, value in zip(PERCENTILES, values, strict=True)
     }
 
 
 def _figures(statistics: LabelStatistics) -> dict[str, float]:
-    """The figures that can be compared, by name."""
     num_known = statistics.num_indirect_first + statistics.num_direct_first
     names = (
         "instances_per_image",
@@ -272,7 +248,7 @@ def _figures(statistics: LabelStatistics) -> dict[str, float]:
     spreads = ("lead_frames", "hidden_frames", "in_sight_frames")
     return {
         **{name: getattr(statistics, name) for name in names},
-        "share_indirect_first": _ratio(statistics.num_indirect_first, num_known),
+        "share_indirect_first": ratio(statistics.num_indirect_first, num_known),
         **{
             f"{name}_{quartile}": getattr(getattr(statistics, name), quartile)
             for name in spreads
@@ -280,12 +256,3 @@ def _figures(statistics: LabelStatistics) -> dict[str, float]:
         },
         **statistics.positions,
     }
-
-
-def _compared(name: str, real: float, simulated: float) -> Comparison:
-    ratio = 1.0 if real == simulated else _ratio(simulated, real)
-    return Comparison(name, real, simulated, ratio, 1 / MAX_RATIO <= ratio <= MAX_RATIO)
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan

@@ -52,9 +52,7 @@ class Moment(NamedTuple):
     """What is known of one frame.
 
     Attributes:
-        time_s: Since the drive began.
         ego_pose: world_from_vehicle.
-        vehicles: The other vehicles.
     """
 
     time_s: float
@@ -67,7 +65,6 @@ class Sighting:
     """What was expected of one hidden vehicle, some time before it came into sight.
 
     Attributes:
-        vehicle_id: The vehicle.
         lead_s: d, the time before its first sight.
         error_deg: Of the direction; NaN where nothing was expected.
         error_s: Of the time; NaN where nothing was expected.
@@ -94,9 +91,7 @@ class LeadScore:
     """All sightings with one lead.
 
     Attributes:
-        lead_s: d, the time before first sight.
         num: Vehicles that were hidden then.
-        num_told: Those of them for which something was expected.
         median_deg: Their median error of the direction; NaN without any, as all that follow.
         near_share: Share of them within `NEAR_DEG`.
         covered_share: Share of them that lay between the gap's borders.

@@ -1,14 +1,33 @@
-"""From keypoints to labelled boxes: which proposals hold a light artifact."""
+"""From key points to labelled boxes: of an image, and of a data set as PVDN's `labels/bounding_boxes/*.json`."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import itertools
+import math
+import uuid
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
-from foreglow.datasets import LabelledSource
+from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_toml, validated
+from foreglow.datasets import PVDN, LabelledSource, split_folder
+from foreglow.datasets.json_files import write_json
+from foreglow.datasets.pvdn import is_split
+from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
+from foreglow.files import to_json, write_atomic
+from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.parallel import Local, Parent, Workers
+from foreglow.proposals import Proposer, make_proposer
 
 Labels: TypeAlias = NDArray[np.int8]
 
@@ -50,3 +69,219 @@ def label_image(dataset: LabelledSource, image_id: int, boxes_xyxy_px: NDArray[A
     """
     doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
     return label_boxes(boxes_xyxy_px, dataset.keypoints_px(image_id), doubtful_px)
+
+
+RECORD_NAME = "bounding_boxes.toml"
+"""File beside the folder of boxes that records the parameters they were made with, and their numbers."""
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Called with the name of the task, how many of its steps are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Annotation:
+    """The generated boxes of one split.
+
+    Attributes:
+        num_positive: Number of boxes with a key point.
+        num_ignored: Number of proposals with doubtful light and no key point, which are left out of the files.
+        quality: How well the positive boxes cover the key points: the upper bound of any classifier on these boxes.
+    """
+
+    root: Path
+    num_images: int
+    num_boxes: int
+    num_positive: int
+    num_ignored: int
+    quality: BoxQuality
+
+    @property
+    def boxes_per_image(self) -> float:
+        """Mean number of boxes per image."""
+        return self.num_boxes / self.num_images if self.num_images else math.nan
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields by name, for JSON."""
+        counts = {name: getattr(self, name) for name in ("num_images", "num_boxes", "num_positive", "num_ignored")}
+        return {
+            "root": str(self.root),
+            **counts,
+            "boxes_per_image": self.boxes_per_image if self.num_images else None,
+            "quality": to_json(self.quality),
+        }
+
+
+class _SequenceRecord(FrozenModel):
+    directory: str
+    num_images: int
+    num_boxes: int
+    num_positive: int
+    num_ignored: int
+
+
+class _Record(FrozenModel):
+    """`labels/bounding_boxes.toml`; a sequence is listed once all its files are written."""
+
+    version: str
+    preset: str
+    is_complete: bool
+    proposals: dict[str, Any]
+    sequences: tuple[_SequenceRecord, ...] = ()
+
+    def is_made_like(self, other: _Record) -> bool:
+        """Whether both give the same boxes; names and progress do not matter."""
+        return (self.version, self.proposals) == (other.version, other.proposals)
+
+
+def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[Path, ...]:
+    """The folders of the named splits of `data`, or of all that exist; `data` itself if it is a split.
+
+    Raises:
+        FileNotFoundError: If there is no such folder or split.
+        ValueError: If a name is unknown, `data` is a single split with another name, or a name fits several folders.
+    """
+    root = Path(data)
+    unknown = [name for name in names if name not in SPLIT_NAMES]
+    if unknown:
+        raise ValueError(f"split: expected one of {', '.join(SPLIT_NAMES)}, got {unknown[0]!r}")
+    if root.is_dir() and is_split(root):
+        if names and names != (root.resolve().name,):
+            raise ValueError(f"{root}: split: expected none, since this is a single split, got {', '.join(names)}")
+        return (root,)
+    if names:
+        return tuple(split_folder(root, name) for name in SPLIT_NAMES if name in names)
+    found = existing_splits(root)
+    if not found:
+        raise FileNotFoundError(f"{root}: expected a split, or a data set with train, val or test")
+    return tuple(found.values())
+
+
+def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:
+    """The folders of those of the named splits of `data` that exist.
+
+    Raises:
+        ValueError: If a name fits several folders.
+    """
+    found: dict[SplitName, Path] = {}
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            found[name] = split_folder(data, name)
+    return found
+
+
+def annotate_split(
+    root: Path | str,
+    config: PipelineConfig,
+    preset: str = "",
+    *,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+) -> Annotation:
+    """Writes the boxes of every image of the split `root`, replacing earlier ones, and rates them.
+
+    A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
+    are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
+    are kept, unless an image or its key points are newer than the boxes.
+
+    Raises:
+        FileNotFoundError: If the split, an image or a label file is missing.
+        ValueError: If one of them is broken.
+        OSError: If a file cannot be written.
+    """
+    dataset = PVDN(root)
+    folder = dataset.root / "labels" / "bounding_boxes"
+    folder.mkdir(parents=True, exist_ok=True)
+    parameters = config.proposals.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
+    parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
+    record = _Record(version=version("foreglow"), preset=preset, is_complete=False, proposals=parameters)
+    path = folder.with_name(RECORD_NAME)
+    done = _kept(dataset, path, record)
+    tell = progress or (lambda task, num_done, num_all: None)  # noqa: ARG005
+    directories = [sequence.directory for sequence in dataset.sequences]
+    todo = {directory: directory for directory in directories if directory not in done}
+    work = functools.partial(_annotate_sequence, dataset.root, config.proposals, uuid.uuid4().hex)
+    made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
+    for directory, finished in itertools.chain([("", None)], made):
+        if finished is not None:
+            done[directory] = finished
+        record = record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
+        write_atomic(path, _toml(record))
+        tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
+    write_atomic(path, _toml(record.model_copy(update={"is_complete": True})))
+    totals = {
+        name: sum(getattr(sequence, name) for sequence in record.sequences)
+        for name in ("num_images", "num_boxes", "num_positive", "num_ignored")
+    }
+    return Annotation(dataset.root, **totals, quality=annotation_quality(dataset.root))
+
+
+def _annotate_sequence(
+    root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
+) -> _SequenceRecord:
+    dataset, proposer = _dataset(root, call), make_proposer(config)
+    counts = []
+    for image_id in dataset.only(directory).frame_ids:
+        if parent.is_stopped:
+            raise KeyboardInterrupt
+        counts.append(_annotate_image(dataset, image_id, proposer))
+    return _SequenceRecord(
+        directory=directory,
+        num_images=len(counts),
+        **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _dataset(root: Path, call: str) -> PVDN:  # noqa: ARG001
+    """The split, read once in each process and for each call, since labels may change between calls."""
+    return PVDN(root)
+
+
+def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[int, int, int]:
+    """Writes the boxes of one image; returns the numbers of boxes, of positive ones, and of those left out."""
+    boxes = proposer.propose(dataset.read(image_id).image).boxes_xyxy_px
+    labels = label_image(dataset, image_id, boxes)
+    is_written = labels != IGNORED
+    kept = labels[is_written]
+    record = BoxLabels(
+        boxes_xyxy_px=tuple(map(tuple, boxes[is_written].tolist())), labels=tuple(kept.astype(float).tolist())
+    )
+    write_json(_box_file(dataset, image_id), record)
+    return len(kept), int(kept.sum()), int(np.count_nonzero(~is_written))
+
+
+def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceRecord]:
+    """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
+    if not path.is_file():
+        return {}
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in read_toml(path).items()}
+    there = validated(_Record, fields, str(path))
+    if not there.is_made_like(wanted):
+        return {}
+    finished = {sequence.directory: sequence for sequence in there.sequences}
+    return {
+        sequence.directory: finished[sequence.directory]
+        for sequence in dataset.sequences
+        if sequence.directory in finished and _is_current(dataset, sequence, finished[sequence.directory])
+    }
+
+
+def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> bool:
+    def changed_ns(*paths: Path) -> int:
+        return max((path.stat().st_mtime_ns for path in paths if path.exists()), default=0)
+
+    keypoints = dataset.root / "labels" / "keypoints"
+    return record.num_images == len(sequence.image_ids) and all(
+        _box_file(dataset, image_id).exists()
+        and changed_ns(_box_file(dataset, image_id))
+        >= changed_ns(dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
+        for image_id in sequence.image_ids
+    )
+
+
+def _box_file(dataset: PVDN, image_id: int) -> Path:
+    return dataset.root / "labels" / "bounding_boxes" / f"{image_id:06d}.json"
+
+
+def _toml(record: _Record) -> bytes:
+    return tomli_w.dumps(record.model_dump()).encode()

@@ -29,11 +29,9 @@ class Checkpoint:
         identity: What must be the same to continue, by name: the recipe's fields and the data's digests.
         network: Weights and buffers as they are trained.
         averaged: Their running mean; empty if the recipe wants none.
-        optimiser: The optimiser's state.
         epochs: One row of figures for each epoch.
         best_epoch: Number of the best epoch, from 1; 0 before the first.
         best: Weights and buffers of the best epoch.
-        num_steps: Number of steps taken.
     """
 
     identity: dict[str, Any]

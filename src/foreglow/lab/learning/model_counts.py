@@ -44,8 +44,10 @@ def count_model(path: Path) -> ModelCounts:
         graph = onnx.shape_inference.infer_shapes(onnx.load(path), data_prop=True).graph
     except (DecodeError, onnx.shape_inference.InferenceError) as error:
         raise ValueError(f"{path}: expected an ONNX model: {str(error).splitlines()[0]}") from error
-    constants = {tensor.name: tensor for tensor in graph.initializer}
-    constants |= {node.output[0]: _value(node) for node in graph.node if node.op_type == "Constant"}
+    constants: dict[str, Any] = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":  # None for a plain number
+            constants[node.output[0]] = next((entry.t for entry in node.attribute if entry.name == "value"), None)
     shapes = {value.name: _shape(value) for value in (*graph.value_info, *graph.output)}
     makers = {node.output[0]: node for node in graph.node}
     multiply_adds = 0
@@ -75,11 +77,6 @@ def _weights(name: str, constants: dict[str, Any], makers: dict[str, Any]) -> An
             return None
         name = maker.input[0]
     return constants[name]
-
-
-def _value(node: Any) -> Any:
-    """The tensor of a `Constant` node; None for a plain number."""
-    return next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
 
 
 def _shape(value: Any) -> tuple[int | None, ...]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -13,8 +15,15 @@ from torch import nn
 
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
+from foreglow.files import write_atomic
+from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
+from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.score_calibrator import Calibrator
+from foreglow.lab.learning.scores import Calibrator
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
+
 
 MAX_DIFFERENCE = 1e-3
 """Largest permitted difference of exported logits from torch's, relative to 1 + their absolute value."""
@@ -37,24 +46,18 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
 
 
 def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes `network` to `path` as ONNX, atomically.
+    """Writes `network`, in evaluation mode, to `path` as ONNX, atomically; its metadata describe its inputs.
 
     Raises:
         ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
-    from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
-
     if isinstance(network, ArtifactNetwork):
-        from foreglow.lab.learning.export import write_onnx
-        from foreglow.lab.learning.layers import layers_from_state
-
         layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})
     elif isinstance(network, CompactNetwork):
-        from foreglow.lab.learning.export_compact import write_compact
-
-        write_compact(network, spec, path, metadata)
+        model = _compact_model(network, spec, metadata)
+        write_atomic(path, model.SerializeToString(deterministic=True))
     else:
         raise ValueError(f"network: expected one of networks.NETWORKS to export, got {type(network).__name__}")
 
@@ -75,3 +78,41 @@ def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]
     if not difference <= MAX_DIFFERENCE:
         raise ValueError(f"{path}: expected the logits of torch to within {MAX_DIFFERENCE:g}, got {difference:.2g}")
     return difference
+
+
+def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[str, str]) -> ModelProto:
+    """`network` as an ONNX model, with its batch normalisation folded into the convolutions: exact up to rounding.
+
+    The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N, 1)
+    or (N, 2).
+    """
+    graph = Graph()
+    name = "crops"
+    body: list[Any] = list(network.body)
+    for convolution, norm in zip(body[0::3], body[1::3], strict=True):  # a ReLU follows each
+        scale = _array(norm.weight) / np.sqrt(_array(norm.running_var) + norm.eps)
+        weight = _array(convolution.weight) * scale[:, None, None, None]
+        bias = _array(norm.bias) - scale * _array(norm.running_mean)
+        side, stride = weight.shape[2], convolution.stride[0]
+        name = graph.node(
+            "Conv",
+            name,
+            graph.constant(weight),
+            graph.constant(bias),
+            kernel_shape=[side, side],
+            strides=[stride, stride],
+            pads=[side // 2] * 4,
+        )
+        name = graph.node("Relu", name)
+    name = graph.node("Concat", graph.node("Flatten", name), "features", axis=1)
+    name = graph.node("Relu", graph.linear(name, _array(network.hidden.weight), _array(network.hidden.bias)))
+    graph.linear(name, _array(network.last.weight), _array(network.last.bias), output="logits")
+    about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
+    if spec.lag_s is not None:
+        about["lag_s"] = repr(spec.lag_s)
+    inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
+    return graph.model(inputs, {"logits": (network.last.out_features,)}, about | dict(metadata))
+
+
+def _array(tensor: Any) -> NDArray[np.float64]:
+    return np.asarray(tensor.detach().cpu().double().numpy())

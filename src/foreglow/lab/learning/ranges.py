@@ -94,12 +94,6 @@ class RangedView:
 def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: Progress | None = None) -> Hypotheses:
     """The model fitted on the train split of `data`, with sigmas scaled on its val split.
 
-    Args:
-        data: A data set of simulated drives.
-        config: Its proposals make the boxes; its distance stage says where pitch and position come from.
-        seed: Seed of the order of images.
-        progress: Called after every image and epoch.
-
     Raises:
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or no light has a box and a known range.
@@ -152,7 +146,6 @@ def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None =
 
 
 def _fitted(start: Hypotheses, views: list[RangedView], seed: int, progress: Progress | None) -> Hypotheses:
-    """`start` with the parameters that minimise (2)."""
     import torch
 
     rng = np.random.default_rng(seed)
@@ -235,7 +228,6 @@ def _as_tensors(numbers: Parameters) -> Parameters:
 
 
 def _tensor_view(view: View) -> View:
-    """The view with arrays as tensors."""
     import torch
 
     boxes = type(view.boxes)(*(torch.as_tensor(column) for column in view.boxes))

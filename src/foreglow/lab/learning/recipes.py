@@ -48,11 +48,9 @@ class Recipe(FrozenModel):
 
     Attributes:
         network: Name of the network, a key of `networks.NETWORKS`.
-        inputs: The network's inputs.
         jitter: Moved and resized copies of the training boxes.
         epochs: Largest number of passes over the training samples.
         patience: Training ends after this many epochs without a better one; None trains all epochs.
-        batch_size: Samples in one step.
         optimiser: `adam` adds the weight decay to the gradient (L2, as published), `adamw` subtracts it from the
             weights.
         learning_rate: At the start, or after the warm-up.
@@ -80,7 +78,6 @@ class Recipe(FrozenModel):
         calibration: `temperature` divides the logits so that the scores of the validation samples are probabilities,
             `platt` also shifts them (which moves the threshold); `none` leaves them.
         precision: `bf16` computes with bfloat16 where that is safe: faster on processors and GPUs that support it.
-        seed: Seed of all random numbers.
 
     Source: Ewecker et al., arXiv 2107.11302, and the published code, for what `RECIPES["paper"]` sets.
     """

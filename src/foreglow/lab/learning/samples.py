@@ -60,7 +60,6 @@ class Jitter(FrozenModel):
         centre: Largest shift of the centre to either side, as a share of the box's width and height.
         min_scale: Smallest factor on width and height, drawn for each.
         max_scale: Largest factor on width and height.
-        seed: Seed of the random numbers.
     """
 
     num_copies: Annotated[int, Field(ge=0, le=16)] = 0
@@ -160,21 +159,6 @@ def joined(parts: Sequence[Samples]) -> Samples:
     has_digests = all(part.digest for part in parts)
     digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
     return Samples(**arrays, digest=digest)
-
-
-def collect_samples(dataset: LabelledSource, config: SampleConfig, progress: Progress | None = None) -> Samples:
-    """All samples of the selected images of `dataset`, in memory.
-
-    For a large split, whose samples should be kept between runs, see `sample_cache.cached_samples`.
-
-    Raises:
-        FileNotFoundError: If an image or a keypoint file is missing.
-        ValueError: If one of them is broken.
-    """
-    parts = list(samples_by_image(dataset, config, progress))
-    if not parts:
-        return no_samples(config.inputs)
-    return joined(parts)
 
 
 def samples_by_image(

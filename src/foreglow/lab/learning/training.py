@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -26,13 +26,20 @@ from foreglow.files import write_atomic
 from foreglow.lab.evaluation.boxes.score_calibration import log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.augmentation import augment
-from foreglow.lab.learning.batches import batches, content_digest, epoch_indices, is_direct, sample_weights
+from foreglow.lab.learning.batches import (
+    batches,
+    content_digest,
+    epoch_indices,
+    is_direct,
+    learning_rate,
+    sample_weights,
+)
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.schedules import learning_rate
 from foreglow.lab.learning.scores import box_scores, direct_accuracy
+from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""
@@ -43,46 +50,14 @@ CURVES = "curves.csv"
 _SCORING_BATCH = 32
 
 
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """Figures of one pass over the training samples.
-
-    Attributes:
-        number: Number of the epoch, from 1.
-        learning_rate: Rate of its last step.
-        train_loss: Mean loss over its augmented samples, during training.
-        val_loss: Loss of the validation samples after it, without augmentation; positives weighted as in training.
-        precision: Precision of the validation boxes at a score of 0.5.
-        recall: Recall of the validation boxes at a score of 0.5.
-        f1: F of the validation boxes at a score of 0.5; NaN without positives.
-        direct_accuracy: Balanced accuracy in separating lamps from their light, over the validation boxes with light,
-            at a probability of 0.5; NaN if that is not trained.
-        seconds: Duration, validation included.
-    """
-
-    number: int
-    learning_rate: float
-    train_loss: float
-    val_loss: float
-    precision: float
-    recall: float
-    f1: float
-    direct_accuracy: float
-    seconds: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingResult:
     """The result of a training.
 
     Attributes:
         network: The network with the weights of the best epoch, on the CPU, in evaluation mode.
-        epochs: All epochs, in order.
-        best: The epoch that was kept.
         val_logits: Shape (N, `Recipe.num_outputs`), float32: uncalibrated logits of all validation samples, including
             ignored ones.
-        num_train: Number of training samples that are not ignored.
-        num_val: Number of validation samples that are not ignored.
         device: Device of the training: `cpu` or `cuda`.
     """
 
@@ -90,21 +65,7 @@ class TrainingResult:
     epochs: tuple[Epoch, ...]
     best: Epoch
     val_logits: NDArray[np.float32]
-    num_train: int
-    num_val: int
     device: str
-
-
-class TrainingProgress(Protocol):
-    """Callbacks for the progress of a training."""
-
-    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """Called when `num_done` of the `num_steps` steps of epoch number `epoch` are done."""
-        ...
-
-    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """Called when `epoch` is done, out of at most `num_epochs`."""
-        ...
 
 
 def train(
@@ -135,7 +96,6 @@ def train(
             another training or a damaged checkpoint, or there is no such device.
     """
     chosen = torch_device(device)
-    is_used = train_samples.labels != IGNORED
     for name, samples in (("train", train_samples), ("val", val_samples)):
         for label, kind in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
             if samples.num_labelled(label) == 0:
@@ -172,8 +132,6 @@ def train(
         epochs=epochs,
         best=epochs[checkpoint.best_epoch - 1],
         val_logits=val_logits,
-        num_train=int(is_used.sum()),
-        num_val=int((val_samples.labels != IGNORED).sum()),
         device=chosen.type,
     )
 
@@ -221,8 +179,6 @@ def curves_csv(epochs: list[dict[str, float]]) -> str:
 
 
 class _Trainer:
-    """Network, running mean and optimiser of a training."""
-
     def __init__(self, recipe: Recipe, samples: Samples, make_network: MakeNetwork, device: torch.device) -> None:
         torch.manual_seed(recipe.seed)
         self._recipe, self._samples, self._device = recipe, samples, device
@@ -252,13 +208,11 @@ class _Trainer:
         return network, averaged, _on_cpu(self._optimiser.state_dict())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restores the state of `checkpoint`."""
         self.network.load_state_dict(checkpoint.network)
         self._averaged = {name: value.to(self._device) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)
 
     def run_epoch(self, checkpoint: Checkpoint, val: Samples, progress: TrainingProgress | None) -> Epoch:
-        """One pass over the training samples, and the validation after it."""
         started = time.perf_counter()
         number = len(checkpoint.epochs) + 1
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
@@ -386,7 +340,6 @@ def _epoch_seed(recipe: Recipe, epoch: int) -> int:
 
 
 def _on_cpu(state: State) -> State:
-    """A copy of an optimiser's state with its tensors on the CPU."""
     moments = {
         key: {name: value.cpu().clone() if isinstance(value, Tensor) else value for name, value in entry.items()}
         for key, entry in state["state"].items()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.util
 import io
-import math
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import expit
@@ -24,50 +23,19 @@ from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
-from foreglow.lab.learning.score_calibrator import Calibrator, fit_calibrator
-from foreglow.lab.learning.scores import box_scores
+from foreglow.lab.learning.scores import Calibrator, box_scores, fit_calibrator
+from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 
 if TYPE_CHECKING:
-    from foreglow.lab.learning.training import Epoch, TrainingResult
+    from foreglow.lab.learning.training import TrainingResult
 
 MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
 """Files that a training writes to its folder, besides `training.CURVES` and the checkpoint."""
 
+LABELS = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
+
 _NUM_COMPARED = 400
-
-
-class RunProgress(Protocol):
-    """Callbacks for the progress of a run: first the samples of both splits, then the training."""
-
-    def samples(self, split: str, num_done: int, num_images: int) -> None:
-        """Called when the samples of `num_done` images of a split are collected."""
-        ...
-
-    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
-        """As `TrainingProgress.step`."""
-        ...
-
-    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
-        """As `TrainingProgress.epoch`."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainedModel:
-    """The result of a run.
-
-    Attributes:
-        folder: Folder with all files.
-        model: The calibrated ONNX model.
-        summary: The content of `summary.json`.
-        result: Network, epochs and validation logits before calibration.
-    """
-
-    folder: Path
-    model: Path
-    summary: dict[str, Any]
-    result: TrainingResult
 
 
 def train_model(
@@ -79,10 +47,10 @@ def train_model(
     device: str = "auto",
     cache: Path | None = None,
     progress: RunProgress | None = None,
-) -> TrainedModel:
+) -> dict[str, Any]:
     """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
-    An interrupted run continues when it is called again with the same arguments.
+    An interrupted run continues when it is called again with the same arguments. Returns what `summary.json` holds.
 
     Args:
         data: One or more data sets with the splits train and val.
@@ -101,7 +69,6 @@ def train_model(
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
-    from foreglow.lab.learning.event_files import WithEventFiles, event_files_wanted
     from foreglow.lab.learning.training import train
 
     started = time.perf_counter()
@@ -113,32 +80,27 @@ def train_model(
         name: joined([_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
         for name in names
     }
-    reported = WithEventFiles(folder, progress) if event_files_wanted() else progress
+    reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
     result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=reported)
     write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     summary = {
         **provenance(),
         "data": [str(path) for path in data],
         **finish(recipe, result, samples["val"], folder),
-        "samples": {name: _counts(split) for name, split in samples.items()},
+        "samples": {
+            name: {kind: split.num_labelled(label) for kind, label in LABELS.items()} for name, split in samples.items()
+        },
         "seconds": round(time.perf_counter() - started, 1),
         "recipe": recipe.model_dump(mode="json"),
     }
-    model = folder / MODEL
-    used = config.classifier.model_copy(update={"model": model, "support": recipe.inputs.support})
+    used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
     write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
-    write_json_results(folder / SUMMARY, _without_nan(summary), indent=2)
-    return TrainedModel(folder, model, summary, result)
+    write_json_results(folder / SUMMARY, summary, indent=2)
+    return summary
 
 
 def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
     """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
-
-    Args:
-        recipe: The recipe that it was trained with.
-        result: The result of the training.
-        val: The validation samples, used for the calibration.
-        folder: Folder for both files.
 
     Returns:
         Figures for `summary.json`, by name.
@@ -155,7 +117,8 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     logits, labels = result.val_logits[is_labelled, 0], val.labels[is_labelled]
     calibrator = fit_calibrator(logits, labels, recipe.calibration)
     network = calibrated(result.network, calibrator)
-    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **_as_text(provenance())}
+    made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
+    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
     write_model(network, recipe.inputs, folder / MODEL, about)
     chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
@@ -210,19 +173,3 @@ def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]
         "log_loss": {"before": log_loss(logits, labels), "after": log_loss(after, labels)},
         "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
     }
-
-
-def _counts(samples: Samples) -> dict[str, int]:
-    kinds = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
-    return {name: samples.num_labelled(label) for name, label in kinds.items()}
-
-
-def _as_text(values: dict[str, Any]) -> dict[str, str]:
-    return {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in values.items()}
-
-
-def _without_nan(value: Any) -> Any:
-    """`value` with None instead of NaN and infinity."""
-    if isinstance(value, dict):
-        return {key: _without_nan(part) for key, part in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,28 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.learning.layers import layers_from_state
+from foreglow.lab.learning.export import Layers, layers_from_state, write_onnx
 
 
-@dataclass(frozen=True, slots=True)
-class ImportedModel:
-    """An imported model and its size.
-
-    Attributes:
-        path: The ONNX model.
-        num_channels: Channels of the eight hidden layers, convolutions first.
-        num_parameters: Number of weights and biases, with batch normalisation merged into them.
-        num_multiply_adds: Multiply-adds for one crop.
-    """
-
-    path: Path
-    num_channels: tuple[int, ...]
-    num_parameters: int
-    num_multiply_adds: int
-
-
-def import_weights(weights: Path, out: Path, fold: float | None = None) -> ImportedModel:
-    """Writes the published classifier as an ONNX model that `foreglow.classifier` reads.
+def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layers:
+    """Writes the published classifier as an ONNX model that `foreglow.classifier` reads, and returns its layers.
 
     Args:
         weights: A state dict of `networks.ArtifactNetwork`, as written by `torch.save`.
@@ -54,8 +36,6 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Impor
     if out.is_dir():
         raise ValueError(f"{out}: expected the path of a file to write, got a folder")
     layers = layers_from_state(read_state(weights))
-    from foreglow.lab.learning.export import write_onnx
-
     if fold is not None:
         from foreglow.lab.learning.folding import fold_constant_channels
 
@@ -66,7 +46,7 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Impor
         "source_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
     }
     write_onnx(layers, out, metadata)
-    return ImportedModel(out, layers.num_channels, layers.num_parameters, layers.num_multiply_adds)
+    return layers
 
 
 def read_state(path: Path) -> dict[str, NDArray[Any]]:

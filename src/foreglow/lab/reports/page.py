@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import io
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -13,6 +14,36 @@ from typing import Any
 
 from foreglow.files import to_json, write_atomic, write_json_results
 from foreglow.provenance import provenance
+
+DASH = "–"
+
+
+def number(value: float | None, digits: int = 2, missing: str = DASH) -> str:
+    """`value` with `digits` decimals.
+
+    >>> number(0.125, 2), number(None), number(math.nan, missing="")
+    ('0.12', '–', '')
+    """
+    return missing if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """`value` with its sign and `digits` decimals.
+
+    >>> signed(0.5)
+    '+0.50'
+    """
+    return DASH if math.isnan(value) else f"{value:+.{digits}f}"
+
+
+def percent(value: float) -> str:
+    """A share as whole per cent.
+
+    >>> percent(0.256)
+    '26%'
+    """
+    return DASH if math.isnan(value) else f"{value:.0%}"
+
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #222; --ground: #fff; --line: #ccc; --pale: #f3f4f7; --accent: #b3651a }
@@ -45,7 +76,6 @@ class Table:
     """A table of text.
 
     Attributes:
-        head: Titles of the columns.
         rows: As many cells in each as there are columns, or the first cell and a `Missing`.
     """
 
@@ -90,7 +120,6 @@ class Figure:
 
     Attributes:
         data: A PNG or JPEG file.
-        caption: What it shows.
         file: Name of its file beside the page, without which it can only be part of an HTML page.
     """
 

@@ -15,8 +15,7 @@ import tomli_w
 from foreglow.files import write_atomic, write_json_results
 from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
-from foreglow.lab.reports.numbers import number
-from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.lab.reports.page import Figure, Page, Table, number
 from foreglow.provenance import provenance
 
 SPLITS = ("train", "val", "test")
@@ -61,7 +60,6 @@ def _best_toml(tuning: Tuning) -> str:
 
 
 def _trials(tuning: Tuning) -> Table:
-    """A row for each trial."""
     parameters = SPACES[tuning.settings.space_name].ranges
     measured = ["num_images", "num_boxes", *HEADINGS]
     rows = [
@@ -209,7 +207,6 @@ def _rank(loss: float, trials: Sequence[TrialRecord]) -> float:
 
 
 def _importance_figure(importances: dict[str, float]) -> Any:
-    """A bar a parameter."""
     figure, (axes,) = subplots(1, 5.0, 0.4 * len(importances) + 0.9)
     names = sorted(importances, key=lambda name: importances[name])
     axes.barh(names, [importances[name] for name in names], color=GREY)

@@ -11,8 +11,8 @@ import pytest
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, break_down, evaluate_boxes, match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.breakdown import LightMatches, hidden_curve, threshold_for_empty_images
-from foreglow.lab.evaluation.boxes.first_found import first_found, share_found_ahead
 from foreglow.lab.evaluation.boxes.lights import empty_images, read_lights
+from foreglow.lab.evaluation.vehicles import first_found, share_found_ahead
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.evaluation.scored_boxes import light, predictions_of, split_labels
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foreglow.lab.evaluation.boxes.disturbances import (
+from foreglow.lab.evaluation.boxes.robustness import (
     DISTURBANCES,
     UNDISTURBED,
     Disturbance,

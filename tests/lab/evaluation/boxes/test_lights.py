@@ -83,7 +83,7 @@ def test_doubtful_light_is_no_light_but_no_emptiness(simulated: Path) -> None:
 
 def test_truth_that_does_not_know_an_instance(tmp_path: Path) -> None:
     split = simulate_dataset(tmp_path, [scene(1)], drive, DatasetConfig(split="val")).root
-    image_id = next(one for one in PVDN(split).frame_ids if PVDN(split).annotations(one))
+    image_id = next(frame_id for frame_id in PVDN(split).frame_ids if PVDN(split).annotations(frame_id))
     path = split / "labels" / "keypoints" / f"{image_id:06d}.json"
     edit(path, "annotations", 0, "instances", 0, "iid", value=999)
     with pytest.raises(ValueError, match="expected instance 999 of vehicle"):

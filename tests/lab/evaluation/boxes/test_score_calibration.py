@@ -19,8 +19,8 @@ from foreglow.lab.evaluation.boxes.score_calibration import (
 
 def test_figures_worked_by_hand() -> None:
     found = calibration([0.25, 0.25, 0.75, 0.75], [0, 0, 1, 0], num_bins=2)
-    assert [(one.num, one.mean_score, one.share) for one in found.bins] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
-    assert [(one.num, one.mean_score, one.share) for one in found.tenths] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
+    assert [(part.num, part.mean_score, part.share) for part in found.bins] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
+    assert [(tenth.num, tenth.mean_score, tenth.share) for tenth in found.tenths] == [(2, 0.25, 0.0), (2, 0.75, 0.5)]
     assert found.ece == 0.25
     assert found.brier == (3 * 0.0625 + 0.5625) / 4
     assert math.isclose(found.nll, -(3 * math.log(0.75) + math.log(0.25)) / 4)
@@ -41,9 +41,9 @@ def test_bins_hold_all_boxes_in_order() -> None:
     scores = rng.random(1003)
     bins = reliability(scores, scores > 0.5, 15)
     assert len(bins) == 15
-    assert sum(one.num for one in bins) == 1003
-    assert max(one.num for one in bins) - min(one.num for one in bins) <= 1
-    means = [one.mean_score for one in bins]
+    assert sum(part.num for part in bins) == 1003
+    assert max(part.num for part in bins) - min(part.num for part in bins) <= 1
+    means = [part.mean_score for part in bins]
     assert means == sorted(means)
 
 
@@ -75,7 +75,7 @@ def test_faultless_scores_end_at_the_limit() -> None:
 def test_certainty_stays_finite() -> None:
     found = calibration([0.0, 1.0, 1.0], [0, 1, 0])
     assert math.isfinite(found.nll)
-    assert [(one.num, one.share) for one in found.tenths] == [(1, 0.0), (2, 0.5)]
+    assert [(tenth.num, tenth.share) for tenth in found.tenths] == [(1, 0.0), (2, 0.5)]
     assert np.isfinite(logits_of([0.0, 1.0])).all()
 
 

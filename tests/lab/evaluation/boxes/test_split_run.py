@@ -11,8 +11,7 @@ import pytest
 from foreglow.config import PipelineConfig, ProposalConfig
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import read_split_labels, run_split
-from foreglow.lab.evaluation.boxes.disturbances import UNDISTURBED, blur, gain
-from foreglow.lab.evaluation.boxes.robustness import robustness
+from foreglow.lab.evaluation.boxes.robustness import UNDISTURBED, blur, gain, robustness
 from foreglow.lab.evaluation.boxes.split_run import run_variants
 from foreglow.pipeline import Pipeline
 from foreglow.types import Frame, FrameResult
@@ -60,7 +59,7 @@ def test_all_images_in_order_with_a_reset_at_each_sequence(dataset: PVDN) -> Non
     first, second = sorted(IDS["S00001"]), sorted(IDS["S00003"])
     assert pipeline.notes == ["reset", *first, "reset", *second]
     assert run.image_ids == dataset.frame_ids == (*first, *second)
-    assert seen == [2 * one for one in run.image_ids]
+    assert seen == [2 * image_id for image_id in run.image_ids]
 
 
 def test_the_same_as_frame_by_frame(dataset: PVDN) -> None:

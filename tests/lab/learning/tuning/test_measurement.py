@@ -15,7 +15,6 @@ from foreglow.datasets.images import png
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
 from foreglow.lab.evaluation.boxes.lights import Light
-from foreglow.lab.learning.tuning.frames import stack_frames
 from foreglow.lab.learning.tuning.measurement import (
     NUM_CHUNKS,
     Bench,
@@ -25,6 +24,7 @@ from foreglow.lab.learning.tuning.measurement import (
     interleaved,
     measure_split,
     read_material,
+    stack_frames,
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame, Image
@@ -72,7 +72,7 @@ def test_last_part_is_the_metric_on_all_images(val: PVDN, tmp_path: Path) -> Non
     material = read_material(val, 1000, tmp_path)
     parts = list(Bench(material).measure(PAPER))
     assert len(parts) == NUM_CHUNKS
-    assert [one.num_images for one in parts] == [2, 4, 6, 8, 10, 12, 14, 16]
+    assert [part.num_images for part in parts] == [2, 4, 6, 8, 10, 12, 14, 16]
     boxes = {frame.frame: make_proposer(PAPER).propose(frame.image).boxes_xyxy_px.astype(float) for frame in val}
     predictions = Predictions(boxes, {key: np.ones(len(one)) for key, one in boxes.items()}, is_scored=False)
     assert parts[-1].quality == evaluate_boxes(split_keypoints_px(val), predictions)

@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 
 from foreglow.lab.evaluation import Predictions, evaluate_boxes
+from foreglow.lab.learning.tuning import TuningSettings
 from foreglow.lab.learning.tuning.measurement import Measurement
-from foreglow.lab.learning.tuning.objectives import OBJECTIVES, light_loss, objective, q_loss, q_only_loss, shortfalls
-from foreglow.lab.learning.tuning.spaces import PAPER, SPACES, space
+from foreglow.lab.learning.tuning.objectives import (
+    OBJECTIVES,
+    PAPER,
+    SPACES,
+    light_loss,
+    q_loss,
+    q_only_loss,
+    shortfalls,
+)
 
 EMPTY = evaluate_boxes({1: np.empty((0, 2))}, Predictions({}, {}))
 
@@ -79,10 +87,10 @@ def test_undefined_figures_count_as_met() -> None:
 
 def test_tables_list_what_they_know() -> None:
     with pytest.raises(ValueError, match="objective: expected one of q, q-only, light, got 'f'"):
-        objective("f")
+        TuningSettings(objective="f")
     with pytest.raises(ValueError, match="space: expected one of paper, wide, got 'small'"):
-        space("small")
-    assert {objective.space for objective in OBJECTIVES.values()} <= set(SPACES)
+        TuningSettings(space="small")
+    assert {space for _, space in OBJECTIVES.values()} <= set(SPACES)
 
 
 @pytest.mark.parametrize("name", SPACES)

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 from foreglow.config import read_config
+from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
-from foreglow.lab.learning.tuning.search import _splits
-from foreglow.lab.learning.tuning.spaces import PAPER
+from foreglow.lab.learning.tuning.objectives import PAPER
 from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.torch, pytest.mark.slow]  # Optuna comes with the same extra
 
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 SEED = 3
@@ -110,9 +110,9 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
 
 
 def plan_of(data: Path, out: Path, num_trials: int = 24) -> StudyPlan:
-    material = read_material(dict(_splits(data))["train"], 600, out / "frames")
+    material = read_material(open_labelled(split_folder(data, "train")), 600, out / "frames")
     name = f"q-paper-{NUM_ALL}-{material.digest}"
-    return StudyPlan(str(out / "study.journal"), name, num_trials, "q", "paper", SEED)
+    return StudyPlan(str(out / "study.journal"), name, TuningSettings(num_trials=num_trials, space="paper", seed=SEED))
 
 
 def test_interrupted_trial_is_given_up(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,10 +19,9 @@ import torch
 
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import read_predictions
-from foreglow.lab.learning.yolo import BACKENDS, YoloConfig, export_yolo, predict_yolo, read_yolo_run, train_yolo
-from foreglow.lab.learning.yolo.backends import make_backend
-from foreglow.lab.learning.yolo.interface import MIN_SCORE
-from foreglow.lab.learning.yolo.prediction import detect_in_frame
+from foreglow.lab.learning.yolo import YoloConfig, export_yolo, predict_yolo, read_yolo_run, train_yolo
+from foreglow.lab.learning.yolo.backends import BACKENDS, MIN_SCORE, count_multiply_adds
+from foreglow.lab.learning.yolo.run import detect_in_frame
 from foreglow.runs.predictions import write_predictions
 from foreglow.types import Frame
 from tests.lab.learning.yolo.fakes import BOXES, SCORES, Calls, fake_libreyolo, fake_ultralytics, small_network
@@ -57,10 +56,10 @@ def test_train_and_predict(calls: Calls, data: Path, tmp_path: Path) -> None:
     name = calls.name
     run = train_yolo(data, tmp_path / "run", config(name))
     assert run == read_yolo_run(tmp_path / "run")
-    assert run.boxes == "preset paper"
+    assert run.settings.boxes == "preset paper"
     assert run.weights.name == "best.pt"
-    assert run.num_parameters == 8
-    assert run.num_multiply_adds == 64 * 64 * 6
+    assert run.results.num_parameters == 8
+    assert run.results.num_multiply_adds == 64 * 64 * 6
     (settings,) = calls.trained
     assert Path(settings["data"]) == (tmp_path / "run/dataset/data.yaml").resolve()
     assert settings["epochs"] == 3
@@ -121,7 +120,7 @@ def test_other_settings_need_another_folder(calls: Calls, data: Path, tmp_path: 
 def test_train_on_an_export(calls: Calls, data: Path, tmp_path: Path) -> None:
     export_yolo(data, tmp_path / "export", preset_name="baseline", size_px=96)
     run = train_yolo(tmp_path / "export", tmp_path / "run", config(calls.name))
-    assert (run.boxes, run.export_size_px) == ("preset baseline", 96)
+    assert (run.settings.boxes, run.settings.export_size_px) == ("preset baseline", 96)
     assert calls.trained[0]["imgsz"] == 64
     predict_yolo(run, PVDN(data / "val"))
     assert calls.predicted[-1]["shape"] == (96, 96, 3)
@@ -168,9 +167,7 @@ def test_a_library_that_is_not_installed_is_missed_at_once(
     assert not (tmp_path / "run").exists()
 
 
-def test_unknown_back_end_and_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="backend: expected one of libreyolo, ultralytics, got 'darknet'"):
-        make_backend("darknet")
+def test_unknown_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
     with pytest.raises(ValueError, match="size: expected one of n, s, m, l, x for ultralytics, got 't'"):
         train_yolo(data, tmp_path / "run", config("ultralytics", size="t"))
@@ -212,8 +209,6 @@ def test_predictions_go_to_a_file_and_back(calls: Calls, data: Path, tmp_path: P
 
 
 def test_counting_leaves_the_network_as_it_was() -> None:
-    from foreglow.lab.learning.yolo.interface import count_multiply_adds
-
     network = small_network().train()
     assert count_multiply_adds(network, 32) == 32 * 32 * 6
     assert network.training
@@ -226,7 +221,7 @@ def test_libreyolo_itself(data: Path, tmp_path: Path) -> None:
 
     install()
     run = train_yolo(data, tmp_path / "run", config(size="n", epochs=1, batch=2))
-    assert run.num_parameters == pytest.approx(0.9e6, rel=0.05)  # YOLOX-Nano: 0.91 million with 80 classes
+    assert run.results.num_parameters == pytest.approx(0.9e6, rel=0.05)  # YOLOX-Nano: 0.91 million with 80 classes
     found = predict_yolo(run, PVDN(data / "val"), num_threads=1).predictions
     for boxes in found.boxes_xyxy_px.values():
         assert (boxes >= 0).all()

@@ -9,7 +9,7 @@ import math
 import pytest
 from rich.console import Console
 
-from foreglow.lab.evaluation.boxes.first_found import FirstFound
+from foreglow.lab.evaluation.vehicles import FirstFound
 from foreglow.lab.studies.demo.metrics import Moment, Story
 from foreglow.lab.studies.demo.page import MAX_ROWS, conclusion, gap_line, story_lines, story_table
 from tests.lab.evaluation.scored_boxes import light

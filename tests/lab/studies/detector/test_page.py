@@ -11,9 +11,19 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.lab.studies.detector.figures import FOUND_BGR, MISSED_BGR, Choice, Shown, draw, pictures
-from foreglow.lab.studies.detector.page import hidden_table, kind_table, main_table, write_report
-from foreglow.lab.studies.detector.plan import DetectorPlan
+from foreglow.lab.studies.detector.models import DetectorPlan
+from foreglow.lab.studies.detector.page import (
+    FOUND_BGR,
+    MISSED_BGR,
+    Choice,
+    Shown,
+    draw,
+    hidden_table,
+    kind_table,
+    main_table,
+    pictures,
+    write_report,
+)
 from foreglow.lab.studies.detector.run import RowResult, run_experiment
 from foreglow.types import Frame
 from tests.lab.studies.detector_data import make_data, make_model
@@ -102,8 +112,8 @@ def test_marks_of_lights() -> None:
     frame = Frame(np.full((960, 1280), 20, np.uint8), 0, frame=7, sequence="S00001")
     result = result_of(frame, [[90, 90, 110, 110]], [0.9])
     lights = np.array([[100.0, 100.0], [600.0, 500.0]])
-    choice = Choice("paper", 7, True, 1, 1, 0)
-    picture = draw(Shown(choice, frame, result, lights, np.array([True, False])))
+    choice = Choice(7, True, 0)
+    picture = draw(Shown("paper", choice, frame, result, lights, np.array([True, False])))
     assert picture.shape == (960, 1280, 3)
     assert picture[500, 600].tolist() == list(MISSED_BGR)
     ring = picture[100 - 8 : 100 + 9, 100 - 8 : 100 + 9].reshape(-1, 3)

@@ -14,9 +14,8 @@ from foreglow.config import PRESETS, preset
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
-from foreglow.lab.studies.detector.figures import choose, pictures
-from foreglow.lab.studies.detector.models import missing_reason, split_digest
-from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
+from foreglow.lab.studies.detector.models import ROWS, DetectorPlan, missing_reason, split_digest
+from foreglow.lab.studies.detector.page import choose, pictures
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
@@ -97,7 +96,7 @@ def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Pa
     assert trainings.asked[0]["recipe"].epochs == 7
     assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
     assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
-    assert {(one["row"], one["other"]) for one in results.comparisons} == {
+    assert {(comparison["row"], comparison["other"]) for comparison in results.comparisons} == {
         ("compact", "paper"),
         ("ours", "paper"),
         ("ours", "baseline"),
@@ -217,19 +216,17 @@ def test_best_and_worst_images(tmp_path: Path) -> None:
     dataset = PVDN(make_data(tmp_path / "data") / "test")
     labels = read_split_labels(dataset)
     first, second, empty, *others = dataset.frame_ids
-    points = {one: dataset.keypoints_px(one) for one in dataset.frame_ids}
-    boxes = {one: np.empty((0, 4)) for one in dataset.frame_ids}
+    points = {image_id: dataset.keypoints_px(image_id) for image_id in dataset.frame_ids}
+    boxes = {image_id: np.empty((0, 4)) for image_id in dataset.frame_ids}
     boxes[first] = boxes_around(points[first].tolist())  # found
     boxes[second] = boxes_around([[20.0, 20.0], [60.0, 20.0]])  # missed, and two false ones
     boxes[empty] = boxes_around([[20.0, 20.0]])
-    predictions = Predictions(boxes, {one: np.full(len(its), 0.9) for one, its in boxes.items()})
-    chosen = choose("paper", labels, predictions)
-    assert [(one.image_id, one.is_best) for one in chosen] == [(first, True), (second, False), (others[0], False)]
-    assert (chosen[0].num_found, chosen[0].num_missed, chosen[0].num_false) == (1, 0, 0)
-    assert (chosen[1].num_found, chosen[1].num_missed, chosen[1].num_false) == (0, 1, 2)
+    predictions = Predictions(boxes, {image_id: np.full(len(found), 0.9) for image_id, found in boxes.items()})
+    chosen = choose(labels, predictions)
+    assert chosen == ((first, True, 0), (second, False, 2), (others[0], False, 0))
 
     plan = DetectorPlan(rows=("paper",))
     results = DetectorResults("data", labels, plan, (), {"paper": predictions}, ())
     shown = list(pictures(results, dataset))
-    assert [one.is_found.tolist() for one in shown] == [[True], [False], [False]]
+    assert [picture.is_found.tolist() for picture in shown] == [[True], [False], [False]]
     assert len(shown[1].result.proposals) == 2

@@ -179,11 +179,13 @@ def test_tracks_have_the_ranges_of_their_boxes(data: Path) -> None:
 
 def test_up_to_two_hundred_metres_all_methods_answer_the_same_lights(results: DistanceResults) -> None:
     findings = [one for one in find(results) if one.axis == "reach" and one.light == "all"]
-    numbers = {group: {one.errors.num for one in findings if one.group == group} for group in ("all", COMMON)}
+    numbers = {
+        group: {finding.errors.num for finding in findings if finding.group == group} for group in ("all", COMMON)
+    }
     assert numbers["all"] == {len(results.lights)}  # none is farther
     (common,) = numbers[COMMON]
     assert common <= len(results.lights)
-    assert all(one.errors.missing == 0.0 for one in findings if one.group == COMMON and one.errors.num)
+    assert all(finding.errors.missing == 0.0 for finding in findings if finding.group == COMMON and finding.errors.num)
 
 
 COMMON = "with a range by all methods"

@@ -48,7 +48,7 @@ def frames_of(mask: np.ndarray[Any, np.dtype[np.bool_]]) -> list[int]:
 
 
 def test_phases() -> None:
-    found = phases(drive(), restore_s=2.0)
+    found = phases(drive())
     assert frames_of(found.is_present) == [5, 6, 7, 8, 9]
     assert frames_of(found.is_passed) == list(range(12, 20))
     assert frames_of(found.is_free) == [0, 1, *range(12, 20)]

@@ -21,11 +21,10 @@ from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.lab.studies.glare.light import OurLight, seen_lamps
 from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
-from foreglow.lab.studies.glare.simulate import Setting, settings_of
+from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 
@@ -172,13 +171,13 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pyte
     plan, out = GlarePlan(num_empty=1, quality="fast"), tmp_path / "out"
     told: list[tuple[int, int, int]] = []
     experiment = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
-    assert [one.name for one in experiment.results.policies] == [
+    assert [policy.name for policy in experiment.results.policies] == [
         "low", "high", "production", "paper", "foreglow", "oracle",
     ]  # fmt: skip
     assert len(experiment.results.sensitivity) == len(settings_of(plan.delays))
     drive = read_glare_drive(out / "drives" / "S00001.npz")
     assert drive.times_s[0] >= run_in_s
-    assert {one.is_oncoming for one in drive.eyes} == {True, False}
+    assert {eye.is_oncoming for eye in drive.eyes} == {True, False}
     assert not read_glare_drive(out / "drives" / "S00001-empty.npz").eyes
     assert (drive.eyes[0].illuminance_lx(1.0) > drive.eyes[0].illuminance_lx(0.0)).all()
     told.clear()

@@ -22,11 +22,11 @@ def results() -> GlareResults:
 
 
 def test_rows_come_in_their_order(results: GlareResults) -> None:
-    assert [one.name for one in results.policies] == list(POLICIES)
+    assert [policy.name for policy in results.policies] == list(POLICIES)
     assert results.limits == "FMVSS 108"
     assert results.seconds == pytest.approx(5 * 14.0 + 2 * 10.0)
     renamed = [with_runs(drive, {"b": "paper", "oracle": "oracle", "a": "low"}) for drive in DRIVES]
-    assert [one.name for one in score_glare("x", renamed).policies] == ["oracle", "b", "a"]
+    assert [policy.name for policy in score_glare("x", renamed).policies] == ["oracle", "b", "a"]
     with pytest.raises(ValueError, match=r"expected one of low, high, .*, got 'ours'"):
         results.policy("ours")
 
@@ -67,8 +67,8 @@ def test_bins_add_up(results: GlareResults) -> None:
         for group, is_oncoming in ((policy.oncoming, True), (policy.preceding, False)):
             *bins, everything = group.bins
             assert everything.name == "all"
-            assert math.fsum(one.glare.dose_lxs for one in bins) == pytest.approx(everything.glare.dose_lxs)
-            drives_lxs = math.fsum(one.dose_lxs(is_oncoming=is_oncoming) for one in policy.drives)
+            assert math.fsum(part.glare.dose_lxs for part in bins) == pytest.approx(everything.glare.dose_lxs)
+            drives_lxs = math.fsum(drive.dose_lxs(is_oncoming=is_oncoming) for drive in policy.drives)
             assert drives_lxs == pytest.approx(everything.glare.dose_lxs)
             assert everything.above_share == pytest.approx(everything.glare.above_s / everything.glare.in_sight_s)
     oncoming = results.policy("high").oncoming
@@ -138,8 +138,7 @@ def test_moments() -> None:
 
 
 def test_typical_drives_lie_at_the_quartiles(results: GlareResults) -> None:
-    doses = {one.drive: one.dose_lxs(is_oncoming=True) for one in results.policy("production").drives[:4]}
+    doses = {drive.drive: drive.dose_lxs(is_oncoming=True) for drive in results.policy("production").drives[:4]}
     ordered = sorted(doses, key=lambda name: doses[name])
     assert typical_drives(results) == (ordered[1], ordered[2])  # 0.75, 1.5 and 2.25 of the way
-    assert typical_drives(results, (0.0, 1.0)) == (ordered[0], ordered[3])
     assert typical_drives(score_glare("x", [empty_drive()])) == ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from foreglow.lab.evaluation.occurrence import Sighting
-from foreglow.lab.studies.occurrence.page import report_lines
+from foreglow.lab.studies.occurrence.run import report_lines
 
 
 def test_a_row_for_each_lead() -> None:

@@ -14,9 +14,8 @@ from benchmarks.faulty import live_config
 from foreglow.config import PipelineConfig
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.lab.studies.runtime import run as runtime
-from foreglow.lab.studies.runtime.metrics import COMPLETE, PARTS, NetworkTimes, frames_by_proposals
 from foreglow.lab.studies.runtime.page import summary_lines, write_report
-from foreglow.lab.studies.runtime.run import KINDS, run_experiment
+from foreglow.lab.studies.runtime.run import COMPLETE, KINDS, PARTS, NetworkTimes, frames_by_proposals, run_experiment
 from tests.cli.commands import complaint, foreglow_command, names
 
 pytestmark = pytest.mark.slow

@@ -10,8 +10,7 @@ import pytest
 from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, shipped_drive
 from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
-from foreglow.lab.evaluation.boxes.first_found import first_found
-from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
+from foreglow.lab.evaluation.vehicles import Encounter, first_found, read_encounters
 from foreglow.lab.studies.time_benefit.metrics import detection_times_s, time_benefit
 from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
 from tests.lab.evaluation.scored_boxes import predictions_of

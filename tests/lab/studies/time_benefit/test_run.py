@@ -62,12 +62,12 @@ def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResul
 def test_more_frames_confirm_later_and_less(results: TimeBenefitResults) -> None:
     assert set(results.curves) == set(RULES)
     frames = results.curves["frames"]
-    numbers = [one.false.num_plausible for one in frames if one.false is not None]
-    times = [one.benefit.detected_s[0] for one in frames]
+    numbers = [frame.false.num_plausible for frame in frames if frame.false is not None]
+    times = [frame.benefit.detected_s[0] for frame in frames]
     assert numbers == sorted(numbers, reverse=True)
     assert times == sorted(times)
     assert numbers[0] > numbers[-1]
-    assert any(one.benefit.name == FIVE_FRAMES for one in frames)
+    assert any(frame.benefit.name == FIVE_FRAMES for frame in frames)
 
 
 def method(name: str, num_false: int, delay_s: float) -> Method:
@@ -124,7 +124,7 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     for image_id in (11, 12, 13):
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
     results = run_experiment(PVDN(root), preset("foreglow"))
-    one = next(one for one in results.encounters if one.sequence == "S00003")
+    one = next(encounter for encounter in results.encounters if encounter.sequence == "S00003")
     assert (one.vehicle, one.scenario, one.production_s) == ("vehicle", "", 2 / 18)
     false = results.method("tracker, ours").false
     assert false is not None
@@ -134,6 +134,7 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     write_report(results, tmp_path / "report")
 
 
+@pytest.mark.slow
 def test_a_tracker_of_ones_own_has_a_row() -> None:
     own = TrackerConfig(min_hits=2)
     config = preset("foreglow").model_copy(update={"tracker": own})

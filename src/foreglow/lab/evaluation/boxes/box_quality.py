@@ -40,11 +40,9 @@ class BoxQuality:
         tp: Keypoints in at least one box.
         fp: Boxes without a keypoint.
         fn: Keypoints in no box.
-        num_images: Images with ground truth.
         num_missing: Those of them that the predictions do not mention; they count as without boxes.
         num_unknown: Images of the predictions without ground truth; they are ignored.
         is_scored: False if the boxes had no scores and all of them count.
-        threshold: A box counts if its score is above this.
     """
 
     precision: float
@@ -176,5 +174,4 @@ def split_keypoints_px(dataset: LabelledSource) -> dict[int, NDArray[np.int32]]:
 
 
 def _mean_and_std(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Mean and population standard deviation; NaN of nothing."""
     return (float(values.mean()), float(values.std())) if len(values) else (math.nan, math.nan)

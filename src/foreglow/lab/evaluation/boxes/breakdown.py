@@ -29,7 +29,6 @@ class LightGroup:
 
     Attributes:
         name: Of the group, such as `rail` or `30-60 m`.
-        num: Lights in it.
         recall: Share of them in an accepted box; NaN without lights.
         ceiling: Share of them in any box, whatever its score: what the proposals leave to the classifier.
         f1: 2 P R / (P + R) of this recall and the precision of all boxes.
@@ -47,7 +46,6 @@ class FalseBoxes:
     """The accepted boxes without a keypoint in some images.
 
     Attributes:
-        num_images: The images.
         num: Such boxes, as the metrics of the paper count them.
         num_doubtful: Those of them that hold doubtful light, which is neither right nor wrong to accept.
     """
@@ -81,10 +79,7 @@ class ImageGroup:
     """The figures of some of the images alone, such as those in rain.
 
     Attributes:
-        name: Of the group.
         precision: Of the accepted boxes in these images; NaN without any.
-        lights: Their lights, with an F of this precision.
-        false_boxes: Their false boxes.
     """
 
     name: str
@@ -102,13 +97,9 @@ class Breakdown:
 
     Attributes:
         threshold: A box is accepted if its score is above.
-        precision: Of all accepted boxes.
         whole: All lights together; its `f1` is the F of `evaluate_boxes`.
         groups: By aspect (`kind`, `source`, `sight`, `strength`, `hidden kind`, `distance`), its groups in the order
             of a table; groups without lights are left out.
-        weathers: The images of each weather, by its name.
-        false_boxes: In all images.
-        false_boxes_empty: In images without any vehicle's light.
     """
 
     threshold: float
@@ -160,11 +151,9 @@ class LightMatches:
 
     Attributes:
         lights: All lights, P of them.
-        matches: Which lie in which boxes.
         best_scores: Shape (P,), the highest score of the boxes around each; -inf without any.
         has_doubtful: Shape (B,): whether a box holds doubtful light.
         is_in_empty: Shape (B,): whether a box lies in an image without any vehicle's light.
-        num_empty_images: How many such images there are.
     """
 
     lights: tuple[Light, ...]
@@ -216,13 +205,7 @@ def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
 
 
 def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int, str] | None = None) -> Breakdown:
-    """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted.
-
-    Args:
-        matched: Lights and boxes.
-        threshold: On the scores.
-        weather_of: By image id, its weather; None for no figures by weather.
-    """
+    """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted."""
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & ~matches.has_point
@@ -307,5 +290,4 @@ def _false_boxes(is_false: NDArray[np.bool_], has_doubtful: NDArray[np.bool_], n
 
 
 def _positions(lights: Iterable[Light | Instance]) -> NDArray[np.float64]:
-    """Their positions, shape (K, 2)."""
     return np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)

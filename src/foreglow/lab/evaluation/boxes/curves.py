@@ -64,7 +64,6 @@ class RecallCurve:
     """Recall of some keypoints over false boxes of some images. All arrays have shape (T,).
 
     Attributes:
-        thresholds: Ascending; a box counts if its score is above.
         recall: Share of the keypoints in a box that counts; NaN without keypoints.
         false_boxes_per_frame: NaN without images.
     """

@@ -67,7 +67,6 @@ class VehicleQuality:
     """How well plausible tracks are grouped into vehicles, image by image.
 
     Attributes:
-        num_pairs: Pairs that were made.
         precision: Share of the pairs in which both tracks hold a lamp of the same vehicle; NaN without pairs.
         num_vehicles: Vehicles with two lamps in tracks of their own.
         recall: Share of these vehicles for which such a pair was made; NaN without vehicles.
@@ -101,15 +100,7 @@ def directness(
     tracks: Mapping[int, Tracks] | None = None,
     cameras: Mapping[int, Camera] | None = None,
 ) -> Directness:
-    """All figures of a run.
-
-    Args:
-        labels: Of the split.
-        predictions: The run's boxes.
-        threshold: A box is accepted if its score is above.
-        tracks: By image id, where the run has any.
-        cameras: By sequence id, where they are known.
-    """
+    """All figures of a run."""
     return Directness(
         boxes=directness_of_boxes(labels, predictions, threshold),
         tracks=None if tracks is None else directness_of_tracks(labels, tracks),
@@ -119,38 +110,30 @@ def directness(
 
 def directness_of_boxes(labels: SplitLabels, predictions: Predictions, threshold: float) -> DirectQuality | None:
     """How well the accepted boxes are classified; None where the predictions do not say direct or indirect."""
-    truth, calls = [], []
-    for image_id, probabilities in predictions.direct_probabilities.items():
-        if image_id not in labels.lights:
-            continue
-        is_rated = (predictions.scores[image_id] > threshold) & ~np.isnan(probabilities)
-        truth.append(_sources(labels.lights[image_id], predictions.boxes_xyxy_px[image_id][is_rated]))
-        calls.append(probabilities[is_rated])
-    return _quality(truth, calls)
+    return _quality(
+        labels,
+        {
+            image_id: (predictions.boxes_xyxy_px[image_id], probabilities, predictions.scores[image_id] > threshold)
+            for image_id, probabilities in predictions.direct_probabilities.items()
+        },
+    )
 
 
 def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> DirectQuality | None:
     """How well plausible tracks are classified, by what lies in their boxes, once in each image; None as for boxes."""
-    truth, calls = [], []
-    for image_id, in_image in tracks.items():
-        if image_id not in labels.lights:
-            continue
-        is_rated = in_image.is_plausible & ~np.isnan(in_image.direct_probabilities)
-        truth.append(_sources(labels.lights[image_id], in_image.boxes_xyxy_px[is_rated]))
-        calls.append(in_image.direct_probabilities[is_rated])
-    return _quality(truth, calls)
+    return _quality(
+        labels,
+        {
+            image_id: (found.boxes_xyxy_px, found.direct_probabilities, found.is_plausible)
+            for image_id, found in tracks.items()
+        },
+    )
 
 
 def vehicles_of_tracks(
     labels: SplitLabels, tracks: Mapping[int, Tracks], cameras: Mapping[int, Camera]
 ) -> VehicleQuality | None:
-    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's.
-
-    Args:
-        labels: Of the split.
-        tracks: By image id.
-        cameras: By sequence id; images of other sequences are left out.
-    """
+    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's."""
     num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
     for image_id, in_image in tracks.items():
         camera = cameras.get(labels.sequence_of.get(image_id, -1))
@@ -206,9 +189,17 @@ def _sources(lights: tuple[Light, ...], boxes_xyxy_px: NDArray[np.float64]) -> N
     return sources
 
 
-def _quality(truth: list[NDArray[np.float64]], calls: list[NDArray[np.float64]]) -> DirectQuality | None:
-    """Of sources and probabilities, image by image; None without any box."""
-    is_direct, called = np.concatenate([*truth, []]), np.concatenate([*calls, []]) > 0.5
+def _quality(
+    labels: SplitLabels, found: Mapping[int, tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]]
+) -> DirectQuality | None:
+    """Of boxes, their probabilities and whether they count, by image id; None without any box that is rated."""
+    truth, calls = [np.zeros(0)], [np.zeros(0)]
+    for image_id, (boxes_xyxy_px, probabilities, is_counted) in found.items():
+        if image_id in labels.lights:
+            is_rated = is_counted & ~np.isnan(probabilities)
+            truth.append(_sources(labels.lights[image_id], boxes_xyxy_px[is_rated]))
+            calls.append(probabilities[is_rated])
+    is_direct, called = np.concatenate(truth), np.concatenate(calls) > 0.5
     if not len(called):
         return None
     direct, indirect = called[is_direct == 1], called[is_direct == 0]

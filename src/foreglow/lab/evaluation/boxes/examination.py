@@ -21,9 +21,9 @@ from foreglow.lab.evaluation.boxes.breakdown import (
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
-from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found, share_found_ahead
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
+from foreglow.lab.evaluation.vehicles import FirstFound, first_found, share_found_ahead
 from foreglow.runs.predictions import Predictions
 
 RunTime: TypeAlias = Mapping[str, float | None]
@@ -39,12 +39,7 @@ class OperatingPoint:
     """What a limit on the false boxes in images without any vehicle's light leaves.
 
     Attributes:
-        limit: False boxes a frame.
         threshold: The lowest one that keeps to it.
-        recall_hidden: Recall of hidden vehicles' light there.
-        recall: Recall of all lights there.
-        precision: Of all boxes there.
-        f1: F there.
     """
 
     limit: float
@@ -62,7 +57,6 @@ class Ranking:
     Attributes:
         average_precision: Area under precision over recall.
         best_threshold: The lowest threshold with the highest F.
-        best_f1: That F.
         curve: The metrics at hundredths.
         hidden: Hidden vehicles' recall over false boxes in images without any vehicle's light.
         operating_points: At `FALSE_BOX_LIMITS`; empty without such images.
@@ -83,12 +77,7 @@ class Examination:
     """All figures of one set of predictions on one split.
 
     Attributes:
-        name: The split.
-        detector: What predicted.
         rate_hz: The split's frames a second.
-        quality: The paper's metrics at the threshold.
-        breakdown: Recall by groups of lights, and false boxes.
-        vehicles: When each vehicle is found.
         ranking: Figures over all thresholds; None for boxes without scores.
         run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
         robustness: Figures under disturbances; empty where not asked for.
@@ -155,15 +144,7 @@ def examine(
     detector: str,
     run_time_ms: Mapping[str, RunTime] | None = None,
 ) -> Examination:
-    """All figures of `predictions` on a split, but for those of robustness and of tracks.
-
-    Args:
-        labels: Of the split.
-        predictions: Boxes, with or without scores.
-        threshold: A box is accepted if its score is above.
-        detector: What predicted, for the title.
-        run_time_ms: By stage and `total`, where it was measured.
-    """
+    """All figures of `predictions` on a split, but for those of robustness and of tracks."""
     matched = match_lights(labels, predictions)
     return Examination(
         name=labels.name,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from foreglow.datasets import Instance, LabelledSource, Vehicle
-from foreglow.datasets.simulated import KINDS, Artifact, has_truth, read_truth
+from foreglow.datasets import LabelledSource, Vehicle
+from foreglow.datasets.simulated import KINDS, has_truth, read_truth
 
 LAMP, INDIRECT = "lamp", "indirect"
 """The kinds in the labels themselves; the truth of simulated sets says what indirect light is seen on."""
@@ -21,20 +22,18 @@ NUM_STRONGEST = 3
 
 DIRECT_RANK = -1
 
+_Known: TypeAlias = Mapping[tuple[int, int, int], tuple[float, str, float]]
+
 
 @dataclass(frozen=True, slots=True)
 class Light:
     """A light artifact in an image: a keypoint of the labels, with what else is known about it.
 
     Attributes:
-        image_id: The image.
-        sequence_id: Its sequence.
         vehicle_id: The vehicle whose light it is (PVDN: oid).
         position_px: Full-frame pixels x, y.
         kind: A name in `LIGHT_KINDS`: `lamp` for the lamp itself; of other light what it is seen on, or `indirect` if
             the set is not simulated.
-        is_direct: Whether it is the lamp itself.
-        is_rear: Whether it comes from rear lamps.
         is_hidden: Whether no lamp of its vehicle is labelled in this or an earlier image of the sequence.
         range_m: From the camera to the vehicle; NaN where unknown.
         grey: Grey levels that the light adds at its peak; NaN where unknown.
@@ -55,14 +54,6 @@ class Light:
     rank: int = DIRECT_RANK
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """What the simulator knows about a vehicle in an image, beside its labels."""
-
-    range_m: float
-    artifacts: dict[int, Artifact]
-
-
 def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
     """The lights of every selected image of `dataset`, by image id, without doubtful lights.
 
@@ -81,12 +72,7 @@ def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
             vehicles = dataset.annotations(image_id)
             seen |= {vehicle.oid for vehicle in vehicles if any(light.is_direct for light in vehicle.instances)}
             if image_id in selected:
-                found = [
-                    _light(image_id, sequence.id, vehicle, instance, vehicle.oid not in seen, known)
-                    for vehicle in vehicles
-                    for instance in vehicle.instances
-                ]
-                lights[image_id] = tuple(_ranked(found))
+                lights[image_id] = tuple(_ranked(_lights(image_id, sequence.id, vehicles, seen, known)))
     return {image_id: lights[image_id] for image_id in dataset.frame_ids}
 
 
@@ -99,56 +85,48 @@ def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
     )
 
 
-def _known(dataset: LabelledSource, sequence_id: int) -> dict[tuple[int, int], _Known]:
-    """The simulator's truth by image and vehicle; empty if the set is not simulated."""
+def _known(dataset: LabelledSource, sequence_id: int) -> _Known | None:
+    """The range and the kind and grey of each artifact, by image, vehicle and instance; None if not simulated."""
     if not has_truth(dataset.root):
-        return {}
+        return None
     return {
-        (frame.image_id, vehicle.vehicle_id): _Known(
-            vehicle.range_m, {artifact.instance_id: artifact for artifact in vehicle.artifacts}
-        )
+        (frame.image_id, vehicle.vehicle_id, artifact.instance_id): (vehicle.range_m, artifact.kind, artifact.grey)
         for frame in read_truth(dataset.root).sequence(sequence_id).frames
         for vehicle in frame.vehicles
+        for artifact in vehicle.artifacts
     }
 
 
-def _light(
-    image_id: int,
-    sequence_id: int,
-    vehicle: Vehicle,
-    instance: Instance,
-    is_hidden: bool,
-    known: dict[tuple[int, int], _Known],
-) -> Light:
-    x, y = instance.position_px
-    light = Light(
-        image_id=image_id,
-        sequence_id=sequence_id,
-        vehicle_id=vehicle.oid,
-        position_px=(float(x), float(y)),
-        kind=LAMP if instance.is_direct else INDIRECT,
-        is_direct=instance.is_direct,
-        is_rear=instance.is_rear,
-        is_hidden=is_hidden,
-    )
-    if not known:
-        return light
-    vehicle_known = known.get((image_id, vehicle.oid))
-    artifact = None if vehicle_known is None else vehicle_known.artifacts.get(instance.iid)
-    if vehicle_known is None or artifact is None:
-        raise ValueError(
-            f"image {image_id}: expected instance {instance.iid} of vehicle {vehicle.oid} in the simulator's truth"
-        )
-    return dataclasses.replace(light, kind=artifact.kind, range_m=vehicle_known.range_m, grey=artifact.grey)
+def _lights(
+    image_id: int, sequence_id: int, vehicles: Sequence[Vehicle], seen: set[int], known: _Known | None
+) -> Iterator[Light]:
+    for vehicle in vehicles:
+        for instance in vehicle.instances:
+            x, y = instance.position_px
+            key = (image_id, vehicle.oid, instance.iid)
+            if known is not None and key not in known:
+                what = f"instance {instance.iid} of vehicle {vehicle.oid}"
+                raise ValueError(f"image {image_id}: expected {what} in the simulator's truth")
+            unknown = (math.nan, LAMP if instance.is_direct else INDIRECT, math.nan)
+            range_m, kind, grey = unknown if known is None else known[key]
+            yield Light(
+                image_id=image_id,
+                sequence_id=sequence_id,
+                vehicle_id=vehicle.oid,
+                position_px=(float(x), float(y)),
+                kind=kind,
+                is_direct=instance.is_direct,
+                is_rear=instance.is_rear,
+                is_hidden=vehicle.oid not in seen,
+                range_m=range_m,
+                grey=grey,
+            )
 
 
-def _ranked(lights: Sequence[Light]) -> Iterator[Light]:
-    """`lights` with their ranks, in their order."""
-    indirect = sorted((light for light in lights if not light.is_direct), key=lambda light: -_strength(light))
+def _ranked(lights: Iterable[Light]) -> Iterator[Light]:
+    lights = list(lights)
+    indirect = [light for light in lights if not light.is_direct]
+    indirect.sort(key=lambda light: 0.0 if math.isnan(light.grey) else -light.grey)
     rank_of = {id(light): rank for rank, light in enumerate(indirect)}
     for light in lights:
         yield dataclasses.replace(light, rank=rank_of.get(id(light), DIRECT_RANK))
-
-
-def _strength(light: Light) -> float:
-    return 0.0 if math.isnan(light.grey) else light.grey

@@ -27,8 +27,6 @@ class Bin:
     """Boxes of similar scores.
 
     Attributes:
-        num: How many.
-        mean_score: Their mean score.
         share: Share of them that hold a light artifact.
     """
 
@@ -48,8 +46,6 @@ class Calibration:
         brier: Mean of (score - label)^2.
         nll: Mean of -log of the probability given to the label, in nats; scores kept 1e-7 from 0 and 1.
         temperature: What the logits have to be divided by for the lowest nll: above 1 for too sure a classifier.
-        nll_at_temperature: The nll with it.
-        ece_at_temperature: The calibration error with it.
         bins: The reliability diagram, by score, in bins of equal counts: the figures are theirs.
         tenths: The diagram in bins of a tenth of the score, without empty bins: most boxes have low scores, so bins of
             equal counts say little of the high ones.
@@ -99,7 +95,7 @@ def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Cal
 def reliability(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> tuple[Bin, ...]:
     """Boxes in `num_bins` bins of as equal counts as ties allow: equal scores share a bin; fewer bins if need be.
 
-    >>> [(one.num, one.share) for one in reliability([0.1, 0.2, 0.8, 0.9], [False, False, True, False], 2)]
+    >>> [(part.num, part.share) for part in reliability([0.1, 0.2, 0.8, 0.9], [False, False, True, False], 2)]
     [(2, 0.0), (2, 0.5)]
     """
     given, truth = np.asarray(scores, np.float64), np.asarray(labels, np.float64)
@@ -113,9 +109,9 @@ def reliability(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> tup
     )
 
 
-def expected_calibration_error(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> float:
+def expected_calibration_error(scores: ArrayLike, labels: ArrayLike) -> float:
     """Mean over the boxes of |share of artifacts - mean score| of their bin of equal counts; NaN of nothing."""
-    return _ece(reliability(scores, labels, num_bins))
+    return _ece(reliability(scores, labels))
 
 
 def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:

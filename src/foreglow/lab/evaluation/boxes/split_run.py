@@ -80,11 +80,6 @@ def run_variants(
 ) -> dict[str, SplitRun]:
     """Like `run_split` for several pipelines at once, each with its own change of the frames; decodes only once.
 
-    Args:
-        dataset: The split.
-        variants: By name, a pipeline of its own, and what is done to the frames that it sees.
-        progress: Called after each frame, with the last variant's result.
-
     Raises:
         FileNotFoundError: If an image is missing.
         ValueError: If an image is broken, or a model does not fit.

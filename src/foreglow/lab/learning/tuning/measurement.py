@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +17,83 @@ from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource
+from foreglow.files import open_atomic, write_atomic
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.learning.annotate import Progress
-from foreglow.lab.learning.tuning.frames import FrameStack, stack_frames
+from foreglow.lab.learning.annotation import Progress
 from foreglow.proposals import make_proposer
 from foreglow.types import Image
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStack:
+    """A file of decoded frames, one after another; small enough to be sent to another process.
+
+    Attributes:
+        shapes: Rows and columns of each frame.
+        dtypes: Data type of each frame, uint8 or uint16.
+    """
+
+    path: Path
+    shapes: tuple[tuple[int, int], ...]
+    dtypes: tuple[str, ...]
+
+    def images(self) -> list[Image]:
+        """The frames, memory-mapped and read-only, in order."""
+        pixels = np.memmap(self.path, np.uint8, "r")
+        images: list[Image] = []
+        start = 0
+        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
+            end = start + shape[0] * shape[1] * np.dtype(dtype).itemsize
+            images.append(pixels[start:end].view(dtype).reshape(shape))
+            start = end
+        return images
+
+
+def stack_frames(
+    dataset: LabelledSource,
+    image_ids: Sequence[int],
+    folder: Path,
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> FrameStack:
+    """The images `image_ids` of `dataset`, decoded into `folder`; the file of an earlier call is used again.
+
+    Raises:
+        FileNotFoundError: If an image is missing.
+        ValueError: If one is broken.
+        OSError: If the pixels cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = hashlib.sha256()
+    for image_id in image_ids:
+        path = dataset.image_path(image_id)
+        state = path.stat()
+        files.update(f"{path.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\0".encode(errors="surrogateescape"))
+    pixels = folder / f"{files.hexdigest()[:16]}.bin"
+    index = pixels.with_suffix(".json")
+    if index.exists() and pixels.exists():
+        return _stack(pixels, json.loads(index.read_text()))
+    entries: list[tuple[int, int, str]] = []
+    with open_atomic(pixels) as file, ThreadPoolExecutor(jobs) as pool:
+        for done, image in enumerate(pool.map(lambda image_id: dataset.read(image_id).image, image_ids), start=1):
+            file.write(np.ascontiguousarray(image).tobytes())
+            entries.append((image.shape[0], image.shape[1], image.dtype.name))
+            if progress is not None:
+                progress("frames decoded", done, len(image_ids))
+    write_atomic(index, json.dumps(entries).encode())
+    return _stack(pixels, entries)
+
+
+def _stack(pixels: Path, entries: Sequence[tuple[int, int, str]]) -> FrameStack:
+    return FrameStack(
+        pixels,
+        shapes=tuple((rows, columns) for rows, columns, _ in entries),
+        dtypes=tuple(dtype for _, _, dtype in entries),
+    )
+
 
 NUM_CHUNKS = 8
 """A trial's frames come in this many parts, each spread over the data set; a trial may be stopped after any part."""
@@ -56,8 +128,6 @@ class Measurement:
     """The rating of one proposer's boxes. NaN where undefined.
 
     Attributes:
-        num_images: Number of images.
-        num_boxes: Number of boxes in them.
         quality: Quality of all boxes; boxes without a key point do not change its recall, q, q_K and q_B.
         recall_lamps: Share of the lamps that are in a box.
         recall_strongest: Share of the `NUM_STRONGEST` strongest reflections of each image that are in a box.
@@ -135,8 +205,6 @@ class Material:
 
     Attributes:
         image_ids: The images in the order of the trials: each of the `NUM_CHUNKS` parts is spread over all sequences.
-        lights: The lights of each image.
-        frames: The pixels.
     """
 
     image_ids: tuple[int, ...]

@@ -1,16 +1,17 @@
-"""What a search minimises: losses by name, each a function of a measurement and that of the paper's parameters.
-
-Both measurements are always of the same frames. To add an objective, write its function and add it to `OBJECTIVES`.
-"""
+"""What a search minimises, and where it searches: losses and spaces of parameters by name."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+from foreglow.config import PRESETS, ProposalConfig
 from foreglow.lab.learning.tuning.measurement import Measurement
+
+if TYPE_CHECKING:
+    from optuna.trial import Trial
 
 Loss: TypeAlias = Callable[[Measurement, Measurement], float]
 """The loss of the first measurement; the second is that of the paper's parameters on the same frames."""
@@ -71,32 +72,104 @@ def shortfalls(found: Measurement, paper: Measurement) -> dict[str, float]:
     return {name: 0.0 if math.isnan(value) else max(0.0, value) for name, value in missed.items()}
 
 
+OBJECTIVES: dict[str, tuple[Loss, str]] = {
+    "q": (q_loss, "paper"),
+    "q-only": (q_only_loss, "paper"),
+    "light": (light_loss, "wide"),
+}
+"""The loss to minimise, and the name of the space that is searched by default."""
+
+Parameters: TypeAlias = Mapping[str, bool | int | float]
+"""Values by the names of a space's ranges."""
+
+PAPER = PRESETS["paper"].proposals
+"""The parameters that every search begins with and is compared with."""
+
+
 @dataclass(frozen=True, slots=True)
-class Objective:
-    """Something to search for.
+class Range:
+    """Numbers from `low` to `high` in steps: whole ones, if these are; switches, if they are truth values."""
+
+    low: float
+    high: float
+    step: float = 1
+
+    def suggest(self, trial: Trial, name: str) -> bool | int | float:
+        """One of these, without the rounding errors of adding steps."""
+        if isinstance(self.low, bool):
+            return bool(trial.suggest_categorical(name, (True, False)))
+        if isinstance(self.low, int):
+            return trial.suggest_int(name, self.low, int(self.high), step=int(self.step))
+        return round(trial.suggest_float(name, self.low, self.high, step=self.step), 9)
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """A search space.
 
     Attributes:
-        loss: The loss to minimise.
-        space: Name of the space that is searched by default.
+        first: The paper's parameters in this space: the first trial.
+        fields: Turns parameters into fields of `ProposalConfig`; all other fields are the paper's.
     """
 
-    loss: Loss
-    space: str
+    ranges: Mapping[str, Range]
+    first: Parameters
+    fields: Callable[[Parameters], dict[str, Any]] = dict
+
+    def suggest(self, trial: Trial) -> dict[str, bool | int | float]:
+        """A value for each parameter."""
+        return {name: values.suggest(trial, name) for name, values in self.ranges.items()}
+
+    def config(self, parameters: Parameters) -> ProposalConfig:
+        """The configuration of `parameters`."""
+        return ProposalConfig(**(PAPER.model_dump() | self.fields(parameters)))
 
 
-OBJECTIVES: dict[str, Objective] = {
-    "q": Objective(q_loss, "paper"),
-    "q-only": Objective(q_only_loss, "paper"),
-    "light": Objective(light_loss, "wide"),
+def _wide_fields(parameters: Parameters) -> dict[str, Any]:
+    """`is_capped` and `is_blurred` as areas and kernels."""
+    fields = {name: value for name, value in parameters.items() if name not in ("is_capped", "is_blurred")}
+    if not parameters["is_capped"]:
+        fields["max_area_px"] = math.inf
+    if not parameters["is_blurred"]:
+        fields |= {"blur_width_px": 1, "blur_height_px": 1}
+    return fields
+
+
+_PAPER_FIRST = {name: getattr(PAPER, name) for name in ("kappa", "window_px", "min_deviation", "gap_px")}
+
+SPACES: dict[str, Space] = {
+    # The ranges of the paper's parameter search.
+    "paper": Space(
+        {
+            "kappa": Range(0.25, 0.75, 0.05),
+            "window_px": Range(5, 25),
+            "min_deviation": Range(0.0, 0.1, 0.01),
+            "gap_px": Range(1, 9),
+        },
+        _PAPER_FIRST,
+    ),
+    # Our own: windows up to the size of a near lamp with its glare (only window // 2 counts), finer steps, smaller
+    # boxes, splitting, and the two switches that the paper does not mention.
+    "wide": Space(
+        {
+            "kappa": Range(0.25, 0.75, 0.025),
+            "window_px": Range(5, 79, 2),
+            "min_deviation": Range(0.0, 0.05, 0.0025),
+            "gap_px": Range(1, 9),
+            "min_area_px": Range(6, 26, 5),
+            "min_width_px": Range(3, 6),
+            "split_saddle": Range(0.0, 0.9, 0.025),
+            "is_capped": Range(False, True),
+            "is_blurred": Range(False, True),
+        },
+        {
+            **_PAPER_FIRST,
+            "min_area_px": 11,
+            "min_width_px": 6,
+            "split_saddle": 0.0,
+            "is_capped": True,
+            "is_blurred": True,
+        },
+        _wide_fields,
+    ),
 }
-
-
-def objective(name: str) -> Objective:
-    """The objective called `name`.
-
-    Raises:
-        ValueError: If there is none; the message lists those that exist.
-    """
-    if name not in OBJECTIVES:
-        raise ValueError(f"objective: expected one of {', '.join(OBJECTIVES)}, got {name!r}")
-    return OBJECTIVES[name]

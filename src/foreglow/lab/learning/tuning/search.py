@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
-from foreglow.datasets.pvdn.splits import SplitName
-from foreglow.lab.learning.annotate import Progress
+from foreglow.lab.learning.annotation import Progress, existing_splits
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
-from foreglow.lab.learning.tuning.objectives import objective
-from foreglow.lab.learning.tuning.spaces import PAPER, Parameters, space
-from foreglow.lab.learning.tuning.study import StudyPlan, importances, num_finished, open_study, prepare, work
+from foreglow.lab.learning.tuning.objectives import PAPER, Parameters
+from foreglow.lab.learning.tuning.study import (
+    StudyPlan,
+    TuningSettings,
+    importances,
+    num_finished,
+    open_study,
+    prepare,
+    work,
+)
 from foreglow.parallel import Local, Parent, Workers
 
 if TYPE_CHECKING:
@@ -26,46 +30,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class TuningSettings:
-    """What is searched, and how.
-
-    Attributes:
-        num_trials: Total number of trials, of all processes and earlier calls.
-        num_images: Number of images of train, evenly spread over its sequences.
-        objective: Name of the objective.
-        space: Name of the space; None for the objective's default.
-        seed: Seed of all random numbers.
-        num_finalists: Number of the best on train that are compared on val.
-        storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
-            output folder.
-    """
-
-    num_trials: int = 200
-    num_images: int = 600
-    objective: str = "q"
-    space: str | None = None
-    seed: int = 0
-    num_finalists: int = 10
-    storage: str | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("num_trials", "num_images", "num_finalists"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        space(self.space_name)
-
-    @property
-    def space_name(self) -> str:
-        """The space that is searched."""
-        return self.space or objective(self.objective).space
-
-
-@dataclass(frozen=True, slots=True)
 class TrialRecord:
     """One trial.
 
     Attributes:
-        number: Its number in the study.
         state: COMPLETE, or PRUNED if it was stopped early.
         loss: Loss over the frames that it was measured on.
         parameters: Its parameters by name.
@@ -144,13 +112,6 @@ def tune(
     and the best there is chosen; without a val split, the best on train. If there is a test split, the chosen and the
     paper's parameters are rated on all of it.
 
-    Args:
-        data: A data set with a train split.
-        out: Folder for the decoded frames and, unless `settings` say otherwise, the study.
-        settings: What to search.
-        progress: Called after every decoded frame and every trial.
-        workers: Workers that run the trials of one study; None runs them in this process.
-
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
@@ -159,18 +120,13 @@ def tune(
     """
     import optuna  # noqa: F401  before anything is decoded
 
-    splits, workers = dict(_splits(Path(data))), workers or Local()
+    folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
+    splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
     material = read_material(
         splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
-    plan = StudyPlan(
-        storage=settings.storage or str(out / "study.journal"),
-        name=f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}",
-        num_trials=settings.num_trials,
-        objective=settings.objective,
-        space=settings.space_name,
-        seed=settings.seed,
-    )
+    name = f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}"
+    plan = StudyPlan(settings.storage or str(out / "study.journal"), name, settings)
     started_s = time.monotonic()
     study = open_study(plan)
     prepare(study, plan)
@@ -185,15 +141,6 @@ def tune(
     return Tuning(settings, Path(data), plan.name, paper, tuple(finalists), trials, importances(study), seconds)
 
 
-def _splits(data: Path) -> Iterator[tuple[SplitName, LabelledSource]]:
-    """Train, which must exist, and the other splits that exist."""
-    yield "train", open_labelled(split_folder(data, "train"))
-    names: tuple[SplitName, ...] = ("val", "test")
-    for name in names:
-        with contextlib.suppress(FileNotFoundError):
-            yield name, open_labelled(split_folder(data, name))
-
-
 def _run_trials(
     study: optuna.Study, plan: StudyPlan, material: Material, workers: Workers, progress: Progress | None
 ) -> None:
@@ -201,10 +148,10 @@ def _run_trials(
 
     def tell() -> None:
         if progress is not None:
-            progress("trials", num_finished(study), plan.num_trials)
+            progress("trials", num_finished(study), plan.settings.num_trials)
 
     tell()
-    num_workers = min(workers.num_workers, plan.num_trials - num_finished(study))
+    num_workers = min(workers.num_workers, plan.settings.num_trials - num_finished(study))
     items = {f"worker {number}": number for number in range(1, num_workers + 1)}
     paths = (material.frames.path, *([] if "://" in plan.storage else [Path(plan.storage)]))
     for _ in workers.each(functools.partial(_work, plan, material), items, tell, paths=paths):
@@ -229,25 +176,21 @@ def _records(study: optuna.Study) -> tuple[TrialRecord, ...]:
 
 
 def _best(trials: tuple[TrialRecord, ...], settings: TuningSettings) -> list[ProposalConfig]:
-    """The best configurations on train, each once, and the paper's."""
     complete = sorted(
         (trial for trial in trials if trial.state == "COMPLETE"), key=lambda trial: (trial.loss, trial.number)
     )
-    searched = space(settings.space_name)
-    configs = list(dict.fromkeys(searched.config(_clean(trial.parameters)) for trial in complete))
+    rounded = [  # as in `Range.suggest`
+        {name: round(value, 9) if isinstance(value, float) else value for name, value in trial.parameters.items()}
+        for trial in complete
+    ]
+    configs = list(dict.fromkeys(map(settings.searched.config, rounded)))
     best = configs[: settings.num_finalists]
     return best if PAPER in best else [*best, PAPER]
 
 
-def _clean(parameters: Parameters) -> dict[str, bool | int | float]:
-    """The parameters rounded as in `Real.suggest`."""
-    return {name: round(value, 9) if isinstance(value, float) else value for name, value in parameters.items()}
-
-
 def _on_train(configs: list[ProposalConfig], bench: Bench, settings: TuningSettings) -> list[Finalist]:
     measured = {config: list(bench.measure(config))[-1] for config in dict.fromkeys([*configs, PAPER])}
-    loss = objective(settings.objective).loss
-    return [Finalist(config, measured[config], loss(measured[config], measured[PAPER])) for config in configs]
+    return [Finalist(config, measured[config], settings.loss(measured[config], measured[PAPER])) for config in configs]
 
 
 def _on_val(
@@ -258,9 +201,8 @@ def _on_val(
         return sorted(finalists, key=lambda finalist: finalist.train_loss)
     measured = measure_split(val, [finalist.config for finalist in finalists], progress)
     paper = next(found for finalist, found in zip(finalists, measured, strict=True) if finalist.config == PAPER)
-    loss = objective(settings.objective).loss
     rated = [
-        dataclasses.replace(finalist, val=found, val_loss=loss(found, paper))
+        dataclasses.replace(finalist, val=found, val_loss=settings.loss(found, paper))
         for finalist, found in zip(finalists, measured, strict=True)
     ]
     return sorted(rated, key=lambda finalist: (finalist.val_loss, finalist.train_loss))

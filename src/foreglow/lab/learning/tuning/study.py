@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
-from foreglow.lab.learning.tuning.objectives import objective
-from foreglow.lab.learning.tuning.spaces import PAPER, space
+from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
 
 if TYPE_CHECKING:
     import optuna
@@ -32,24 +31,63 @@ IMPORTANCE_TRIALS = 20
 
 
 @dataclass(frozen=True, slots=True)
+class TuningSettings:
+    """What is searched, and how.
+
+    Attributes:
+        num_trials: Total number of trials, of all processes and earlier calls.
+        num_images: Number of images of train, evenly spread over its sequences.
+        space: Name of the space; None for the objective's default.
+        num_finalists: Number of the best on train that are compared on val.
+        storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
+            output folder.
+    """
+
+    num_trials: int = 200
+    num_images: int = 600
+    objective: str = "q"
+    space: str | None = None
+    seed: int = 0
+    num_finalists: int = 10
+    storage: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("num_trials", "num_images", "num_finalists"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        if self.objective not in OBJECTIVES:
+            raise ValueError(f"objective: expected one of {', '.join(OBJECTIVES)}, got {self.objective!r}")
+        if self.space_name not in SPACES:
+            raise ValueError(f"space: expected one of {', '.join(SPACES)}, got {self.space!r}")
+
+    @property
+    def space_name(self) -> str:
+        """The name of the space that is searched."""
+        return self.space or OBJECTIVES[self.objective][1]
+
+    @property
+    def searched(self) -> Space:
+        """The space that is searched."""
+        return SPACES[self.space_name]
+
+    def loss(self, found: Measurement, paper: Measurement) -> float:
+        """The loss of a measurement; the second is that of the paper's parameters on the same frames."""
+        return OBJECTIVES[self.objective][0](found, paper)
+
+
+@dataclass(frozen=True, slots=True)
 class StudyPlan:
     """What a process needs to know to work on a study.
 
     Attributes:
         storage: URL of a database, or path of a journal file.
         name: Name of the study in the storage.
-        num_trials: Number of trials, of all processes together, after which the study is finished.
-        objective: Name of the objective.
-        space: Name of the space.
-        seed: Seed of all random numbers; with one process, the same seed gives the same trials.
+        settings: Its trials are those of all processes together; with one process, the same seed gives the same ones.
     """
 
     storage: str
     name: str
-    num_trials: int
-    objective: str
-    space: str
-    seed: int
+    settings: TuningSettings
 
 
 def open_study(plan: StudyPlan) -> optuna.Study:
@@ -67,7 +105,7 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         return optuna.create_study(
             storage=_storage(plan.storage),
             study_name=plan.name,
-            sampler=_sampler(plan.seed),
+            sampler=_sampler(plan.settings.seed),
             pruner=MedianPruner(n_startup_trials=NUM_STARTUP_TRIALS),
             direction="minimize",
             load_if_exists=True,
@@ -116,22 +154,15 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
         if not _is_alive(trial):
             study.tell(trial.number, state=TrialState.FAIL)
     if not study.get_trials(deepcopy=False):
-        study.enqueue_trial(dict(space(plan.space).first))
+        study.enqueue_trial(dict(plan.settings.searched.first))
 
 
 def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], report: Callable[[], None]) -> None:
-    """Runs trials until the study has `plan.num_trials`, of this process and others, or until `is_stopped`.
-
-    Args:
-        plan: The study.
-        material: The frames.
-        is_stopped: Called before each trial.
-        report: Called after each trial.
-    """
+    """Runs trials until the study has `plan.settings.num_trials`, of this process and others, or until `is_stopped`."""
     study = open_study(plan)
     bench = Bench(material)
     paper = tuple(bench.measure(PAPER))
-    while not is_stopped() and num_taken(study) < plan.num_trials:
+    while not is_stopped() and num_taken(study) < plan.settings.num_trials:
         trial = study.ask()
         _run(study, trial, plan, bench, paper)
         report()
@@ -159,14 +190,14 @@ def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper
 
     try:
         trial.set_user_attr("process", [socket.gethostname(), os.getpid()])
-        if num_taken(study, before=trial.number) >= plan.num_trials:  # another process has taken the last one
+        if num_taken(study, before=trial.number) >= plan.settings.num_trials:  # another process has taken the last one
             study.tell(trial, state=TrialState.FAIL)
             return
-        loss_of = objective(plan.objective).loss
-        config = space(plan.space).config(space(plan.space).suggest(trial))
+        searched = plan.settings.searched
+        config = searched.config(searched.suggest(trial))
         loss = 0.0
         for step, found in enumerate(bench.measure(config)):
-            loss = loss_of(found, paper[step])
+            loss = plan.settings.loss(found, paper[step])
             trial.report(loss, step)
             is_last = step == bench.num_chunks - 1
             if is_last or trial.should_prune():

@@ -10,13 +10,13 @@ from typing import Annotated, Any, TypeAlias
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from foreglow.config import FrozenModel, preset
-from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled, split_folder
+from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
-from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 
@@ -34,10 +34,8 @@ class ExportSettings(FrozenModel):
     """The settings of an export; a folder holds exports of one setting only.
 
     Attributes:
-        data: The data set's folder.
         boxes: `preset NAME`, or `as annotated` for the boxes in the data set's `labels/bounding_boxes`.
         size_px: Side of the images.
-        splits: The splits that are exported.
     """
 
     data: str
@@ -52,9 +50,6 @@ class YoloExport:
 
     Attributes:
         data_file: Its `data.yaml`, the input of every YOLO.
-        settings: Its settings.
-        num_images: Number of images by split.
-        num_boxes: Number of labelled boxes by split.
     """
 
     data_file: Path
@@ -91,10 +86,14 @@ def export_yolo(
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
         ValueError: If a file is broken, there is no such preset, or `folder` holds another export.
     """
-    wanted = {name: found for name in splits if (found := _split_or_none(data, name)) is not None}
+    if not data.is_dir():
+        raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
+    wanted = existing_splits(data, splits)
     if not wanted:
         raise FileNotFoundError(f"{data}: expected one of the splits {', '.join(splits)}, found none")
-    is_annotated = preset_name is None and all(_has_boxes(found) for found in wanted.values())
+    is_annotated = preset_name is None and all(
+        any((found / "labels" / "bounding_boxes").glob("*.json")) for found in wanted.values()
+    )
     settings = ExportSettings(
         data=str(Path(data).resolve()),
         boxes="as annotated" if is_annotated else f"preset {preset_name or 'paper'}",
@@ -115,7 +114,10 @@ def export_yolo(
             if not label_file.exists():  # written after the image
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
-                write_atomic(images / f"{image_id:06d}.png", _png(squashed(frame.image, size_px, frame.path)))
+                write_atomic(
+                    images / f"{image_id:06d}.png",
+                    cv2.imencode(".png", squashed(frame.image, size_px, frame.path))[1].tobytes(),
+                )
                 write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
             num_boxes[name] += label_file.read_bytes().count(b"\n")
             num_done += 1
@@ -197,38 +199,28 @@ def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _split_or_none(data: Path, name: SplitName) -> Path | None:
-    if not Path(data).is_dir():
-        raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
-    try:
-        return split_folder(data, name)
-    except FileNotFoundError:
-        return None
-
-
-def _has_boxes(split: Path) -> bool:
-    return next((split / "labels" / "bounding_boxes").glob("*.json"), None) is not None
-
-
 def _claim(folder: Path, settings: ExportSettings) -> None:
     """Makes the folder and writes the settings to it, or checks them against those of an earlier export."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / SETTINGS_NAME
-    if not path.exists():
+    if path.exists():
+        check_claim(path, settings, read_json(path, ExportSettings), "export")
+    else:
         write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
-        return
-    known = read_json(path, ExportSettings)
-    for name, value in settings.model_dump().items():
-        if value != getattr(known, name):
+
+
+def check_claim(path: Path, wanted: BaseModel, known: BaseModel, what: str) -> None:
+    """Passes settings that are those of the `what` that was begun before, which are in the file `path`.
+
+    Raises:
+        ValueError: If a field differs.
+    """
+    for name in type(wanted).model_fields:
+        ours, theirs = getattr(wanted, name), getattr(known, name)
+        if ours != theirs:
             raise ValueError(
-                f"{path}: {name}: expected {value!r} to go on with this export, it has {getattr(known, name)!r}; "
-                "choose another folder"
+                f"{path}: {name}: expected {ours!r} to go on with this {what}, it has {theirs!r}; choose another folder"
             )
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    _, data = cv2.imencode(".png", image)
-    return data.tobytes()
 
 
 def _data_text(splits: Sequence[SplitName]) -> str:

@@ -52,11 +52,9 @@ class _Scene:
     """A moment with what is drawn of it.
 
     Attributes:
-        moment: The moment.
         words: What happens, for the caption.
         note: A few more words; may be empty.
         colour_bgr: Of its number and its enlargement.
-        frame: Its image.
     """
 
     moment: Moment
@@ -70,13 +68,6 @@ def write_moments(
     path: Path, story: Story, frames: Sequence[Frame], predictions: Predictions, threshold: float
 ) -> None:
     """Writes the picture of `story` to `path`, as PNG.
-
-    Args:
-        path: Where it goes.
-        story: What happens.
-        frames: The images of `story.moments`, in their order.
-        predictions: What a run made of them.
-        threshold: Boxes with a score above this were accepted.
 
     Raises:
         OSError: If the file cannot be written.
@@ -177,7 +168,6 @@ def _draw_boxes(picture: Picture, image_id: int, predictions: Predictions, thres
 
 
 def _draw_caption(sheet: Picture, scene: _Scene, number: int, corner_px: tuple[int, int]) -> None:
-    """The moment's number, its time and what happens."""
     left, top = corner_px
     _draw_number(sheet, number, (left + 34, top + 62), scene.colour_bgr)
     _write(sheet, f"{scene.moment.time_s:.2f} s", (left + 90, top + 82), 1.9, scene.colour_bgr)

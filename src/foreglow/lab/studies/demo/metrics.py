@@ -11,11 +11,9 @@ import numpy as np
 
 from foreglow.datasets import LabelledSource
 from foreglow.geometry import Floats
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
-from foreglow.lab.evaluation.boxes.first_found import FirstFound, first_found
+from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.lights import Light
-from foreglow.lab.evaluation.tracks.encounters import vehicle_facts
-from foreglow.lab.evaluation.tracks.track_quality import match_tracks
+from foreglow.lab.evaluation.vehicles import FirstFound, first_found, match_tracks, vehicle_facts
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 
@@ -29,7 +27,6 @@ class Moment:
 
     Attributes:
         time_s: From the first image of the sequence.
-        light: The light that makes the moment, in its image.
         score: Highest score of the boxes around it; NaN where there is none, or boxes have no scores.
     """
 
@@ -43,7 +40,6 @@ class Story:
     """What happens in one sequence with the vehicle whose light is visible first.
 
     Attributes:
-        sequence: The sequence's folder.
         vehicle: What it is: car, van, lorry, motorcycle; `vehicle` where unknown.
         times: When its light is visible, when it is found, and when its first lamp is.
         light: Its first light; the strongest one where there are several.
@@ -96,7 +92,9 @@ def tell_stories(
         ValueError: If one is broken.
     """
     labels = read_split_labels(dataset)
-    confirmed_s = {} if tracks is None else _confirmations_s(labels, tracks, predictions)
+    confirmed_s: dict[tuple[int, int], float] = {}
+    for quality in () if tracks is None else match_tracks(labels, tracks, predictions.boxes_xyxy_px):
+        confirmed_s |= {(quality.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in quality.vehicles}
     matched = match_lights(labels, predictions)
     image_ids = matched.matches.image_ids
     is_false = (matched.matches.scores > threshold) & ~matched.matches.has_point & ~matched.has_doubtful
@@ -182,15 +180,6 @@ def best_story(stories: Iterable[Story]) -> Story | None:
 def has_labels(dataset: LabelledSource) -> bool:
     """Whether `dataset` has key points, without which there are no stories."""
     return (dataset.root / "labels" / "keypoints").is_dir()
-
-
-def _confirmations_s(
-    labels: SplitLabels, tracks: Mapping[int, Tracks], predictions: Predictions
-) -> dict[tuple[int, int], float]:
-    """By sequence and vehicle, when it is first confirmed."""
-    quality = match_tracks(labels, tracks, predictions.boxes_xyxy_px)
-    vehicles = (vehicle for sequence in quality for vehicle in sequence.vehicles)
-    return {(vehicle.sequence_id, vehicle.vehicle_id): vehicle.found_s for vehicle in vehicles}
 
 
 def _moment(time_s: float, lit: _Lit) -> Moment:

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from foreglow.lab.evaluation.boxes.first_found import share_found_ahead
-from foreglow.lab.evaluation.tracks.encounters import UNKNOWN_VEHICLE
-from foreglow.lab.reports.numbers import number
+from foreglow.lab.evaluation.vehicles import UNKNOWN_VEHICLE, share_found_ahead
+from foreglow.lab.reports.page import number
 from foreglow.lab.studies.demo.metrics import Moment, Story
 
 PLACES = {
@@ -40,7 +39,8 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
     """
     rows = [(first_words(story), story.light.time_s, on_what(story.light))]
     if story.found is not None:
-        rows.append((found_word(is_classified), story.found.time_s, _on_what_and_how_sure(story.found)))
+        score = "" if math.isnan(story.found.score) else f", score {story.found.score:.2f}"
+        rows.append((found_word(is_classified), story.found.time_s, on_what(story.found) + score))
     if not math.isnan(story.confirmed_s):
         rows.append(("confirmed by the tracker", story.confirmed_s, ""))
     if story.sight is not None:
@@ -140,8 +140,3 @@ def _per_image(num_boxes: int, num_images: int) -> str:
     '3 in 30 images (0.1 an image)'
     """
     return f"{num_boxes} in {num_images} image{'' if num_images == 1 else 's'} ({num_boxes / num_images:.1f} an image)"
-
-
-def _on_what_and_how_sure(moment: Moment) -> str:
-    score = "" if math.isnan(moment.score) else f", score {moment.score:.2f}"
-    return on_what(moment) + score

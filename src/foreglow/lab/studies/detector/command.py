@@ -55,10 +55,9 @@ def command(
     """Make the paper's table of detectors: baseline, paper, ours and YOLO, all measured in the same way."""
     from foreglow.datasets import open_labelled, split_folder
     from foreglow.display.progress import StepProgress
-    from foreglow.lab.learning.training_bar import TrainingBar
-    from foreglow.lab.studies.detector.figures import pictures
-    from foreglow.lab.studies.detector.page import write_report
-    from foreglow.lab.studies.detector.plan import ROWS, DetectorPlan
+    from foreglow.lab.learning.training_progress import TrainingBar
+    from foreglow.lab.studies.detector.models import ROWS, DetectorPlan
+    from foreglow.lab.studies.detector.page import pictures, write_report
     from foreglow.lab.studies.detector.run import run_experiment
 
     paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)

@@ -1,4 +1,4 @@
-"""Where the models of the detector's table come from: given, or trained here."""
+"""The rows of the detector's table, what the user decides about them, and their models: given, or trained here."""
 
 from __future__ import annotations
 
@@ -7,20 +7,100 @@ import hashlib
 import importlib.util
 import json
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from foreglow.config import PipelineConfig, preset, read_config
-from foreglow.datasets import open_labelled, split_folder
+from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import read_plain_json
-from foreglow.lab.studies.detector.plan import ROWS, THRESHOLD, DetectorPlan
 from foreglow.lab.studies.progress import Progress
 
 if TYPE_CHECKING:
-    from foreglow.lab.learning.training_run import RunProgress
+    from foreglow.lab.learning.training_progress import RunProgress
     from foreglow.lab.learning.yolo import YoloRun
+
+RowKind: TypeAlias = Literal["classifier", "yolo"]
+
+THRESHOLD = 0.5
+"""A box counts if its score is above. Source: published evaluation."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowSpec:
+    """One row of the table.
+
+    Attributes:
+        title: What the reader sees.
+        kind: Proposals with a classifier, or a YOLO.
+        preset: The proposals that are classified, or on whose labelled boxes the YOLO is trained.
+        recipe: How the classifier is trained here, a name of `learning.recipes`; empty where it is only ever given.
+        size: The YOLO's.
+        option: The option of the command that gives a trained model.
+    """
+
+    title: str
+    kind: RowKind
+    preset: str
+    option: str
+    recipe: str = ""
+    size: Literal["", "s", "x"] = ""
+
+
+ROWS: dict[str, RowSpec] = {
+    "baseline": RowSpec("Baseline's preset, paper's network", "classifier", "baseline", "--baseline-model", "paper"),
+    "paper": RowSpec("Paper's preset and network", "classifier", "paper", "--paper-model", "paper"),
+    "published": RowSpec("Paper's preset, published weights", "classifier", "paper", "--published"),
+    "compact": RowSpec("Paper's preset, compact network", "classifier", "paper", "--compact-model", "foreglow"),
+    "ours": RowSpec("Ours: preset foreglow, compact network", "classifier", "foreglow", "--our-model", "foreglow"),
+    "yolo-small": RowSpec("YOLO, small", "yolo", "paper", "--yolo-small", size="s"),
+    "yolo-large": RowSpec("YOLO, large", "yolo", "paper", "--yolo-large", size="x"),
+}
+"""The table's rows by name, in its order."""
+
+COMPARISONS = (("compact", "paper"), ("ours", "paper"), ("ours", "baseline"), ("ours", "yolo-small"))
+"""Rows whose F is compared scene by scene: the first less the second."""
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorPlan:
+    """What is asked for.
+
+    Attributes:
+        rows: Names of rows, of `ROWS`.
+        given: Trained models by row: an ONNX file or a folder of `train`, or for a YOLO a folder of `yolo train`.
+        may_train: Whether rows without a given model are trained.
+        with_yolo: Whether the YOLO rows are made.
+        epochs: By recipe, how many to train; a recipe that is not named has its own number.
+        patience: Training ends this many epochs after the best one; None for the recipe's.
+        yolo_epochs: Passes over the training split for a YOLO that is trained here.
+        yolo_image_size_px: Side of its images.
+        device: `auto`, `cpu` or `cuda`.
+    """
+
+    rows: tuple[str, ...] = tuple(ROWS)
+    given: Mapping[str, Path] = field(default_factory=dict)
+    split: SplitName = "test"
+    may_train: bool = True
+    with_yolo: bool = True
+    epochs: Mapping[str, int] = field(default_factory=dict)
+    patience: int | None = None
+    seed: int = 1
+    yolo_epochs: int = 3
+    yolo_image_size_px: int = 320
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        for name in (*self.rows, *self.given):
+            if name not in ROWS:
+                raise ValueError(f"rows: expected some of {', '.join(ROWS)}, got {name!r}")
+        if len(set(self.rows)) < len(self.rows):
+            raise ValueError(f"rows: expected each once, got {', '.join(self.rows)}")
+        for name, path in self.given.items():
+            if not path.exists():
+                raise FileNotFoundError(f"{path}: no such model, given with {ROWS[name].option}")
+
 
 PAPER_YOLO = "960 px and 300 epochs"
 
@@ -32,11 +112,8 @@ class Workspace:
     """Where an experiment runs.
 
     Attributes:
-        data: The data set.
         out: Everything that is made goes here.
-        plan: What is asked for.
         progress: Called as it goes on.
-        training: Likewise, while networks are trained.
     """
 
     data: Path
@@ -48,19 +125,6 @@ class Workspace:
     def progress_of(self, step: str) -> Callable[[int, int], None] | None:
         """What to call as a step goes on, with how much is done and how much there is; None if nobody listens."""
         return None if self.progress is None else functools.partial(self.progress, step)
-
-
-@dataclass(frozen=True, slots=True)
-class ClassifierModel:
-    """A classifier that is ready to run.
-
-    Attributes:
-        config: The whole pipeline, at the table's threshold.
-        note: How it came about, for the reader.
-    """
-
-    config: PipelineConfig
-    note: str
 
 
 def missing_reason(name: str, plan: DetectorPlan) -> str | None:
@@ -99,8 +163,10 @@ def row_key(name: str, workspace: Workspace) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def classifier_model(name: str, workspace: Workspace) -> ClassifierModel:
-    """The classifier of row `name`, as given or trained now; an interrupted training goes on.
+def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, str]:
+    """The pipeline with the classifier of row `name`, as given or trained now, and how that came about.
+
+    An interrupted training goes on.
 
     Raises:
         FileNotFoundError: If a file is missing.
@@ -117,11 +183,11 @@ def classifier_model(name: str, workspace: Workspace) -> ClassifierModel:
         folder = given
     else:
         note = f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
-        return ClassifierModel(_with_model(configured, given), note)
+        return _with_model(configured, given), note
     used = read_config(folder / "config.toml", configured)
     if used.proposals.model_dump() != configured.proposals.model_dump():
         raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of the preset {spec.preset}")
-    return ClassifierModel(_with_model(used, folder / "model.onnx"), _note(folder))
+    return _with_model(used, folder / "model.onnx"), _note(folder)
 
 
 def yolo_run(name: str, workspace: Workspace) -> YoloRun:
@@ -151,10 +217,10 @@ def yolo_run(name: str, workspace: Workspace) -> YoloRun:
 
 def yolo_note(run: YoloRun) -> str:
     """How a YOLO came about, for the reader."""
-    config = run.config
+    config = run.settings.training
     return (
         f"{config.backend}, size {config.size}, {config.image_size_px} px, {config.epochs} epochs "
-        f"(paper: {PAPER_YOLO}), boxes: {run.boxes}, seed {config.seed}"
+        f"(paper: {PAPER_YOLO}), boxes: {run.settings.boxes}, seed {config.seed}"
     )
 
 
@@ -191,7 +257,6 @@ def _train(name: str, workspace: Workspace, folder: Path) -> None:
 
 
 def _recipe(name: str, plan: DetectorPlan) -> Any:
-    """The recipe with the plan's schedule and seed."""
     from foreglow.lab.learning import recipes
 
     fields: dict[str, Any] = {"seed": plan.seed}

@@ -4,14 +4,142 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from foreglow.lab.reports.numbers import DASH
-from foreglow.lab.reports.page import Missing, Page, Table
-from foreglow.lab.studies.detector.figures import Shown, figure
-from foreglow.lab.studies.detector.plan import ROWS
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import LabelledSource
+from foreglow.display.overlay import Measures, Picture, annotate
+from foreglow.lab.evaluation import Predictions, SplitLabels, match_lights
+from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.reports.figures import jpeg
+from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
+from foreglow.lab.studies.detector.models import ROWS, THRESHOLD
 from foreglow.lab.studies.detector.run import DetectorResults, RowResult
+from foreglow.types import Detections, Frame, FrameResult, Proposals
+
+PICTURE_WIDTH_PX = 900
+JPEG_QUALITY = 82
+FOUND_BGR, MISSED_BGR = (120, 235, 90), (60, 60, 250)
+
+NUM_BEST, NUM_WORST = 2, 3
+HIDDEN_WEIGHT = 3.0
+"""How much more a light counts whose vehicle has not shown a lamp so far: finding it is what this is about."""
+
+
+class Choice(NamedTuple):
+    """An image to show of a row; `is_best` if it shows what works, rather than what does not."""
+
+    image_id: int
+    is_best: bool
+    num_false: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A chosen image of a row with what is to be drawn on it.
+
+    Attributes:
+        result: Its accepted boxes, with scores.
+        lights_px: Shape (K, 2): labelled lights.
+        is_found: Shape (K,): whether it lies in an accepted box.
+    """
+
+    row: str
+    choice: Choice
+    frame: Frame
+    result: FrameResult
+    lights_px: NDArray[np.float64]
+    is_found: NDArray[np.bool_]
+
+
+def choose(labels: SplitLabels, predictions: Predictions) -> tuple[Choice, ...]:
+    """The best and the worst images of a row, best first, at most one of a scene each.
+
+    The best have the most found lights less missed ones and false boxes, hidden vehicles' light counted three times;
+    the worst the most missed lights and false boxes. Of equals, the first image.
+    """
+    matched = match_lights(labels, predictions)
+    matches = matched.matches
+    is_found = matched.best_scores > THRESHOLD
+    weights = np.where(matched.is_hidden, HIDDEN_WEIGHT, 1.0)
+    is_false = (matches.scores > THRESHOLD) & ~matches.has_point & ~matched.has_doubtful
+
+    def by_image(image_of: NDArray[np.intp], values: NDArray[Any]) -> NDArray[np.float64]:
+        return np.bincount(image_of, values, minlength=matches.num_images).astype(np.float64)
+
+    found = by_image(matches.image_of_point, is_found * weights)
+    missed = by_image(matches.image_of_point, ~is_found * weights)
+    false = by_image(matches.image_of_box, is_false)
+    good = np.where(found > 0, found - missed - false, -np.inf)
+
+    def chosen(merits: NDArray[np.float64], num: int, is_best: bool) -> Iterator[Choice]:
+        scenes: set[int] = set()
+        for index in np.argsort(-merits, kind="stable"):
+            image_id = matches.image_ids[index]
+            scene = labels.sequence_of[image_id]
+            if len(scenes) == num or not merits[index] > 0:
+                return
+            if scene not in scenes:
+                scenes.add(scene)
+                yield Choice(image_id, is_best, int(false[index]))
+
+    return (*chosen(good, NUM_BEST, True), *chosen(missed + false, NUM_WORST, False))
+
+
+def pictures(results: DetectorResults, dataset: LabelledSource) -> Iterator[Shown]:
+    """The images to show of every row that was made, in the table's order.
+
+    Raises:
+        FileNotFoundError: If an image is missing.
+        ValueError: If one is broken.
+    """
+    for row, predictions in results.predictions.items():
+        for choice in choose(results.labels, predictions):
+            frame = dataset.read(choice.image_id)
+            scores = predictions.scores[choice.image_id]
+            is_accepted = scores > THRESHOLD
+            boxes = predictions.boxes_xyxy_px[choice.image_id][is_accepted]
+            lights_px = results.labels.keypoints_px[choice.image_id]
+            is_found = lies_in(lights_px[:, None], boxes).any(axis=1)
+            yield Shown(row, choice, frame, _result(frame, boxes, scores[is_accepted]), lights_px, np.asarray(is_found))
+
+
+def figure(shown: Shown) -> Figure:
+    """The drawn image, with what is found in it, and what is not, in words."""
+    choice, num_missed = shown.choice, int((~shown.is_found).sum())
+    words = f"{int(shown.is_found.sum())} found, {num_missed} missed, {choice.num_false} false"
+    mark = "works" if choice.is_best else "does not"
+    data = jpeg(draw(shown), PICTURE_WIDTH_PX, JPEG_QUALITY)
+    return Figure(data, f"{mark}: {shown.frame.sequence}, image {choice.image_id}: {words}")
+
+
+def draw(shown: Shown) -> Picture:
+    """The brightened image with its accepted boxes, and a mark at every labelled light: green if found, red if not."""
+    measures = Measures.of(shown.frame.width_px, shown.frame.height_px)
+    picture = annotate(shown.frame, shown.result)[: shown.frame.height_px * measures.enlargement]  # without its caption
+    for (x, y), is_found in zip(shown.lights_px.tolist(), shown.is_found.tolist(), strict=True):
+        centre = (round((x + 0.5) * measures.enlargement), round((y + 0.5) * measures.enlargement))
+        if is_found:
+            cv2.circle(picture, centre, 3 * measures.bold_px, FOUND_BGR, measures.thin_px, cv2.LINE_AA)
+        else:
+            size_px = 9 * measures.bold_px
+            cv2.drawMarker(picture, centre, MISSED_BGR, cv2.MARKER_TILTED_CROSS, size_px, measures.bold_px, cv2.LINE_AA)
+    return picture
+
+
+def _result(frame: Frame, boxes_xyxy_px: NDArray[np.float64], scores: NDArray[np.float64]) -> FrameResult:
+    """Boxes as a pipeline would have given them: whole pixels, at least one wide and high."""
+    corners = np.rint(boxes_xyxy_px).astype(np.int32)
+    corners[:, 2:] = np.maximum(corners[:, 2:], corners[:, :2] + 1)
+    proposals = Proposals(corners)
+    found = np.clip(scores, 0.0, 1.0).astype(np.float32)
+    return FrameResult(frame.frame, frame.timestamp_ns, proposals, Detections(proposals, found, 0.0))
+
 
 Cells: TypeAlias = list[str]
 
@@ -32,7 +160,7 @@ def write_report(results: DetectorResults, pictures: Iterable[Shown], folder: Pa
         "Brightened. Boxes are accepted ones, with their scores; circles are labelled lights in a box, red crosses "
         "those in none. Two images that show what works, three that show what does not, each of another drive.",
     )
-    for row, shown in itertools.groupby(pictures, key=lambda picture: picture.choice.row):
+    for row, shown in itertools.groupby(pictures, key=lambda picture: picture.row):
         page.pictures(map(figure, shown), ROWS[row].title)
     return page.write(folder / "report.html", results=results, files=files)
 

@@ -29,6 +29,10 @@ from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
 from foreglow.lab.studies.detector.models import (
+    COMPARISONS,
+    ROWS,
+    THRESHOLD,
+    DetectorPlan,
     Workspace,
     classifier_model,
     missing_reason,
@@ -36,7 +40,6 @@ from foreglow.lab.studies.detector.models import (
     yolo_note,
     yolo_run,
 )
-from foreglow.lab.studies.detector.plan import COMPARISONS, ROWS, THRESHOLD, DetectorPlan
 from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import make_proposer
@@ -44,7 +47,7 @@ from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
 
 if TYPE_CHECKING:
-    from foreglow.lab.learning.training_run import RunProgress
+    from foreglow.lab.learning.training_progress import RunProgress
 
 
 class RowResult(Record):
@@ -56,7 +59,6 @@ class RowResult(Record):
         reason: Why it could not be made; None if it was. All below are empty then.
         key: Digest of what decides its figures.
         note: How the model came about.
-        num_parameters: Numbers of the model.
         num_multiply_adds: For one crop, or for one image of a YOLO.
         num_multiply_adds_frame: For one frame: a crop's times the mean number of proposals, or a YOLO's.
         run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
@@ -64,7 +66,6 @@ class RowResult(Record):
         num_boxes: Mean boxes a frame with a score above the threshold.
         ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it.
         examination: The metrics and all else, an `Examination` as `to_json` has it.
-        made_with: Version, commit, processor.
     """
 
     name: str
@@ -89,9 +90,6 @@ class DetectorResults:
 
     Attributes:
         data: The data set, as the user gave it.
-        labels: Of the split.
-        plan: What was asked for.
-        rows: In the table's order.
         predictions: By row, of those that were made.
         comparisons: Differences of F between rows, with their names as `a` and `b`.
     """
@@ -124,13 +122,6 @@ def run_experiment(
 
     Every row is kept in `out/rows`, its predictions in `out/predictions`, its training in `out/models`: an interrupted
     call goes on, and a repeated one measures nothing twice.
-
-    Args:
-        data: A data set with the splits train, val and test.
-        out: Folder for everything.
-        plan: What to make.
-        progress: Called as it goes on.
-        training: Likewise, while networks are trained.
 
     Raises:
         FileNotFoundError: If a file of the data set or of a given model is missing.
@@ -167,17 +158,17 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
 def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
     from foreglow.lab.learning.model_counts import count_model
 
-    model = classifier_model(name, workspace)
-    assert model.config.classifier.model is not None
-    counts = count_model(model.config.classifier.model)
-    pipeline = Pipeline(model.config.detector_only)
+    config, note = classifier_model(name, workspace)
+    assert config.classifier.model is not None
+    counts = count_model(config.classifier.model)
+    pipeline = Pipeline(config.detector_only)
     pipeline.step(dataset.read(dataset.frame_ids[0]))  # buffers are made with the first frame
     progress, done = workspace.progress_of(f"{name}: images"), itertools.count(1)
     run = run_split(dataset, pipeline, progress and (lambda *_: progress(next(done), len(dataset))))
     row = _measured(name, run.predictions, run.total_ms, workspace, labels)
     return row.model_copy(
         update={
-            "note": model.note,
+            "note": note,
             "num_parameters": counts.num_parameters,
             "num_multiply_adds": counts.num_multiply_adds,
             "num_multiply_adds_frame": counts.num_multiply_adds * row.num_proposals,
@@ -196,9 +187,9 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
     return _measured(name, found.predictions, found.frame_ms, workspace, labels).model_copy(
         update={
             "note": yolo_note(trained),
-            "num_parameters": trained.num_parameters,
-            "num_multiply_adds": trained.num_multiply_adds,
-            "num_multiply_adds_frame": float(trained.num_multiply_adds),
+            "num_parameters": trained.results.num_parameters,
+            "num_multiply_adds": trained.results.num_multiply_adds,
+            "num_multiply_adds_frame": float(trained.results.num_multiply_adds),
             "ceiling": _ceiling(_unscored(proposed), labels),
         }
     )
@@ -245,7 +236,6 @@ def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
 
 
 def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:
-    """Paired bootstraps of F between the rows of `COMPARISONS` that were made."""
     counts = {
         name: scene_counts(match_boxes(labels.keypoints_px, predicted), labels.sequence_of, THRESHOLD)
         for name, predicted in predictions.items()

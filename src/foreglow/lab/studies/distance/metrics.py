@@ -44,7 +44,6 @@ class ErrorSummary:
         within_one_sigma: Share whose truth is at most one sigma from the estimate, of those with a finite sigma.
         within_two_sigma: As `within_one_sigma`, for two sigmas.
         absolute_low: Lower end of the 95 % interval of `median_absolute`; NaN where it was not asked for.
-        absolute_high: Upper end.
     """
 
     num: int
@@ -131,10 +130,8 @@ class Finding:
     Attributes:
         axis: What the groups differ in: `range`, `reach`, `series`, `tracks`, `pitch`, `localisation`, `terrain`,
             `kind`, or `vehicle`, where the truth is the range of the vehicle and not that of the light.
-        method: The method.
         light: `direct`, `indirect` or `all`.
         group: Within the axis, such as `30-60 m`; `all` of it.
-        errors: The figures.
     """
 
     axis: str
@@ -164,7 +161,6 @@ def light_sorts(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
 
 
 def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_]) -> Iterator[Finding]:
-    """All figures of one sort of light."""
     truth_m, main_methods = results.column("truth_m"), results.main_methods
 
     def errors(ranges_m: Floats, sigmas_m: Floats | None, truth_m: Floats = truth_m) -> ErrorSummary:
@@ -212,7 +208,6 @@ def _reach_groups(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
 
 
 def _groups(results: DistanceResults) -> Mapping[str, Mapping[str, NDArray[np.bool_]]]:
-    """By axis and group, which lights are in it."""
     classes, scenarios, kinds = (results.column(name) for name in ("error_class", "scenario", "kind"))
     return {
         "localisation": {f"{bound:g} m": classes == number for number, bound in enumerate(ERROR_BOUNDS_M)},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,17 +17,96 @@ from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import SplitName, open_labelled, split_in
-from foreglow.datasets.simulated import has_truth, read_truth
+from foreglow.datasets.simulated import SequenceTruth, has_truth, read_truth
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
-from foreglow.geometry import Floats
-from foreglow.lab.studies.distance.lights import RangedLight, ranged_lights, tilted
+from foreglow.geometry import Camera, Floats, Pose, rotation
+from foreglow.lab.evaluation.boxes.matching import smallest_box
 from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.tracking import make_tracker
-from foreglow.types import Detections, Frame, Ranges, Tracks
+from foreglow.types import Boxes, Detections, Frame, Ranges, Tracks
+
+NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
+"""Reasons to leave a light out."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangedLight:
+    """A labelled light with a box and a known range.
+
+    Attributes:
+        instance_id: Identifies the light throughout the drive.
+        vehicle_range_m: From the camera to the vehicle that causes it.
+        error_class: Of the street message's longitudinal error.
+        box: Index, among the proposals of the image, of the smallest one that holds its keypoint.
+        box_xyxy_px: That proposal.
+    """
+
+    image_id: int
+    sequence_id: int
+    instance_id: int
+    is_direct: bool
+    kind: str
+    truth_m: float
+    vehicle_range_m: float
+    scenario: str
+    error_class: int
+    box: int
+    box_xyxy_px: tuple[int, int, int, int]
+
+
+def ranged_lights(
+    image_id: int, truth: SequenceTruth, boxes_xyxy_px: Boxes, left_out: Counter[str]
+) -> tuple[RangedLight, ...]:
+    """The lights of an image with a range and one of its proposals; the others are counted in `left_out`.
+
+    Raises:
+        ValueError: If the image is none of the sequence.
+    """
+    known = truth.frame(image_id)
+    lights = []
+    for vehicle, artifact in ((seen, artifact) for seen in known.vehicles for artifact in seen.artifacts):
+        box = smallest_box(artifact.position_px, boxes_xyxy_px)
+        if artifact.is_doubtful:
+            left_out[DOUBTFUL] += 1
+        elif np.isnan(artifact.depth_m):
+            left_out[NO_DEPTH] += 1
+        elif box is None:
+            left_out[NO_BOX] += 1
+        else:
+            lights.append(
+                RangedLight(
+                    image_id=image_id,
+                    sequence_id=truth.sequence_id,
+                    instance_id=artifact.instance_id,
+                    is_direct=artifact.is_direct,
+                    kind=artifact.kind,
+                    truth_m=artifact.depth_m,
+                    vehicle_range_m=vehicle.range_m,
+                    scenario=truth.scenario,
+                    error_class=known.street.error_class,
+                    box=box,
+                    box_xyxy_px=tuple(boxes_xyxy_px[box].tolist()),
+                )
+            )
+    return tuple(lights)
+
+
+def tilted(frame: Frame, pitch_rad: float) -> Frame:
+    """`frame` with a calibration whose pitch is wrong by `pitch_rad`, upwards."""
+    assert frame.camera is not None
+    return dataclasses.replace(frame, camera=_tilted_camera(frame.camera, pitch_rad))
+
+
+@functools.lru_cache(maxsize=64)  # the same camera for each frame: estimators remember what depends on it
+def _tilted_camera(camera: Camera, pitch_rad: float) -> Camera:
+    mount = camera.vehicle_from_camera
+    claimed = Pose(mount.position_m, mount.rotation @ rotation(pitch_rad=pitch_rad))
+    return dataclasses.replace(camera, vehicle_from_camera=claimed)
+
 
 Estimates: TypeAlias = tuple[Floats, Floats]
 """Ranges and sigmas of some lights, shape (N,) each; NaN and infinity without estimate."""
@@ -57,10 +138,8 @@ class DistancePlan:
     """What is asked for.
 
     Attributes:
-        split: The split that is measured on, of a data set.
         estimators: Names of `ESTIMATORS`.
         config: Of the detector whose boxes are given a range, and of the pitch.
-        seed: Of the intervals.
     """
 
     split: SplitName = "test"
@@ -114,9 +193,6 @@ class DistanceResults:
 
     Attributes:
         name: The split.
-        plan: What was asked for.
-        num_images: Images of the split.
-        rate_hz: Their rate.
         left_out: Labelled lights without a range to compare with or without a box, by reason.
         lights: The N others, in the order of sequence and image.
         ranges_m: By method, shape (N,); NaN without estimate.
@@ -154,11 +230,6 @@ class DistanceResults:
 
 def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
     """Ranges for every labelled light of a simulated split whose range is known, from the smallest box around it.
-
-    Args:
-        data: A data set with the split, or a split itself.
-        plan: What to measure.
-        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If a file of the data set is missing.
@@ -245,7 +316,6 @@ def _detections(detector: Pipeline, frame: Frame) -> Detections:
 def _estimated(
     frame: Frame, detections: Detections, methods: Mapping[Method, RangeEstimator]
 ) -> Iterator[tuple[Method, Ranges]]:
-    """Ranges of all boxes by each method."""
     frames = {tilt_deg: tilted(frame, float(np.radians(tilt_deg))) for tilt_deg in TILTS_DEG if tilt_deg} | {0.0: frame}
     for method, estimator in methods.items():
         yield method, estimator.estimate(frames[method.tilt_deg], detections)
@@ -259,7 +329,6 @@ def _tracks_of(boxes: NDArray[np.intp], tracks: Tracks) -> NDArray[np.intp]:
 
 
 def _joined(parts: Sequence[Estimates]) -> Estimates:
-    """Ranges and sigmas of all images, one after another."""
     ranges_m, sigmas_m = zip((np.zeros(0), np.zeros(0)), *parts, strict=True)
     return np.concatenate(ranges_m), np.concatenate(sigmas_m)
 

@@ -55,7 +55,6 @@ def command(
 
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
-    """Drives a scene once more, and films it."""
     from foreglow.lab.studies.glare.film import write_film
     from foreglow.lab.studies.glare.simulate import Drives, own_name
     from foreglow.photometry import read_headlamps

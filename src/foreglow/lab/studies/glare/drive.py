@@ -47,7 +47,6 @@ class DriverEye:
     """Another driver's eye over T frames: where it is, and what light of ours reaches it.
 
     Attributes:
-        vehicle_id: The vehicle.
         kind: What it is, such as `car`.
         is_oncoming: Whether it comes towards us; else we follow it, and the eye is what its mirrors show.
         ranges_m: Shape (T,), from our vehicle's origin to the eye; NaN where the vehicle is absent, behind or far away.
@@ -119,7 +118,6 @@ class PolicyRun:
     """What one policy made the lamps shine over T frames.
 
     Attributes:
-        name: The policy.
         levels: Shape (T, 2, L), float32 in [0, 1], as the lamps shone at each frame, their latency included.
         gaps_rad: Shape (T, G, 2), right and left border of each dark gap, azimuth to the left in the vehicle's frame;
             rows from `num_gaps` on are NaN.
@@ -168,13 +166,11 @@ class GlareDrive:
     """One drive through one scene, with what every policy shone on the way.
 
     Attributes:
-        name: The scene.
         scenario: What was drawn, such as `crest`.
         rate_hz: Frames a second.
         times_s: Shape (T,), growing, from the first frame on.
         speeds_mps: Shape (T,), of our vehicle; NaN where unknown.
         eyes: One for each other driver; their ids differ.
-        road: The light on the road.
         runs: What was shone, by the policy's name.
         light_s: By vehicle id, when its first light is labelled, be it a reflection; without entry, never.
         pictures: Pictures or videos of the drive, by caption: paths relative to the folder of the report.

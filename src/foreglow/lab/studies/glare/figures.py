@@ -13,8 +13,8 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
 from foreglow.lab.studies.glare.drive import AREAS, DriverEye, GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.drive_score import DriveScore
 from foreglow.lab.studies.glare.metrics import BINS, LIMITS
+from foreglow.lab.studies.glare.pooled import DriveScore
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint
 
 PURPLE, RED, LIT, DARK = "#9a4c8f", "#e0403a", "#fdf0c8", "#4a4f5c"
@@ -112,7 +112,6 @@ def box_figure(results: GlareResults) -> bytes:
 
 
 def _values(drive: DriveScore) -> tuple[Sequence[float], ...]:
-    """Of the four panels of `box_figure`."""
     met, light = drive.of_group(is_oncoming=True), drive.present
     kept = [[ratio(light.kept_lxs[area], light.full_lxs[area])] for area in range(len(AREAS))]
     return [drive.dose_lxs(is_oncoming=True)] if met else [], [eye.first_glare_s for eye in met], *kept
@@ -141,11 +140,7 @@ def bin_figure(results: GlareResults) -> bytes:
 
 
 def sensitivity_figure(points: Sequence[SensitivityPoint]) -> bytes:
-    """How dose, road light and wrong dimming move with one parameter, a line for each policy.
-
-    Args:
-        points: All of one parameter.
-    """
+    """How dose, road light and wrong dimming move with the one parameter of `points`, a line for each policy."""
     figure, panels = subplots(3, width_in=3.6, height_in=3.2)
     names = list(dict.fromkeys(point.policy for point in points))
     titles = {
@@ -181,8 +176,8 @@ def _draw_lux(axes: Any, drive: GlareDrive, eye: DriverEye, policies: Sequence[s
         style = {"oracle": (0, (1, 1.2))}.get(name, "-")
         alpha = 0.45 if name == "low" else 1.0
         axes.plot(
-            times_s, _positive(lux), color=colour, linewidth=width, linestyle=style, alpha=alpha, label=label,
-            solid_capstyle="butt",
+            times_s, np.where(lux > 0, lux, math.nan), color=colour, linewidth=width, linestyle=style, alpha=alpha,
+            label=label, solid_capstyle="butt",
         )  # fmt: skip
         if name not in ("low", "high"):
             axes.fill_between(times_s, lux, limit_lx, where=lux > limit_lx, color=colour, alpha=0.15, linewidth=0)
@@ -273,17 +268,10 @@ def _dark_areas(drive: GlareDrive, run: PolicyRun, zero_s: float) -> list[Floats
     return areas
 
 
-def _positive(lux: Floats) -> Floats:
-    """NaN where there is nothing to draw on a logarithmic axis."""
-    return np.where(lux > 0, lux, math.nan)
-
-
 def _words(name: str) -> str:
-    """What figures call a policy."""
     return WORDS.get(name, name)
 
 
 def _colour(name: str, names: Sequence[str]) -> str:
-    """That of a policy; the same one in all figures."""
     others = [other for other in names if other not in COLOURS]
     return COLOURS.get(name) or OTHERS[others.index(name) % len(OTHERS)]

@@ -29,13 +29,6 @@ def write_film(
 ) -> None:
     """Writes the MP4 file `path`: what each car's lamps shone in each frame, beside each other.
 
-    Args:
-        frames: For each moment, one `Shone` for each car.
-        titles: One for each car.
-        headlamps: What shines.
-        rate_hz: Frames a second.
-        path: Appears when the film is whole.
-
     Raises:
         OSError: If it cannot be written.
     """

@@ -58,7 +58,6 @@ class Shone(NamedTuple):
         levels: Shape (2, L), what was shone in it.
         gaps_rad: Shape (G, 2), the gaps of the command that is in force.
         command: What followed from it.
-        result: What the stages made of it.
     """
 
     known: DriveFrame

@@ -65,7 +65,6 @@ class Limits:
     """How much light may reach other drivers' eyes.
 
     Attributes:
-        name: What they are from.
         oncoming: For drivers who come towards us.
         preceding: For drivers whom we follow, at their mirrors.
     """
@@ -145,8 +144,6 @@ class EyeScore:
     """What one policy did to one other driver.
 
     Attributes:
-        vehicle_id: The vehicle.
-        kind: What it is.
         is_oncoming: Whether it comes towards us.
         lead_s: From its first labelled light to the first sight of us; positive in an occluded approach, NaN without
             either. Light is labelled in our camera's images, sight is from the eye to our lamps: on an open road they
@@ -252,8 +249,8 @@ class Phases:
 
     Attributes:
         is_present: Shape (T,), whether a vehicle is there.
-        is_passed: Shape (T,), whether none is there, and all that were passed more than `restore_s` ago; at least one.
-        is_free: Shape (T,), whether none is there, none was within `restore_s`, none will be within `AHEAD_S`.
+        is_passed: Shape (T,), whether none is there, and all that were passed more than `RESTORE_S` ago; at least one.
+        is_free: Shape (T,), whether none is there, none was within `RESTORE_S`, none will be within `AHEAD_S`.
     """
 
     is_present: NDArray[np.bool_]
@@ -318,16 +315,16 @@ class Dimming:
     road_lost_s: float
 
 
-def phases(drive: GlareDrive, restore_s: float = RESTORE_S) -> Phases:
+def phases(drive: GlareDrive) -> Phases:
     """When other vehicles matter in `drive`."""
     times_s = drive.times_s
     num_frames = len(times_s)
     is_present, is_near, is_shadowed, is_after = np.zeros((4, num_frames), np.bool_)
     for begin_s, end_s in _visits(drive):
         is_present |= (times_s >= begin_s) & (times_s <= end_s)
-        is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + restore_s)
-        is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + restore_s)
-        is_after |= times_s > end_s + restore_s
+        is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + RESTORE_S)
+        is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + RESTORE_S)
+        is_after |= times_s > end_s + RESTORE_S
     is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS)
     return Phases(is_present & is_fast, is_after & ~is_shadowed & is_fast, ~is_near & is_fast)
 

@@ -12,11 +12,8 @@ from typing import TypeAlias
 from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import LeadScore
 from foreglow.lab.evaluation.ratios import ratio
-from foreglow.lab.reports.numbers import number, percent, signed
-from foreglow.lab.reports.occurrence import REMARK, occurrence_table
-from foreglow.lab.reports.page import Figure, Page, Table
+from foreglow.lab.reports.page import Figure, Page, Table, number, percent, signed
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive
-from foreglow.lab.studies.glare.drive_score import DriveScore
 from foreglow.lab.studies.glare.figures import (
     README_WIDTH_IN,
     bin_figure,
@@ -26,9 +23,10 @@ from foreglow.lab.studies.glare.figures import (
     sensitivity_figure,
 )
 from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
-from foreglow.lab.studies.glare.pooled import BinGlare, GroupGlare, Interval, Moments, WrongDimming
+from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
+from foreglow.lab.studies.occurrence.run import REMARK, occurrence_table
 
 Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
 """By head, what stands in a policy's cell."""
@@ -66,9 +64,12 @@ def write_report(
     names = [policy.name for policy in results.policies]
     if own_policy(results) in names:
         page.items(summary_lines(results))
-    for heading, remark, table in (*_tables(results, others), *_occurrence(leads)):
+    for heading, remark, table in _tables(results, others):
         page.section(heading, remark)
         page.table(table)
+    if leads:
+        page.section("Occurrence point", REMARK)
+        page.table(occurrence_table(leads))
     page.section("All drives")
     for figure in _figures(results):
         page.figure(figure)
@@ -161,7 +162,6 @@ def drives_csv(results: GlareResults) -> str:
 
 
 def _figures(results: GlareResults) -> Iterator[Figure]:
-    """Those of all drives together."""
     words = "Drives (points), their quartiles and 5th and 95th percentile"
     yield Figure(box_figure(results), words, "boxes.png")
     words = "Dose above the limit by range, all drives together; linear up to 0.1 lx s, logarithmic above"
@@ -183,7 +183,6 @@ def _drive_figures(drive: GlareDrive, policies: Sequence[str]) -> Iterator[Figur
 
 
 def _readme_figure(drives: Sequence[GlareDrive]) -> dict[str, bytes]:
-    """By its file name; nothing without drives."""
     if not drives:
         return {}
     drive = next((drive for drive in drives if drive.pictures), drives[len(drives) // 2])
@@ -240,7 +239,6 @@ def _notes(results: GlareResults) -> Iterator[str]:
 
 
 def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[tuple[str, str, Table]]:
-    """Heading, remark and table of every section."""
     policies = results.policies
     yield (
         "Policies",
@@ -284,11 +282,6 @@ def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[t
         _table(_dimming_columns(lambda policy: policy.between), policies),
     )
     yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
-
-
-def _occurrence(leads: Sequence[LeadScore]) -> Iterator[tuple[str, str, Table]]:
-    if leads:
-        yield "Occurrence point", REMARK, occurrence_table(leads)
 
 
 def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:

@@ -16,14 +16,70 @@ import numpy as np
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation import bootstrap
 from foreglow.lab.evaluation.ratios import mean, percentiles, ratio, share
-from foreglow.lab.studies.glare.drive_score import DriveScore
+from foreglow.lab.studies.glare.drive import GlareDrive, PolicyRun
 from foreglow.lab.studies.glare.metrics import (
     BINS,
     Dimming,
+    EyeScore,
     Glare,
+    Limits,
     PhaseLight,
     Switching,
+    phase_light,
+    phases,
+    score_eye,
+    switching,
+    wrong_dimming,
 )
+
+
+@dataclass(frozen=True, slots=True)
+class DriveScore:
+    """One policy on one drive: what adds up to its figures.
+
+    Attributes:
+        is_empty: Whether there is no other driver at all.
+        present: Light on the road while a vehicle is there.
+        passed: Light on the road after the vehicle has passed and light had time to return.
+    """
+
+    drive: str
+    scenario: str
+    is_empty: bool
+    eyes: tuple[EyeScore, ...]
+    present: PhaseLight
+    passed: PhaseLight
+    switching: Switching
+    dimming: Dimming
+
+    def of_group(self, is_oncoming: bool) -> tuple[EyeScore, ...]:
+        """The oncoming, or the preceding drivers."""
+        return tuple(eye for eye in self.eyes if eye.is_oncoming == is_oncoming)
+
+    def dose_lxs(self, is_oncoming: bool) -> float:
+        """Of all oncoming, or all preceding drivers."""
+        return math.fsum(eye.dose_lxs for eye in self.of_group(is_oncoming))
+
+    def doses_lxs(self, is_oncoming: bool) -> Floats:
+        """Shape (B, 2): by bin, the dose of the policy and of the low beam alone."""
+        doses = [[(glare.dose_lxs, glare.low_dose_lxs) for glare in eye.bins] for eye in self.of_group(is_oncoming)]
+        return np.asarray(np.array(doses, np.float64).reshape(-1, len(BINS.bin_names), 2).sum(axis=0))
+
+
+def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits) -> DriveScore:
+    """What one policy did on one drive."""
+    when = phases(drive)
+    return DriveScore(
+        drive=drive.name,
+        scenario=drive.scenario,
+        is_empty=not drive.eyes and not drive.light_s,
+        eyes=tuple(score_eye(drive, eye, run.levels, limits) for eye in drive.eyes),
+        present=phase_light(drive, run, when.is_present),
+        passed=phase_light(drive, run, when.is_passed),
+        switching=switching(drive, run),
+        dimming=wrong_dimming(drive, run, when.is_free),
+    )
+
 
 ALL_BINS = "all"
 NUM_RESAMPLES = 2000
@@ -56,9 +112,7 @@ class Moments:
     once, however long it is in sight.
 
     Attributes:
-        num: Eyes whose first sight of us is in their drive.
         median: Half of them have no longer one.
-        mean: Over all of them.
         p90: 90th percentile.
         dark_share: Share of them that are dark from the beginning.
     """
@@ -88,7 +142,6 @@ class BinGlare:
     Attributes:
         name: The bin, such as `30-60 m`, or `all`.
         glare: Sums, see `Glare`.
-        above_share: Time above the limit over time in sight.
         over_low_lxs: Dose that is not the low beam's: what is left if that of the low beam alone is taken off.
         vs_production: Dose over that of the policy `production`; NaN where that has none, however large this one is.
     """
@@ -118,7 +171,6 @@ class GroupGlare:
     """Glare of all oncoming, or all preceding drivers.
 
     Attributes:
-        num_eyes: Drivers.
         bins: By range, the last one is all of them.
         dose_vs_production: Dose over that of `production`, all bins; NaN where that has none, or is not among the
             policies. A few long glares can decide it: see the drives.
@@ -181,10 +233,7 @@ class RoadKept:
 
     Attributes:
         seconds: Duration of the phase; without any, the shares are NaN.
-        own_lane: Share on our own lane.
-        verge: Share on the verge.
         low_own_lane: The low beam's share on our own lane.
-        low_verge: That on the verge.
     """
 
     seconds: float
@@ -243,8 +292,6 @@ class WrongDimming:
     Attributes:
         minutes: Time with nobody there; without any, all else is NaN.
         num_events: Times that full beam was dimmed.
-        events_per_minute: Their rate.
-        dimmed_share: Share of the time below full.
         area_dimmed: Share of the LEDs' light that is off, on average while dimmed; NaN where nothing is dimmed.
         road_dimmed: Share of the road's light that is lost, on average while dimmed.
     """

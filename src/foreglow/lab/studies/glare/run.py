@@ -36,9 +36,7 @@ class GlarePlan(FrozenModel):
     Attributes:
         num_scenes: How many of the scenes, from the first on; None for all.
         num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
-        delays: From camera to beam.
         quality: Of the renderer: `fast`, `training` or `fine`.
-        seed: Of the intervals.
     """
 
     num_scenes: int | None = None
@@ -64,7 +62,6 @@ class GlareExperiment:
         results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
         others: The results by other limits.
         leads: How well it was predicted where hidden vehicles would appear, over all scenes.
-        folder: Where everything is.
     """
 
     results: GlareResults
@@ -86,15 +83,7 @@ def run_experiment(
     workers: Workers | None = None,
     progress: Progress,
 ) -> GlareExperiment:
-    """Drives the scenes that are not finished yet, and scores all.
-
-    Args:
-        scenes: A simulated split, or its `scenes.jsonl`.
-        config: Our pipeline; its beam policy, or ours where it has none.
-        plan: What is driven, and how.
-        folder: Where everything goes; made if need be. An interrupted experiment in it goes on.
-        workers: Who drives; None drives in this process.
-        progress: Called after each frame.
+    """Drives the scenes that `folder` does not have yet, and scores all; without workers, drives in this process.
 
     Raises:
         FileNotFoundError: If there are no scenes.
@@ -149,7 +138,6 @@ def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
 
 
 def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], parent: Parent) -> None:
-    """Drives one scene and writes what is kept of it."""
     number, named = item
     drives = Drives(config, plan.delays, plan.quality)
 
@@ -160,9 +148,9 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
             if parent.is_stopped:
                 raise KeyboardInterrupt
 
-    driven = drives.driven(named.scene, named.name, pairs())
-    write_glare_drive(_drive_file(folder, named.name), driven.drive)
-    write_json_results(_sightings_file(folder, named.name), driven.sightings)
+    drive, sightings = drives.driven(named.scene, named.name, pairs())
+    write_glare_drive(_drive_file(folder, named.name), drive)
+    write_json_results(_sightings_file(folder, named.name), sightings)
 
 
 def _drive_file(folder: Path, name: str) -> Path:

@@ -6,17 +6,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.drive_score import DriveScore, score_drive
 from foreglow.lab.studies.glare.metrics import (
     FMVSS_108,
     RESTORE_S,
     Limits,
 )
 from foreglow.lab.studies.glare.pooled import (
+    DriveScore,
     GroupGlare,
     RoadKept,
     Smoothness,
     WrongDimming,
+    score_drive,
 )
 
 POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")
@@ -31,15 +32,11 @@ class PolicyScore:
     """One row of the table.
 
     Attributes:
-        name: The policy.
-        oncoming: Glare of oncoming drivers.
-        preceding: Glare of preceding drivers.
         present: Light on the road while a vehicle is there.
         passed: Light on the road after the vehicle has passed and light had time to return.
         smoothness: How much the light changes.
         empty: Wrong dimming in drives without any other driver.
         between: Wrong dimming in the other drives, long before and after.
-        drives: The scores drive by drive.
     """
 
     name: str
@@ -77,8 +74,6 @@ class SensitivityPoint:
     Attributes:
         parameter: What was varied, such as `latency`.
         unit: Its unit, such as `ms`; may be empty.
-        value: Its value.
-        policy: Whose.
         dose_vs_production: Dose of oncoming drivers over that of `production`.
         road_kept: Light on the own lane while a vehicle is there, over full beam.
         wrong_per_minute: Wrong dimming in drives without any other driver.
@@ -106,8 +101,6 @@ class GlareResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The set of drives.
-        limits: What the limits are from.
         restore_s: Time that light had to return after a vehicle.
         seconds: Of all drives.
         policies: The rows, in the order of `POLICIES`.
@@ -138,17 +131,9 @@ def score_glare(
     drives: Iterable[GlareDrive],
     limits: Limits = FMVSS_108,
     *,
-    restore_s: float = RESTORE_S,
     seed: int = 0,
 ) -> GlareResults:
     """The figures of all policies of `drives`, which are gone through once.
-
-    Args:
-        name: What to call the set.
-        drives: All with runs of the same policies.
-        limits: For light at other drivers' eyes.
-        restore_s: Time that light has to return after a vehicle has passed.
-        seed: Of the bootstrap.
 
     Raises:
         ValueError: If there is no drive, or one has other policies than the first.
@@ -162,17 +147,17 @@ def score_glare(
         if drive.runs.keys() != scores.keys():
             raise ValueError(f"drive {drive.name}: expected runs of {', '.join(scores)}, got {', '.join(drive.runs)}")
         for policy, run in drive.runs.items():
-            scores[policy].append(score_drive(drive, run, limits, restore_s))
+            scores[policy].append(score_drive(drive, run, limits))
         seconds += len(drive.times_s) / drive.rate_hz
     if not scores:
         raise ValueError(f"{name}: expected at least one drive with runs of policies, found none")
     production = scores.get(PRODUCTION)
     policies = (PolicyScore.of(policy, of_policy, production, seed) for policy, of_policy in scores.items())
-    return GlareResults(name, limits.name, restore_s, seconds, tuple(policies))
+    return GlareResults(name, limits.name, RESTORE_S, seconds, tuple(policies))
 
 
-def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 0.75)) -> tuple[str, ...]:
-    """Drives to show, chosen by a rule: those at `shares` of the way from the smallest to the largest dose.
+def typical_drives(results: GlareResults) -> tuple[str, ...]:
+    """Drives to show, chosen by a rule: those at the quartiles of the dose.
 
     The dose is that of `production` at oncoming drivers (else of the first policy), of drives with an occluded approach
     of one, or with any oncoming driver where there is no such drive; none without.
@@ -182,5 +167,5 @@ def typical_drives(results: GlareResults, shares: Sequence[float] = (0.25, 0.5, 
     met = [drive for drive in drives if drive.of_group(is_oncoming=True)]
     occluded = [drive for drive in met if any(eye.is_occluded for eye in drive.of_group(is_oncoming=True))]
     ordered = sorted(occluded or met, key=lambda drive: (drive.dose_lxs(is_oncoming=True), drive.drive))
-    chosen = [round(part * (len(ordered) - 1)) for part in shares] if ordered else []
+    chosen = [round(part * (len(ordered) - 1)) for part in (0.25, 0.5, 0.75)] if ordered else []
     return tuple(dict.fromkeys(ordered[index].drive for index in chosen))

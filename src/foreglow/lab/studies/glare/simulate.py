@@ -7,7 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,139 @@ from foreglow.beam import make_policy
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.datasets.simulated import VehicleTruth
-from foreglow.geometry import Floats
+from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting, is_coming
 from foreglow.lab.simulation import DriveFrame, Scene
+from foreglow.lab.simulation.scenes.scene import EgoSpec
+from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.light import EyeLight, OurLight
 from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
 from foreglow.lab.studies.glare.scores import POLICIES
-from foreglow.photometry import NUM_LEDS, read_headlamps
+from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps
 from foreglow.tracking import make_tracker
 from foreglow.types import Frame, FrameResult, Tracks
+
+FARTHEST_M = 400.0
+"""In the simulator no light of ours reaches an eye that is further away."""
+
+ROAD_DISTANCES_M = np.arange(40.0, 121.0, 10.0)
+"""Where the light on the road is measured, arc lengths ahead of our rear axle."""
+
+VERGE_M = 0.75
+"""Distance of the point on the verge from the right edge of the carriageway."""
+
+
+class EyeLight(NamedTuple):
+    """The light at one eye in one frame.
+
+    Attributes:
+        range_m: From our vehicle's origin; NaN where it is beside or behind our lamps, or too far away.
+        azimuth_rad: Of the eye in our vehicle's frame, to the left; NaN as the range.
+        base_lx: By both low beams.
+        leds_lx: Shape (2, L), by each LED at level 1.
+    """
+
+    range_m: float
+    azimuth_rad: float
+    is_in_sight: bool
+    base_lx: float
+    leds_lx: NDArray[np.float32]
+
+
+class OurLight:
+    """The light of our headlamps in one drive, as they are mounted, aimed and as bright as the scene has them."""
+
+    def __init__(self, scene: Scene, headlamps: Headlamps | None = None) -> None:
+        """Takes the scene, and our headlamps; None for the built-in ones."""
+        self._lamps = _aimed(headlamps or read_headlamps(), scene.ego)
+        self._positions_m = np.stack(
+            [lamp.vehicle_from_lamp.position_m for lamp in (self._lamps.left, self._lamps.right)]
+        )
+        self._brightness = scene.ego.brightness
+        self._scattering_per_m = scene.weather.scattering_per_m
+        self._road = Road(scene.road)
+        edge_m = self._road.half_width_m
+        self._offsets_m = (-0.5 * edge_m, -edge_m - VERGE_M)
+
+    def at_eye(self, known: DriveFrame, vehicle: VehicleTruth, levels: Floats) -> EyeLight:
+        """The light at the driver's eye of `vehicle`, or at its mirrors where we follow it.
+
+        What stands in between follows from the sum of both lamps' light in the simulator: one, both or none of them is
+        seen, whichever comes nearest to that sum. A vehicle that we follow is in sight when its rear lamps are.
+
+        Args:
+            known: The frame.
+            vehicle: One of its vehicles.
+            levels: Shape (2, L), what was shone in this frame.
+        """
+        eye = known.ego_pose.to_body(vehicle.eye_world_m)
+        forward = known.ego_pose.rotation.T @ vehicle.pose.rotation[:, 0]
+        is_oncoming = is_coming(known.ego_pose, vehicle)
+        no_light = np.zeros((2, self._lamps.num_leds), np.float32)
+        range_m = float(np.hypot(eye[0], eye[1]))
+        if eye[0] <= self._lamps.left.vehicle_from_lamp.position_m[0] + 0.5 or range_m > FARTHEST_M:
+            return EyeLight(np.nan, np.nan, is_oncoming and vehicle.eye_lx.get("ego", 0.0) > 0, 0.0, no_light)
+        sight = forward if is_oncoming else -forward
+        base_lx, leds_lx = (self._facing(eye, sight, light_lx) for light_lx in self._by_lamp(eye))
+        if is_oncoming:
+            expected_lx = base_lx + (levels * leds_lx).sum(axis=1)
+            is_seen = seen_lamps(expected_lx, vehicle.eye_lx.get("ego", 0.0))
+        else:
+            is_seen = np.full(2, any(lamp.is_rear and lamp.visible_share > 0 for lamp in vehicle.lamps))
+        return EyeLight(
+            range_m=range_m,
+            azimuth_rad=float(np.arctan2(eye[1], eye[0])),
+            is_in_sight=bool(is_seen.any()),
+            base_lx=float(base_lx @ is_seen),
+            leds_lx=(leds_lx * is_seen[:, None]).astype(np.float32),
+        )
+
+    def on_road(self, known: DriveFrame) -> tuple[Floats, NDArray[np.float32]]:
+        """Mean illuminance of own lane and verge, facing the lamps, with nothing in between.
+
+        Returns:
+            By both low beams, shape (2,); by each LED at level 1, shape (2, 2, L): area, lamp, LED.
+        """
+        arcs_m = known.ego_s_m + ROAD_DISTANCES_M
+        areas = [self._road.points(arcs_m, offset_m) for offset_m in self._offsets_m]
+        points = known.ego_pose.to_body(np.concatenate(areas))
+        base_lx, leds_lx = self._lamps.illuminance_lx(points)
+        num = len(ROAD_DISTANCES_M)
+        base = base_lx.reshape(2, num).mean(axis=1) * self._brightness
+        leds = leds_lx.reshape(2, num, 2, -1).mean(axis=1) * self._brightness
+        return base, leds.astype(np.float32)
+
+    def _by_lamp(self, point: Floats) -> tuple[Floats, Floats]:
+        """Illuminance by each low beam, shape (2,), and by each LED, shape (2, L), facing them."""
+        offsets = point - self._positions_m
+        squares = np.sum(offsets * offsets, axis=1)
+        base_cd = [self._lamps.intensities_cd(offset[None])[0][0, lamp] for lamp, offset in enumerate(offsets)]
+        leds_lx = self._lamps.illuminance_lx(point[None])[1][0]
+        return np.array(base_cd) / squares, leds_lx
+
+    def _facing(self, eye: Floats, forward: Floats, light_lx: Floats) -> Floats:
+        """The light on a plane across `forward`, in place of one that faces the lamps, through the air; by lamp."""
+        away = self._positions_m - eye
+        ranges_m = np.linalg.norm(away, axis=1)
+        kept = np.clip(away @ forward / ranges_m, 0.0, None) * np.exp(-self._scattering_per_m * ranges_m)
+        return np.asarray(light_lx * (self._brightness * kept).reshape(2, *([1] * (light_lx.ndim - 1))))
+
+
+def seen_lamps(expected_lx: Floats, found_lx: float) -> NDArray[np.bool_]:
+    """Which of two lamps are seen, when they would give `expected_lx`, shape (2,), and give `found_lx` together.
+
+    >>> seen_lamps(np.array([2.0, 3.0]), 3.0).tolist()
+    [False, True]
+    """
+    choices = np.array([[False, False], [True, False], [False, True], [True, True]])
+    return np.asarray(choices[np.argmin(np.abs(choices @ expected_lx - found_lx))])
+
+
+def _aimed(headlamps: Headlamps, ego: EgoSpec) -> Headlamps:
+    aim = Pose(np.zeros(3), rotation(float(np.radians(ego.yaw_aim_deg)), float(np.radians(ego.pitch_aim_deg))))
+    left, right = (Headlamp(lamp.vehicle_from_lamp @ aim, lamp.matrix) for lamp in (headlamps.left, headlamps.right))
+    return dataclasses.replace(headlamps, left=left, right=right)
+
 
 RUN_IN_S = 1.5
 """Time before a drive counts: systems start in low beam, from which light returns slowly."""
@@ -37,8 +160,6 @@ class Setting:
 
     Attributes:
         parameter: What is changed.
-        unit: Of its value; may be empty.
-        value: The value.
         latency_s: From exposure to light.
         beam: Changed fields of the beam stage.
         tracker: Changed fields of the tracker.
@@ -84,19 +205,6 @@ def own_name(config: PipelineConfig) -> str:
     return f"our pipeline, {policy}" if policy in POLICIES and policy != "foreglow" else policy
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrivenScene:
-    """What comes of one scene.
-
-    Attributes:
-        drive: What was lit, and what every policy and setting shone.
-        sightings: Of hidden vehicles.
-    """
-
-    drive: GlareDrive
-    sightings: tuple[Sighting, ...]
-
-
 class Drives:
     """Drives scenes."""
 
@@ -118,8 +226,10 @@ class Drives:
         )
         return zip(*loops, strict=True)
 
-    def driven(self, scene: Scene, name: str, pairs: Iterator[tuple[Shone, Shone]]) -> DrivenScene:
-        """All that is kept of a scene, from its closed loops."""
+    def driven(
+        self, scene: Scene, name: str, pairs: Iterator[tuple[Shone, Shone]]
+    ) -> tuple[GlareDrive, tuple[Sighting, ...]]:
+        """All that is kept of a scene, from its closed loops: what was lit and shone, and when hidden vehicles came."""
         light = OurLight(scene, self._headlamps)
         production = ProductionCar(self._config.beam, self._headlamps)
         oracle = ExactCar(self._config.beam, self._headlamps)
@@ -145,7 +255,7 @@ class Drives:
                 record.add_run(setting.name, levels)
         moments = [Moment(known.frame.timestamp_ns / 1e9, known.ego_pose, known.vehicles) for known in record.known]
         sightings = self._expectations(frames, results).sightings(moments, scene.rate_hz)
-        return DrivenScene(record.drive(scene, name), sightings)
+        return record.drive(scene, name), sightings
 
     def _replayed(self, frames: Sequence[Frame], results: Sequence[FrameResult], setting: Setting) -> list[Floats]:
         """What another setting would have shone in each frame, on the same detections."""
@@ -158,7 +268,6 @@ class Drives:
         return [commanded[max(index, 0)] for index in latest.tolist()]
 
     def _expectations(self, frames: Sequence[Frame], results: Sequence[FrameResult]) -> Expectations:
-        """What our policy expected in each frame."""
         policy = ForeglowPolicy(self._config.beam, self._headlamps)
         expected = Expectations(self._config.beam.coverage)
         for frame, tracks in zip(frames, self._tracked(frames, results, {}), strict=True):
@@ -225,7 +334,6 @@ class _Record:
         )
 
     def _sightings_of(self, vehicle_id: int) -> list[tuple[DriveFrame, VehicleTruth]]:
-        """The frames in which a vehicle is there, each with what is known of it."""
         return [
             (known, vehicle) for known in self.known for vehicle in known.vehicles if vehicle.vehicle_id == vehicle_id
         ]
@@ -250,7 +358,6 @@ class _Record:
         )
 
     def _first_lights(self, times_s: Floats) -> dict[int, float]:
-        """By vehicle, when its first light is labelled."""
         first: dict[int, float] = {}
         for known, time_s in zip(self.known, times_s.tolist(), strict=True):
             for vehicle in known.vehicles:

@@ -10,8 +10,7 @@ from foreglow.options import PipelineOptions, SplitOptions
 def command(data: SplitOptions, pipeline: PipelineOptions) -> None:
     """Measure how well it is predicted where and when hidden vehicles come into sight (simulated drives)."""
     from foreglow.display.progress import StepProgress
-    from foreglow.lab.studies.occurrence.page import report_lines
-    from foreglow.lab.studies.occurrence.run import run_experiment
+    from foreglow.lab.studies.occurrence.run import report_lines, run_experiment
 
     root, configuration = data.root(), pipeline.configuration()
     with StepProgress() as progress:

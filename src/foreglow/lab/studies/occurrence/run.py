@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from foreglow.beam.policy import ForeglowPolicy
 from foreglow.config import PipelineConfig
 from foreglow.datasets import open_labelled
 from foreglow.datasets.simulated import read_truth
-from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting
+from foreglow.lab.evaluation.occurrence import NEAR_DEG, Expectations, LeadScore, Moment, Sighting, lead_scores
+from foreglow.lab.reports.page import Table, number, percent
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.photometry import read_headlamps
 from foreglow.pipeline import Pipeline
@@ -17,11 +19,6 @@ from foreglow.pipeline import Pipeline
 
 def run_experiment(split: Path, config: PipelineConfig, progress: Progress | None = None) -> tuple[Sighting, ...]:
     """What our policy expects on a simulated split, as it was rendered: the beam changes nothing in its images.
-
-    Args:
-        split: Folder of the split.
-        config: The pipeline; of its beam stage the parameters of our policy are used.
-        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If an image, a label file or the simulator's truth is missing.
@@ -50,3 +47,29 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
             truth.info.rate_hz,
         )
     )
+
+
+def report_lines(sightings: Sequence[Sighting]) -> list[str]:
+    """A remark and a table in Markdown; nothing without sightings."""
+    return [REMARK, occurrence_table(lead_scores(sightings)).markdown()] if sightings else []
+
+
+REMARK = (
+    "Where a vehicle comes into sight, told from its light and the road; errors of those of which something was told "
+    "at that time."
+)
+
+
+def occurrence_table(leads: Sequence[LeadScore]) -> Table:
+    """A row for each lead."""
+    columns: dict[str, Callable[[LeadScore], object]] = {
+        "before direct sight": lambda lead: f"{lead.lead_s:g} s",
+        "hidden vehicles": lambda lead: lead.num,
+        "told": lambda lead: lead.num_told,
+        "median error": lambda lead: f"{number(lead.median_deg)} deg",
+        f"within {NEAR_DEG:g} deg": lambda lead: percent(lead.near_share),
+        "held by the gap": lambda lead: percent(lead.covered_share),
+        "its median width": lambda lead: f"{number(lead.width_deg, 1)} deg",
+        "median error of the time": lambda lead: f"{number(lead.median_s)} s",
+    }
+    return Table.of(columns, leads)

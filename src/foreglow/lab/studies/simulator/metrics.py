@@ -47,7 +47,6 @@ class ImageStatistics:
     The dark area is the upper 40 % of the rows. NaN where an image is too small or has no lamp.
 
     Attributes:
-        num_images: How many.
         dark_grey: Mean of the dark area: the black level, if nothing is lit there.
         percentiles_grey: Of all pixels, at `PERCENTILES`.
         column_grey: Standard deviation of the dark area's column means, less their moving mean over 21 columns.
@@ -80,13 +79,7 @@ class ImageStatistics:
 
 @dataclass(frozen=True, slots=True)
 class PixelComparison:
-    """One number of real and simulated images.
-
-    Attributes:
-        name: What it is.
-        real: Of the real ones.
-        simulated: Of the simulated ones.
-    """
+    """One number of real and simulated images."""
 
     name: str
     real: float
@@ -197,9 +190,7 @@ class PeaksOfFrame:
     """What one image of a drive offers.
 
     Attributes:
-        timestamp_s: Time of exposure.
         has_direct: Whether a lamp of an oncoming vehicle is seen.
-        candidates: Candidates of each oncoming vehicle.
     """
 
     timestamp_s: float
@@ -209,12 +200,7 @@ class PeaksOfFrame:
 
 @dataclass(frozen=True, slots=True)
 class FirstTimes:
-    """First times in one drive under one rule; infinite where it never happens.
-
-    Attributes:
-        indirect_s: First indirect artifact.
-        direct_s: First direct artifact.
-    """
+    """First times in one drive under one rule; infinite where it never happens."""
 
     indirect_s: float
     direct_s: float
@@ -232,7 +218,6 @@ class RuleEffect:
     Attributes:
         factor: On both thresholds.
         num_drives: Drives in which a lamp or an indirect artifact is seen.
-        num_with_indirect: Drives with an indirect artifact.
         share_indirect_first: Share of the drives in which indirect light comes before any lamp; NaN without drives.
         lead_s: First direct minus first indirect, over the drives that have both; negative where the lamp comes first.
         shift_s: By how much the first indirect time is later than with a factor of 1, over the drives that have it

@@ -43,10 +43,7 @@ class SimulatorResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The data set.
-        labels: Statistics of its labels.
         label_rows: These statistics beside those of real labels; None without real labels.
-        pixels: Statistics of images with a lamp in sight.
         pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
         leads_s: First lamp minus first indirect light, for each drive that has both; negative if the lamp comes first.
@@ -88,8 +85,10 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
     if real_image is not None:
         pixel_rows = compare_images(image_statistics(np.asarray(to_grey(read_image(real_image)), np.uint8)), own_pixels)
     times = [first_times(drive, rule, scale) for drive in drives]
-    reports = [_first_report_s(drive) for drive in truth]
-    delays = [report - time.indirect_s for report, time in zip(reports, times, strict=True)]
+    delays = []
+    for drive, time in zip(truth, times, strict=True):
+        reports_s = (frame.timestamp_ns / 1e9 for frame in drive.frames if frame.is_production_detected)
+        delays.append(next(reports_s, np.inf) - time.indirect_s)
     return SimulatorResults(
         name=str(split),
         labels=own_labels,
@@ -116,11 +115,6 @@ def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
         candidates = tuple(vehicle.candidates for vehicle in vehicles)
         frames.append(PeaksOfFrame(frame.timestamp_ns / 1e9, has_direct, candidates))
     return tuple(frames)
-
-
-def _first_report_s(drive: SequenceTruth) -> float:
-    times = (frame.timestamp_ns / 1e9 for frame in drive.frames if frame.is_production_detected)
-    return next(times, np.inf)
 
 
 def _real_statistics(path: Path) -> LabelStatistics:

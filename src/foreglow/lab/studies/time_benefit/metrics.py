@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.files import fields_to_json
-from foreglow.lab.evaluation.boxes.first_found import FirstFound
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.evaluation.ratios import mean, ratio, share
-from foreglow.lab.evaluation.tracks.encounters import Encounter
-from foreglow.lab.evaluation.tracks.track_quality import SequenceTracks
+from foreglow.lab.evaluation.vehicles import Encounter, FirstFound, SequenceTracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,6 @@ class TimeBenefit:
     """How early one method detects the first vehicles.
 
     Attributes:
-        name: The method.
         detected_s: One time an encounter, in their order; NaN for never.
         delays_s: From the first annotated artifact.
         before_production_s: How much earlier than the production system; of the sequences in which both detect.
@@ -55,7 +52,6 @@ class TimeBenefit:
         before_sight_s: How much earlier than the first annotated lamp; of occluded vehicles.
         provident_share: Share of the occluded vehicles that are detected before their first annotated lamp; those that
             are never detected count against it. NaN without any.
-        num_missed: Vehicles that are never detected.
     """
 
     name: str
@@ -74,12 +70,9 @@ class FalseTracks:
     """Confirmed tracks that never held any light of a vehicle, not even doubtful light.
 
     Attributes:
-        num: Number of false tracks.
         num_plausible: Number of all confirmed tracks.
-        minutes: Duration of the sequences.
         km: Distance driven in them; NaN where the speed is unknown.
         num_empty: False tracks that came up in an image without any vehicle's light.
-        empty_minutes: Duration of such images.
     """
 
     num: int
@@ -126,7 +119,6 @@ class Method:
     """One row of the table.
 
     Attributes:
-        benefit: How early it detects.
         false: Its false confirmed tracks; None for what is no tracker.
         delay_s: Mean time from the first annotated artifact, where a vehicle that is not detected before the production
             system reports it, or the sequence ends, counts as detected then: missing a vehicle makes no rule quick.

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
 from foreglow.datasets import CategoryConfig, LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
-from foreglow.lab.evaluation.boxes.first_found import first_found
-from foreglow.lab.evaluation.tracks.encounters import Encounter, read_encounters
-from foreglow.lab.evaluation.tracks.track_quality import match_tracks
+from foreglow.lab.evaluation.vehicles import Encounter, first_found, match_tracks, read_encounters
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.lab.studies.time_benefit.metrics import (
     FalseTracks,
@@ -76,11 +74,7 @@ class TimeBenefitResults:
     """Everything that the report shows.
 
     Attributes:
-        name: The split.
-        config: What detected.
         encounters: The first vehicle of each sequence with one.
-        num_sequences: All sequences.
-        methods: The rows of the table.
         curves: By rule of confirmation, one row a setting.
     """
 

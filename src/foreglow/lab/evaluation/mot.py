@@ -12,6 +12,7 @@ but a doubtful one is left out, since nobody is to be blamed for it.
 
 from __future__ import annotations
 
+import configparser
 import contextlib
 import io
 from collections.abc import Iterable, Mapping
@@ -40,8 +41,6 @@ class MotScores:
 
     Attributes:
         hota: Higher order tracking accuracy, mean over the overlaps .05 to .95.
-        det_a: Its detection part.
-        ass_a: Its association part.
         idf1: F of identities, at an overlap of .5.
         mota: CLEAR's accuracy, at an overlap of .5.
         num_switches: How often an object's track changes.
@@ -60,14 +59,7 @@ class MotScores:
 def export_mot(
     dataset: LabelledSource, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
 ) -> None:
-    """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
-
-    Args:
-        dataset: Images with labels; a sequence without a light is left out, as the measures ask.
-        proposals: All boxes of a run, accepted or not.
-        tracks: By image id, the same run's tracks.
-        folder: Where the files go.
-        name: What the tracker is called.
+    """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
 
     Raises:
         FileNotFoundError: If a label file is missing.
@@ -106,7 +98,11 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
     """
     import trackeval
 
-    lengths = {path.parent.name: _length(path) for path in sorted((folder / "gt").glob("*/seqinfo.ini"))}
+    lengths = {}
+    for path in sorted((folder / "gt").glob("*/seqinfo.ini")):
+        info = configparser.ConfigParser()
+        info.read_string(path.read_text(encoding="utf-8"))
+        lengths[path.parent.name] = info.getint("Sequence", "seqLength")
     if not lengths or not (folder / "trackers" / name / "data").is_dir():
         raise ValueError(f"{folder}: expected the files of export-mot with a tracker {name}, found none")
     settings = {
@@ -187,9 +183,3 @@ def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
         f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"
         f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
     )
-
-
-def _length(info: Path) -> int:
-    """The sequence's number of frames."""
-    fields = dict(line.split("=", 1) for line in info.read_text(encoding="utf-8").splitlines() if "=" in line)
-    return int(fields["seqLength"])

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from foreglow.datasets import PVDN
-from foreglow.lab.evaluation.tracks.mot import export_mot, score_mot
+from foreglow.lab.evaluation.mot import export_mot, score_mot
 from foreglow.types import Tracks, TrackState
 from tests.datasets.tiny_pvdn import make_pvdn, write
 from tests.lab.evaluation.scored_boxes import predictions_of

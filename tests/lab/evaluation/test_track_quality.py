@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.evaluation.boxes.lights import Light
-from foreglow.lab.evaluation.tracks.track_quality import SequenceTracks, match_tracks
+from foreglow.lab.evaluation.vehicles import SequenceTracks, match_tracks
 from foreglow.types import Tracks, TrackState
 from tests.lab.evaluation.scored_boxes import light, split_labels
 

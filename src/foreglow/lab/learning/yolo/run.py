@@ -1,0 +1,224 @@
+"""A run of a YOLO, one folder with configuration, data, weights and results: its training, and its predictions."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.datasets import LabelledSource
+from foreglow.datasets.json_files import Record, read_json
+from foreglow.files import write_atomic
+from foreglow.lab.evaluation import Predictions
+from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig
+from foreglow.lab.learning.yolo.export import (
+    DATA_NAME,
+    ExportSettings,
+    Progress,
+    check_claim,
+    export_yolo,
+    is_export,
+    read_export,
+    squashed,
+)
+from foreglow.provenance import provenance
+from foreglow.types import Frame
+
+CONFIG_NAME, RESULTS_NAME = "config.json", "results.json"
+
+
+class YoloSettings(Record):
+    """The part of `config.json` that must not change: another configuration needs another folder.
+
+    Attributes:
+        boxes: The boxes that it is trained on, as in `ExportSettings`.
+        export_size_px: Side of the squares that frames are scaled to; the library scales them to its own size.
+    """
+
+    training: YoloConfig
+    boxes: str
+    export_size_px: int
+
+
+class YoloResults(Record):
+    """`results.json`, written when the training is done.
+
+    Attributes:
+        weights: Path, from the run's folder, of the weights that did best on the validation split.
+        seconds: Duration of the last call, without earlier calls of an interrupted training.
+    """
+
+    weights: str
+    num_parameters: int
+    num_multiply_adds: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class YoloRun:
+    """A finished training."""
+
+    folder: Path
+    settings: YoloSettings
+    results: YoloResults
+
+    @property
+    def weights(self) -> Path:
+        """The weights that did best on the validation split."""
+        return self.folder / self.results.weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class YoloPredictions:
+    """The predictions of a YOLO for a split.
+
+    Attributes:
+        predictions: Boxes and scores by image id, full-frame pixels, best first; all with a score above 0.01.
+        frame_ms: Shape (F,): run-time of each frame in milliseconds, with scaling but without reading and decoding.
+    """
+
+    predictions: Predictions
+    frame_ms: NDArray[np.float64]
+
+
+def train_yolo(
+    data: Path, folder: Path, config: YoloConfig, *, preset_name: str | None = None, progress: Progress | None = None
+) -> YoloRun:
+    """Trains a YOLO on the boxes of `data`, or continues an interrupted training in `folder`.
+
+    Args:
+        data: A data set in PVDN's layout, or an export of one by `export_yolo`.
+        folder: Folder for `config.json`, `dataset` (unless exported before), `training` and `results.json`.
+        config: How to train.
+        preset_name: Preset of the boxes, as in `export_yolo`; None if `data` is an export.
+        progress: Called after each image that is exported.
+
+    Raises:
+        FileNotFoundError: If the data or a part of them is missing.
+        ValueError: If a file is broken, or `folder` holds a run with other settings.
+        ModuleNotFoundError: If the library is not installed.
+    """
+    backend = BACKENDS[config.backend]()
+    origin = {"data": str(data), f"{config.backend}_version": backend.version()} | provenance()
+    exported, data_file = _exported(data, folder, config, preset_name, progress)
+    settings = YoloSettings(training=config, boxes=exported.boxes, export_size_px=exported.size_px)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / CONFIG_NAME
+    if path.exists():
+        known = read_json(path, YoloSettings)
+        check_claim(path, settings.training, known.training, "run")
+        check_claim(path, settings, known, "run")
+    else:
+        write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())
+    if not (folder / RESULTS_NAME).exists():
+        started = time.perf_counter()
+        weights = backend.train(data_file, folder / "training", config)
+        detector = backend.load(weights, config)
+        results = YoloResults(
+            weights=str(weights.relative_to(folder)),
+            num_parameters=detector.num_parameters,
+            num_multiply_adds=detector.num_multiply_adds,
+            seconds=round(time.perf_counter() - started, 1),
+        )
+        write_atomic(folder / RESULTS_NAME, (results.model_dump_json(indent=1) + "\n").encode())
+    return read_yolo_run(folder)
+
+
+def read_yolo_run(folder: Path) -> YoloRun:
+    """The finished run in `folder`.
+
+    Raises:
+        FileNotFoundError: If there is none, or it is not finished.
+        ValueError: If a file of it is broken.
+    """
+    for name in (CONFIG_NAME, RESULTS_NAME):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"{folder / name}: no such file, expected a finished run of `yolo train`")
+    return YoloRun(folder, read_json(folder / CONFIG_NAME, YoloSettings), read_json(folder / RESULTS_NAME, YoloResults))
+
+
+def predict_yolo(
+    run: YoloRun, dataset: LabelledSource, *, num_threads: int | None = None, progress: Progress | None = None
+) -> YoloPredictions:
+    """Runs the network of `run` over the selected images of `dataset`.
+
+    Raises:
+        FileNotFoundError: If the weights or an image are missing.
+        ValueError: If an image is broken, or does not have 8 bits.
+        ModuleNotFoundError: If the library is not installed.
+    """
+    boxes: dict[int, NDArray[np.float64]] = {}
+    scores: dict[int, NDArray[np.float64]] = {}
+    times_ms: list[float] = []
+    if not run.weights.is_file():
+        raise FileNotFoundError(f"{run.weights}: no such file, expected the weights of the run {run.folder}")
+    config = run.settings.training
+    detector = BACKENDS[config.backend]().load(run.weights, config)
+    with _threads(num_threads):
+        for num_done, frame in enumerate(dataset, start=1):
+            started = time.perf_counter_ns()
+            boxes[frame.frame], scores[frame.frame] = detect_in_frame(detector, frame, run.settings.export_size_px)
+            times_ms.append((time.perf_counter_ns() - started) / 1e6)
+            if progress is not None:
+                progress(num_done, len(dataset))
+    return YoloPredictions(Predictions(boxes, scores), np.array(times_ms))
+
+
+def detect_in_frame(detector: Detector, frame: Frame, size_px: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes (N, 4), xyxy, full-frame pixels, clipped to the frame, and scores (N,), both sorted by falling score.
+
+    Args:
+        detector: A trained network.
+        frame: The frame, 8 bits.
+        size_px: Side of the square that the frame is scaled to.
+
+    Raises:
+        ValueError: If the frame does not have 8 bits.
+    """
+    boxes, scores = detector.detect(squashed(frame.image, size_px, frame.path))
+    size_xyxy_px = np.array([frame.width_px, frame.height_px] * 2, np.float64)
+    in_frame = np.clip(boxes / size_px * size_xyxy_px, 0.0, size_xyxy_px)
+    order = np.argsort(-scores, kind="stable")
+    return in_frame[order], scores[order]
+
+
+@contextlib.contextmanager
+def _threads(num_threads: int | None) -> Iterator[None]:
+    """Lets torch use this many threads inside the block."""
+    if num_threads is None:
+        yield
+        return
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(num_threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _exported(
+    data: Path, folder: Path, config: YoloConfig, preset_name: str | None, progress: Progress | None
+) -> tuple[ExportSettings, Path]:
+    """The settings and the `data.yaml` of the export to train on; made in the run's folder unless `data` is one."""
+    if not is_export(data):
+        export = export_yolo(
+            data,
+            folder / "dataset",
+            preset_name=preset_name,
+            size_px=config.image_size_px,
+            splits=("train", "val"),
+            progress=progress,
+        )
+        return export.settings, export.data_file
+    settings = read_export(data)
+    if not {"train", "val"} <= set(settings.splits):
+        raise ValueError(f"{data}: splits: expected train and val to train on, got {', '.join(settings.splits)}")
+    return settings, data / DATA_NAME
