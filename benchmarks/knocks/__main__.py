@@ -50,9 +50,12 @@ def campaign(folder: Path, seed: int, only: str, every: int, jobs: int) -> list[
     with Progress(console=CONSOLE) as progress, ProcessPoolExecutor(jobs) as pool:
         task = progress.add_task("knocks", total=len(numbers[::every]))
         futures = [pool.submit(verdict_of, folder, seed, number) for number in numbers[::every]]
+        verdicts = []
         for future in futures:
-            future.add_done_callback(lambda _: progress.advance(task))
-        return [future.result() for future in futures]
+            verdicts.append(future.result())
+            progress.advance(task)
+            show(verdicts[-1])
+        return verdicts
 
 
 def verdict_of(folder: Path, seed: int, number: int) -> Verdict:
@@ -66,6 +69,14 @@ def verdict_of(folder: Path, seed: int, number: int) -> Verdict:
         shutil.rmtree(work, ignore_errors=True)
 
 
+def show(verdict: Verdict) -> None:
+    """Prints what is wrong, and how to see it again."""
+    if verdict.wrong:
+        complaint = json.dumps(verdict.stderr[-200:])
+        CONSOLE.print(f"{verdict.kind}: {verdict.name}: {'; '.join(verdict.wrong)}", markup=False, highlight=False)
+        CONSOLE.print(f"    {json.dumps(verdict.command)}  {complaint}", markup=False, highlight=False)
+
+
 def report(verdicts: Sequence[Verdict]) -> None:
     shown = table("Hard knocks", ("class",), ("probes", "done", "refused", "other ends", "not as it should"))
     for kind in dict.fromkeys(verdict.kind for verdict in verdicts):
@@ -74,12 +85,6 @@ def report(verdicts: Sequence[Verdict]) -> None:
         figures = [len(of_kind), ends["done"], ends["refused"], ends["other"], sum(bool(v.wrong) for v in of_kind)]
         shown.add_row(kind, *map(str, figures))
     CONSOLE.print(shown)
-    for verdict in verdicts:
-        if verdict.wrong:
-            CONSOLE.print(f"{verdict.kind}: {verdict.name}: {'; '.join(verdict.wrong)}", markup=False, highlight=False)
-            CONSOLE.print(
-                f"    {json.dumps(verdict.command)}  {json.dumps(verdict.stderr[-200:])}", markup=False, highlight=False
-            )
     worst = max(verdicts, key=lambda verdict: verdict.resident_mib, default=None)
     if worst is not None:
         CONSOLE.print(f"{len(verdicts)} probes; at most {worst.resident_mib:.0f} MiB ({worst.kind}: {worst.name})")

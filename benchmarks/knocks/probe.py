@@ -145,6 +145,8 @@ def try_out(probe: Probe, folder: Path) -> Verdict:
     (folder / "inputs").mkdir(parents=True)
     command = probe.prepare(folder)
     before = digests(folder / "inputs")
+    for name in (".stdout", ".stderr"):
+        (folder / name).touch()
     code, seconds, resident_mib = _run(probe, folder, command)
     stdout, stderr = ((folder / name).read_text(errors="replace") for name in (".stdout", ".stderr"))
     outcome = Outcome(
@@ -213,7 +215,7 @@ def _child(probe: Probe, folder: Path, command: Any) -> None:
     """What the copied process does: limits, own streams, the command; its peak of memory goes to `.usage`."""
     os.setsid()
     for number, name in ((1, ".stdout"), (2, ".stderr")):
-        os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), number)
+        os.dup2(os.open(folder / name, os.O_WRONLY), number)
     sys.stdin = open(os.devnull)  # noqa: PTH123, SIM115
     sys.stdout, sys.stderr = (os.fdopen(number, "w", buffering=1) for number in (1, 2))
     os.chdir(folder)
