@@ -1,7 +1,7 @@
 """The scenario language: a frozen `Scene` describes a whole drive, and can be written as TOML.
 
 Positions along a road are arc lengths `s` in metres; offsets `t` are metres to the left of its centre line. Traffic
-keeps to the right. Angles are in degrees, for people to write; profiles are lists of pairs, interpolated in between.
+keeps to the right unless the road says otherwise. Angles are in degrees, for people to write; profiles are lists of pairs, interpolated in between.
 """
 
 from __future__ import annotations
@@ -20,14 +20,23 @@ from foreglow.lab.simulation.scenes.surroundings import (
     Positive,
     Profile,
     Share,
+    Side,
+    Span,
     SpecModel,
     SurroundingsSpec,
 )
 
-VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle"]
+VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle", "semitrailer", "bicycle"]
 Beam: TypeAlias = Literal["low", "high", "off"]
 EgoBeam: TypeAlias = Literal["low", "high", "matrix"]
 EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
+
+
+Shoulder: TypeAlias = Annotated[float, Field(ge=0, le=5)]
+LaneNumber: TypeAlias = Annotated[int, Field(ge=0)]
+
+MIN_MEDIAN_M = 1.0
+"""Width of the narrowest median: a concrete barrier is 0.6 m wide."""
 
 
 def _check_growing(name: str, profile: tuple[tuple[float, float], ...]) -> None:
@@ -55,7 +64,12 @@ class RoadSpec(SpecModel):
 
     Attributes:
         length_m: Length of the road, which begins at s = 0.
-        lane_width_m: Width of either lane.
+        lane_width_m: Width of every lane.
+        num_lanes: Lanes in either direction.
+        median: What stands between the directions: nothing, a concrete barrier, or two guardrails on grass.
+        median_m: Width of the strip between the directions.
+        shoulders_m: Widths of the paved strips on either side of a direction's lanes: at the median, and at the edge.
+        traffic: The side to which traffic keeps.
         curvature_per_m: Signed curvature over s, positive to the left; linear in between, so that bends begin and
             end with clothoids; constant beyond the ends.
         elevation_m: Height over s; a smooth curve passes through the points.
@@ -70,6 +84,11 @@ class RoadSpec(SpecModel):
 
     length_m: Annotated[float, Field(ge=50, le=5000)] = 500.0
     lane_width_m: Annotated[float, Field(ge=2, le=5)] = 3.5
+    num_lanes: Annotated[int, Field(ge=1, le=5)] = 1
+    median: Literal["none", "barrier", "rails"] = "none"
+    median_m: Annotated[float, Field(ge=0, le=20)] = 0.0
+    shoulders_m: tuple[Shoulder, Shoulder] = (0.0, 0.0)
+    traffic: Side = "right"
     curvature_per_m: Profile = ((0.0, 0.0),)
     elevation_m: Profile = ((0.0, 0.0),)
     superelevation: Annotated[float, Field(ge=0, le=0.2)] = 0.04
@@ -87,7 +106,19 @@ class RoadSpec(SpecModel):
         tightest = max(abs(curvature) for _, curvature in self.curvature_per_m)
         if tightest > 0.05:
             raise ValueError(f"curvature_per_m: expected radii of at least 20 m, got {1 / tightest:.1f} m")
+        if self.median != "none" and self.median_m < MIN_MEDIAN_M:
+            raise ValueError(f"median_m: expected at least {MIN_MEDIAN_M:g} m under a median, got {self.median_m:g}")
         return self
+
+    @property
+    def half_width_m(self) -> float:
+        """From the centre line to either edge of the carriageway."""
+        return self.median_m / 2 + self.shoulders_m[0] + self.num_lanes * self.lane_width_m + self.shoulders_m[1]
+
+    def lane_m(self, number: int | None = None) -> float:
+        """From the centre line to the middle of a lane; lanes count from the median, None is the one at the edge."""
+        lane = self.num_lanes - 1 if number is None else number
+        return self.median_m / 2 + self.shoulders_m[0] + (lane + 0.5) * self.lane_width_m
 
 
 class VehicleSpec(SpecModel):
@@ -100,7 +131,9 @@ class VehicleSpec(SpecModel):
         branch: Number of the side road for the lane `branch`.
         is_towards: On a side road: whether it drives towards the main road. Parked: whether it faces us.
         timetable: Pairs (time in s, arc length in m) along its road; smooth in between, at constant speed beyond.
+        lane_number: Which lane of its direction, counted from the median; None for the one at the edge.
         lateral_m: Offset to the left of the road's centre line; None for the middle of the lane.
+        brakes_s: Spans of time in which its brake lamps are on.
         beam: The beam of its headlamps.
         low_beam_file: An IES file for the low beam instead of the built-in table.
         brightness: Factor on all its lamps.
@@ -114,7 +147,9 @@ class VehicleSpec(SpecModel):
     branch: Annotated[int, Field(ge=0)] = 0
     is_towards: bool = True
     timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
+    lane_number: LaneNumber | None = None
     lateral_m: float | None = None
+    brakes_s: Listed[tuple[Span, ...]] = ()
     beam: Beam = "low"
     low_beam_file: str | None = None
     brightness: Positive = 1.0
@@ -133,6 +168,7 @@ class EgoSpec(SpecModel):
 
     Attributes:
         timetable: Pairs (time in s, arc length in m), as for other vehicles.
+        lane_number: Which of our lanes, counted from the median; None for the one at the edge.
         beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
         low_beam_file: An IES file for the low beam instead of the built-in table.
         brightness: Factor on the headlamps.
@@ -142,6 +178,7 @@ class EgoSpec(SpecModel):
     """
 
     timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
+    lane_number: LaneNumber | None = None
     beam: EgoBeam = "low"
     low_beam_file: str | None = None
     brightness: Positive = 1.0
@@ -310,6 +347,11 @@ class Scene(SpecModel):
             if vehicle.lane == "branch" and vehicle.branch >= len(self.road.branches):
                 num = len(self.road.branches)
                 raise ValueError(f"vehicles.{index}.branch: expected a side road below {num}, got {vehicle.branch}")
+        numbers = {"ego": self.ego.lane_number}
+        numbers |= {f"vehicles.{index}": vehicle.lane_number for index, vehicle in enumerate(self.vehicles)}
+        for field, number in numbers.items():
+            if number is not None and number >= self.road.num_lanes:
+                raise ValueError(f"{field}.lane_number: expected a lane below {self.road.num_lanes}, got {number}")
         return self
 
     @property

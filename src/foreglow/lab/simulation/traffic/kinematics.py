@@ -62,9 +62,9 @@ class BodyMotion:
 
 
 def ego_state(ego: EgoSpec, road: Road, body: BodyMotion, time_s: float) -> VehicleState:
-    """Our own vehicle at `time_s`, in the middle of the right lane."""
+    """Our own vehicle at `time_s`, in the middle of its lane."""
     s, speed = (float(value) for value in interpolated(ego.timetable, time_s))
-    steady = road.pose(s, -road.half_width_m / 2, 1, EGO_WHEELBASE_M)
+    steady = road.pose(s, -keeping_side(road) * road.spec.lane_m(ego.lane_number), 1, EGO_WHEELBASE_M)
     return VehicleState(steady @ body.at(time_s), s, speed, speed * float(road.curvature_per_m(s)))
 
 
@@ -91,9 +91,14 @@ def driving_direction(vehicle: VehicleSpec) -> int:
     return -1 if vehicle.is_towards else 1
 
 
+def keeping_side(road: Road) -> float:
+    """1 where traffic keeps to the right, -1 where it keeps to the left: a mirror's factor on offsets."""
+    return 1.0 if road.spec.traffic == "right" else -1.0
+
+
 def _lateral_m(vehicle: VehicleSpec, road: Road) -> float:
     """The middle of the vehicle's lane, metres to the left of the centre line."""
-    lane = road.half_width_m / 2
+    lane = keeping_side(road) * road.spec.lane_m(vehicle.lane_number)
     offsets: dict[str, float] = {
         "own": -lane,
         "oncoming": lane,

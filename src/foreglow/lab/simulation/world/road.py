@@ -40,7 +40,7 @@ class Road:
         """Integrates the profiles of `spec`, except its branches."""
         self.spec = spec
         self.length_m = spec.length_m if length_m is None else length_m
-        self.half_width_m = spec.lane_width_m
+        self.half_width_m = spec.half_width_m
         self._start = start or Pose(np.zeros(3), np.eye(3))
         arc_lengths = np.arange(-100.0, self.length_m + 100.0 + STEP_M / 2, STEP_M)
         curvatures = np.interp(arc_lengths, *np.array(spec.curvature_per_m, np.float64).T)
@@ -172,6 +172,10 @@ def branch_road(main: Road, number: int) -> Road:
             "curvature_per_m": ((0.0, 0.0),),
             "elevation_m": profile,
             "branches": (),
+            "num_lanes": 1,
+            "median": "none",
+            "median_m": 0.0,
+            "shoulders_m": (0.0, 0.0),
             "centre_marking": "none",
             "has_edge_marking": False,
         }
