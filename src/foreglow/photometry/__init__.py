@@ -3,7 +3,19 @@
 from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps, read_lamp_file
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, illuminance_lx
-from foreglow.photometry.lamps import high_beam, low_beam, position_lamp, rear_lamp, street_lamp, window
+from foreglow.photometry.lamps import (
+    bicycle_lamp,
+    brake_lamp,
+    centre_brake_lamp,
+    high_beam,
+    low_beam,
+    marker_lamp,
+    position_lamp,
+    rear_lamp,
+    street_lamp,
+    traffic_light,
+    window,
+)
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import NUM_LEDS, MatrixLamp
 
@@ -13,9 +25,13 @@ __all__ = [
     "Headlamps",
     "IntensityTable",
     "MatrixLamp",
+    "bicycle_lamp",
+    "brake_lamp",
+    "centre_brake_lamp",
     "high_beam",
     "illuminance_lx",
     "low_beam",
+    "marker_lamp",
     "matrix_beam",
     "position_lamp",
     "read_headlamps",
@@ -24,5 +40,6 @@ __all__ = [
     "read_ldt",
     "rear_lamp",
     "street_lamp",
+    "traffic_light",
     "window",
 ]

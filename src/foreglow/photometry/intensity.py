@@ -45,6 +45,18 @@ class IntensityTable:
         table.flags.writeable = False
         object.__setattr__(self, "intensities_cd", table)
 
+    @property
+    def mirrored(self) -> IntensityTable:
+        """The lamp's mirror image, left for right: a low beam for left-hand traffic, for example."""
+        return IntensityTable(-self.azimuths_deg[::-1], self.elevations_deg, self.intensities_cd[:, ::-1])
+
+    @property
+    def flux_lm(self) -> float:
+        """Luminous flux, the integral of the intensity over the solid angle, lm."""
+        steps = np.radians([grid[1] - grid[0] for grid in (self.azimuths_deg, self.elevations_deg)])
+        rings = np.cos(np.radians(self.elevations_deg)) * self.intensities_cd.sum(axis=1, dtype=np.float64)
+        return float(rings.sum() * steps.prod())
+
     def towards(self, directions: ArrayLike) -> Floats:
         """Intensity in cd, shape (...), towards `directions` of shape (..., 3) in the lamp's frame; bilinear."""
         x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)

@@ -77,6 +77,49 @@ def rear_lamp() -> IntensityTable:
 
 
 @cache
+def brake_lamp() -> IntensityTable:
+    """Brake lamp, its axis backwards: 100 cd (UN R7, now R148: 60 to 185 cd for the pair's lamps of steady light)."""
+    return _signal(100.0)
+
+
+@cache
+def centre_brake_lamp() -> IntensityTable:
+    """The third brake lamp, its axis backwards: 50 cd (UN R7, category S3: 25 to 110 cd)."""
+    return _signal(50.0)
+
+
+@cache
+def marker_lamp() -> IntensityTable:
+    """End-outline or side marker: 6 cd on its axis (UN R7: at least 4 cd ahead; UN R91, category SM1: 4 to 25 cd)."""
+    return _signal(6.0)
+
+
+@cache
+def bicycle_lamp() -> IntensityTable:
+    """A bicycle's dynamo or LED lamp: 4,000 cd below its cut-off, 40 lx on a wall at 10 m, and 110 cd above it.
+
+    German requirements, which most lamps in Europe follow: at least 10 lx at 10 m in the hot spot, which is 1,000 cd, and
+    at most 2 lx, 200 cd, from 3.4 degrees above it on (TA 23 of paragraph 22a StVZO). The hot spot is 3 degrees below
+    the horizon, as it meets the road after 15 m.
+    """
+    azimuths, elevations = np.meshgrid(HEADLAMP_AZIMUTHS_DEG, HEADLAMP_ELEVATIONS_DEG)
+    depth = np.clip(-1.5 - elevations, 0.0, None)
+    beam = 4_600.0 * np.exp(-0.5 * (azimuths / 7.0) ** 2 - depth / 3.5)
+    is_below = 1.0 / (1.0 + np.exp(np.clip((elevations + 1.5) / 0.3, -50.0, 50.0)))
+    stray = 110.0 / (1.0 + (azimuths / 35.0) ** 2) * np.exp(-np.abs(elevations) / 12.0)
+    return _headlamp(beam * is_below + stray)
+
+
+@cache
+def traffic_light() -> IntensityTable:
+    """A lit lens of a traffic light, in candela for 1 cd on its axis: scale it by its intensity.
+
+    EN 12368 has classes from 100 cd to 400 cd on the axis, which may be dimmed at night.
+    """
+    return _signal(1.0)
+
+
+@cache
 def street_lamp() -> IntensityTable:
     """A luminaire whose axis x points down, in candela for 1 cd straight down: scale it by the lamp's intensity.
 

@@ -128,6 +128,11 @@ class LampTruth:
     intensity_cd: float
     visible_share: float
 
+    @property
+    def is_headlamp(self) -> bool:
+        """Whether it is a headlamp, and neither a marker nor a rear lamp."""
+        return self.name.startswith(("low", "high"))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleTruth:
@@ -135,7 +140,7 @@ class VehicleTruth:
 
     Attributes:
         vehicle_id: Its index in `Scene.vehicles`.
-        kind: car, van, lorry or motorcycle.
+        kind: Kind of vehicle, as the scene calls it.
         pose: world_from_vehicle.
         speed_mps: Along its own forward direction.
         size_m: Length, width, height of its box.

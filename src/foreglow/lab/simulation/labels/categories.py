@@ -38,7 +38,7 @@ def is_oncoming(vehicle: VehicleSpec) -> bool:
 def signs_of(vehicle: VehicleTruth, rule: LabelRule) -> Signs:
     """What an image shows of an oncoming vehicle; doubtful artifacts and those of rear lamps do not count."""
     counted = [artifact for artifact in vehicle.artifacts if not artifact.is_doubtful and not artifact.is_rear]
-    headlamps = [lamp for lamp in vehicle.lamps if not lamp.is_rear]
+    headlamps = [lamp for lamp in vehicle.lamps if lamp.is_headlamp]
     has_direct = any(artifact.is_direct for artifact in counted)
     are_all_seen = all(lamp.visible_share >= rule.min_visible for lamp in headlamps)
     return Signs(

@@ -34,7 +34,7 @@ class Rendered:
     Attributes:
         surface_cd_m2: Shape (L, H, W), float32: light reflected by surfaces.
         haze_cd_m2: Shape (L, H, W), float32: light scattered by the air.
-        ambient_cd_m2: Shape (H, W), float32: the sky, and its light on surfaces.
+        ambient_cd_m2: Shape (H, W), float32: the sky, its light on surfaces, and screens that shine by themselves.
         depth_m: Shape (H, W), float32: along the ray through the pixel's centre; NaN for the sky.
         materials: Shape (H, W), uint8: numbers of the materials; 255 for the sky.
         bodies: Shape (H, W), int16: number of the moving body; -1 for none.
@@ -157,7 +157,8 @@ class Renderer:
         # A wall sees half of the sky's hemisphere, the ground all of it.
         skylight = air.sky_cd_m2 * surface.albedo * (0.5 + 0.5 * surface.normal.z)
         light = _reflected(space, air, surface, hit.distance_m, slots)
-        ambient = dr.select(hit.is_hit, dr.lerp(air.sky_cd_m2, skylight, kept), air.sky_cd_m2)
+        glow = kept * self._surfaces.glow_cd_m2(hit)
+        ambient = dr.select(hit.is_hit, dr.lerp(air.sky_cd_m2, skylight, kept) + glow, air.sky_cd_m2)
         ambient = _placed(ambient, slots)
         distance = _placed(dr.select(hit.is_hit, hit.distance_m, dr.nan), slots)
         material = _placed(dr.select(hit.is_hit, hit.material, NO_MATERIAL), slots)

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from foreglow.lab.simulation.light.llvm import clipped, dr, greatest, least, mi
 from foreglow.lab.simulation.light.raycast import Hit, Number
 from foreglow.lab.simulation.scenes.scene import RoadSpec
+from foreglow.lab.simulation.world.markings import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.materials import MATERIALS, column, material_number
 
 NOISE_TEXELS = 512
@@ -22,6 +23,9 @@ TEXEL_M = (0.02, 0.1, 0.5, 2.5)
 """Sizes of a texel: the same noise is used at four scales, with features of 6 cm to 7.5 m."""
 
 FEATURE_TEXELS = 3.0
+
+SCREEN_TEXEL_M = 0.12
+"""Size of a texel of the picture on a billboard or in a shop window, whose features are about 0.4 m wide."""
 
 CURVATURE_PER_M = {
     "rail": 14.0,
@@ -118,6 +122,8 @@ class Surfaces:
             "bare": NormalDist().inv_cdf(float(np.clip(1.0 - road.snow, 1e-4, 1.0 - 1e-4))) if road.snow else 1e3,
         }
         self._road = {name: dr.opaque(mi.Float, float(value)) for name, value in values.items()}
+        self._lines = lane_lines(road) if has_several_lanes(road) else ()
+        self._first_lane_m = dr.opaque(mi.Float, road.lane_m(0) - road.lane_width_m / 2)
 
     def at(self, hit: Hit, direction: Number, pixel_rad: Number) -> Surface:
         """The surfaces hit by rays in `direction`; a pixel has the angle `pixel_rad`."""
@@ -165,6 +171,13 @@ class Surfaces:
         surface.albedo = clipped(surface.albedo, 0.005, 0.9)
         return surface
 
+    def glow_cd_m2(self, hit: Hit) -> Number:
+        """Luminance of what shines by itself, a screen: its coordinates are the luminance and how much it varies."""
+        u, v, _, _ = _flat_coordinates(hit)
+        picture = dr.exp(0.6 * self._noise.eval(mi.Point2f(u, v) / (NOISE_TEXELS * SCREEN_TEXEL_M))[0])
+        glow = hit.coordinates_m.x * dr.lerp(1.0, picture, hit.coordinates_m.y)
+        return dr.select(hit.material == material_number("screen"), glow, 0.0)
+
     def _streaks(self, hit: Hit, u: Number, v: Number, footprint_m: Number) -> Number:
         """Noise that is stretched along the road, and vertically on walls."""
         is_road = hit.material == material_number("road")
@@ -199,14 +212,12 @@ class Surfaces:
         is_road = hit.material == material_number("road")
         is_main = is_road & (dr.abs(t) < BRANCH_OFFSET_M)
         across_m = footprint_m * dr.sqrt(greatest(dr.dot(surface.outward, surface.view), 0.02))
-        track_m = dr.abs(dr.abs(dr.abs(t) - 0.5 * road["lane_m"]) - TRACK_HALF_GAUGE_M) / TRACK_WIDTH_M
+        track_m = dr.abs(dr.abs(self._beside_lane_m(t)) - TRACK_HALF_GAUGE_M) / TRACK_WIDTH_M
         track = dr.select(is_main, dr.exp(-dr.square(track_m)), 0.0)
         worn = road["wear"] * track
         albedo = surface.albedo * dr.exp(0.05 * streak + 0.12 * worn - 0.08 * patches * road["wear"])
-        edge = _stripe(dr.abs(t) - (road["lane_m"] - EDGE_LINE_INSET_M), road["edge_m"], across_m)
-        centre = _stripe(t, MARKING_WIDTH_M, across_m) * _dashes(s, road["dash_m"], footprint_m)
         kept = clipped(1.0 - road["wear"] * (0.55 + 0.35 * patches + 0.25 * streak), 0.1, 1.0)
-        paint = dr.select(is_main, least(edge + centre, 1.0) * kept, 0.0)
+        paint = dr.select(is_main, least(self._painted(s, t, across_m, footprint_m), 1.0) * kept, 0.0)
         marking = MATERIALS[material_number("marking")]
         albedo = dr.lerp(albedo, marking.albedo, paint)
         # Water fills the pores and makes the surface darker and smoother, most of all in the tracks.
@@ -223,6 +234,24 @@ class Surfaces:
         surface.film = dr.select(is_road, wet * (1.0 - snow), 0.0)
         surface.is_beaded |= is_road
         return dr.select(is_road, dr.lerp(bump * (1.0 - 0.7 * wet), 0.06, snow), bump)
+
+    def _beside_lane_m(self, t: Number) -> Number:
+        """Distance from the middle of the lane."""
+        if not self._lines:
+            return dr.abs(t) - 0.5 * self._road["lane_m"]
+        lanes = (dr.abs(t) - self._first_lane_m) / self._road["lane_m"]
+        return (lanes - dr.floor(lanes) - 0.5) * self._road["lane_m"]
+
+    def _painted(self, s: Number, t: Number, across_m: Number, footprint_m: Number) -> Number:
+        """Share of the footprint that is under the paint of lines."""
+        if not self._lines:
+            edge = _stripe(dr.abs(t) - (self._road["lane_m"] - EDGE_LINE_INSET_M), self._road["edge_m"], across_m)
+            return edge + _stripe(t, MARKING_WIDTH_M, across_m) * _dashes(s, self._road["dash_m"], footprint_m)
+        paint = mi.Float(0.0)
+        for line in self._lines:
+            along = _stripes(s, line.period_m, line.dash_m, footprint_m) if line.dash_m < line.period_m else 1.0
+            paint += _stripe(dr.abs(t) - line.offset_m, line.width_m, across_m) * along
+        return paint
 
 
 def _noise(generator: np.random.Generator) -> NDArray[np.float32]:

@@ -1,7 +1,8 @@
 """The scenario language: a frozen `Scene` describes a whole drive, and can be written as TOML.
 
 Positions along a road are arc lengths `s` in metres; offsets `t` are metres to the left of its centre line. Traffic
-keeps to the right unless the road says otherwise. Angles are in degrees, for people to write; profiles are lists of pairs, interpolated in between.
+keeps to the right unless the road says otherwise. Angles are in degrees, for people to write; profiles are lists of
+pairs, interpolated in between.
 """
 
 from __future__ import annotations

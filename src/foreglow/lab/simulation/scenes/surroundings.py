@@ -151,8 +151,9 @@ class House(SpecModel):
         s_m: Position of its middle along the road.
         offset_m: From the edge of the carriageway to its front.
         size_m: Length along the road, depth, and height of the walls.
-        num_lit_windows: Number of lit windows, at most eight.
+        num_lit_windows: Number of lit windows.
         window_cd_m2: Luminance of a lit window.
+        shop_cd_m2: Luminance of shop windows along the whole ground floor; 0 for none.
         yaw_deg: Rotation away from the direction of the road.
     """
 
@@ -160,8 +161,9 @@ class House(SpecModel):
     s_m: float
     offset_m: Positive = 8.0
     size_m: tuple[Size, Size, Size] = (10.0, 8.0, 5.0)
-    num_lit_windows: Annotated[int, Field(ge=0, le=8)] = 2
+    num_lit_windows: Annotated[int, Field(ge=0, le=60)] = 2
     window_cd_m2: NonNegative = 30.0
+    shop_cd_m2: NonNegative = 0.0
     yaw_deg: float = 0.0
 
 
@@ -181,6 +183,52 @@ class StreetLamp(SpecModel):
     offset_m: Positive = 1.5
     height_m: Positive = 6.0
     intensity_cd: NonNegative = 900.0
+
+
+class Panel(SpecModel):
+    """A lit billboard on posts, which faces us.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Position along the road.
+        offset_m: From the edge of the carriageway to its nearer edge.
+        height_m: Height of its lower edge above the ground.
+        size_m: Width and height.
+        screen_cd_m2: Its mean luminance.
+        yaw_deg: Rotation away from facing us, towards the road.
+    """
+
+    side: Side
+    s_m: float
+    offset_m: Positive = 3.0
+    height_m: NonNegative = 2.5
+    size_m: tuple[Size, Size] = (3.6, 2.7)
+    screen_cd_m2: NonNegative = 150.0
+    yaw_deg: float = 0.0
+
+
+class Signal(SpecModel):
+    """A traffic light on a mast, or on an arm above the road.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Position along the road.
+        offset_m: From the edge of the carriageway to the mast.
+        height_m: Height of the housing's lower edge above the ground.
+        arm_m: Length of the arm that reaches over the road.
+        lit: Which of its three lenses is lit.
+        intensity_cd: Intensity of the lit lens on its axis; 0 for a signal that is off.
+        faces_oncoming: Whether it faces oncoming traffic, so that we see its back.
+    """
+
+    side: Side
+    s_m: float
+    offset_m: Positive = 0.8
+    height_m: Positive = 2.4
+    arm_m: Annotated[float, Field(ge=0, le=15)] = 0.0
+    lit: Literal["red", "amber", "green"] = "red"
+    intensity_cd: NonNegative = 200.0
+    faces_oncoming: bool = False
 
 
 class Verge(SpecModel):
@@ -217,6 +265,8 @@ class SurroundingsSpec(SpecModel):
         woods: Rows of trees and forests.
         houses: Houses.
         street_lamps: Lamps on poles.
+        panels: Lit billboards.
+        signals: Traffic lights.
         delineator_spacing_m: Distance between posts with reflectors on both sides; 0 for none.
         num_bushes: Number of single bushes.
     """
@@ -229,6 +279,8 @@ class SurroundingsSpec(SpecModel):
     woods: Listed[tuple[Woods, ...]] = ()
     houses: Listed[tuple[House, ...]] = ()
     street_lamps: Listed[tuple[StreetLamp, ...]] = ()
+    panels: Listed[tuple[Panel, ...]] = ()
+    signals: Listed[tuple[Signal, ...]] = ()
     delineator_spacing_m: NonNegative = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
 

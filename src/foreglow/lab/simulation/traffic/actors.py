@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,36 @@ import numpy as np
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
-from foreglow.lab.simulation.traffic.kinematics import VehicleState, vehicle_state
-from foreglow.lab.simulation.world.bodies import BODIES, Body, LampMount
+from foreglow.lab.simulation.traffic.kinematics import VehicleState, keeping_side, vehicle_state
+from foreglow.lab.simulation.world.bodies import (
+    BODIES,
+    BRAKE_FUNCTIONS,
+    MARKER_FUNCTIONS,
+    REAR_FUNCTIONS,
+    Body,
+    LampFunction,
+    LampMount,
+)
 from foreglow.lab.simulation.world.road import Road
-from foreglow.photometry import Headlamps, IntensityTable, high_beam, low_beam, read_ies, rear_lamp
+from foreglow.photometry import (
+    Headlamps,
+    IntensityTable,
+    MatrixLamp,
+    bicycle_lamp,
+    brake_lamp,
+    centre_brake_lamp,
+    high_beam,
+    low_beam,
+    marker_lamp,
+    read_ies,
+    rear_lamp,
+)
 
 BEHIND_M = 15.0
 """A vehicle further than this behind our rear axle is left out: neither its light nor its body is in the image."""
+
+FOLLOWING_BEHIND_M = 50.0
+"""The same for a vehicle that drives in our direction, whose headlamps light the road beside us before it overtakes."""
 
 FARTHEST_M = 900.0
 """A vehicle beyond this distance is left out: at 900 m, a low beam lights a wall with less than 0.01 lx."""
@@ -29,13 +53,20 @@ class LitLamp:
 
     Attributes:
         name: Name of its mount.
-        is_rear: Whether it shines backwards.
+        is_rear: Whether it shines backwards; a side marker does on a vehicle that drives ahead of us.
         placed: Its pose and its light.
+        function: What the lamp is for.
     """
 
     name: str
     is_rear: bool
     placed: PlacedLamp
+    function: LampFunction = "low"
+
+    @property
+    def is_marker(self) -> bool:
+        """Whether it is so faint that it matters only itself, not by what it lights."""
+        return self.function in MARKER_FUNCTIONS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,25 +115,42 @@ def actors_at(
         first_layer: Layer of the first vehicle's light.
     """
     actors: list[Actor] = []
+    is_left = keeping_side(roads[0]) < 0
     for number, spec in enumerate(vehicles):
-        body = BODIES[spec.kind]
+        body = _right_hand_drive(spec.kind) if is_left else BODIES[spec.kind]
         state = vehicle_state(spec, *roads, body.wheelbase_m, time_s)
         own_road = roads[1][spec.branch] if spec.lane == "branch" else roads[0]
         ahead = float(ego_pose.to_body(state.pose.position_m)[0])
         distance = float(np.linalg.norm(state.pose.position_m - ego_pose.position_m))
-        is_near = ahead > -BEHIND_M and distance < FARTHEST_M
+        behind_m = FOLLOWING_BEHIND_M if spec.lane == "own" else BEHIND_M
+        is_near = ahead > -behind_m and distance < FARTHEST_M
         if is_near and 0.0 < state.s_m < own_road.length_m:
-            lamps = _lamps(spec, body, state.pose, first_layer + len(actors))
+            is_braking = any(begin <= time_s < end for begin, end in spec.brakes_s)
+            lamps = _lamps(spec, body, state.pose, first_layer + len(actors), is_braking=is_braking, is_left=is_left)
             actors.append(Actor(number, spec, body, state, lamps))
     return tuple(actors)
 
 
-def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[IntensityTable, IntensityTable]:
-    """The light of our left and right headlamps; `led_levels`, shape (2, L), 0..1, is for the matrix beam only."""
+def ego_tables(
+    ego: EgoSpec, led_levels: Floats, headlamps: Headlamps, *, is_left: bool = False
+) -> tuple[IntensityTable, IntensityTable]:
+    """The light of our left and right headlamps.
+
+    Args:
+        ego: Our vehicle.
+        led_levels: Shape (2, L), 0..1, for the matrix beam only.
+        headlamps: Our headlamps.
+        is_left: Whether traffic keeps to the left; LEDs stay where they are, the low beam is mirrored.
+    """
     if ego.beam == "matrix":
-        return headlamps.left.matrix.table(led_levels[0]), headlamps.right.matrix.table(led_levels[1])
-    table = high_beam() if ego.beam == "high" else _low_table(ego.low_beam_file)
+        lamps = [_matrix(lamp.matrix, is_left) for lamp in (headlamps.left, headlamps.right)]
+        return lamps[0].table(led_levels[0]), lamps[1].table(led_levels[1])
+    table = _high_table(is_left) if ego.beam == "high" else _low_table(ego.low_beam_file, is_left)
     return table, table
+
+
+def _matrix(lamp: MatrixLamp, is_left: bool) -> MatrixLamp:
+    return replace(lamp, base=lamp.base.mirrored) if is_left else lamp
 
 
 def ego_lamps(
@@ -117,24 +165,53 @@ def ego_lamps(
     return left, right
 
 
-def _lamps(spec: VehicleSpec, body: Body, pose: Pose, layer: int) -> tuple[LitLamp, ...]:
+@functools.cache
+def _right_hand_drive(kind: str) -> Body:
+    """The body with its driver on the other side."""
+    x, y, z = BODIES[kind].eye_m
+    return replace(BODIES[kind], eye_m=(x, -y, z))
+
+
+def _lamps(
+    spec: VehicleSpec, body: Body, pose: Pose, layer: int, *, is_braking: bool, is_left: bool
+) -> tuple[LitLamp, ...]:
+    """The lamps that are on; `is_left` says that traffic keeps to the left."""
     if spec.beam == "off":
         return ()
-    return tuple(
-        LitLamp(mount.name, mount.function == "rear", _placed(mount, spec, pose, layer))
-        for mount in body.lamps
-        if mount.function != "high"  # the table of the high beam includes the low beam, and replaces it
-    )
+    lamps = []
+    for mount in body.lamps:
+        if mount.function == "high":  # the table of the high beam includes the low beam, and replaces it
+            continue
+        if mount.function in BRAKE_FUNCTIONS and not is_braking:
+            continue
+        is_rear = mount.function in REAR_FUNCTIONS or (mount.function == "side_marker" and spec.lane == "own")
+        lamps.append(LitLamp(mount.name, is_rear, _placed(mount, spec, pose, layer, is_left), mount.function))
+    return tuple(lamps)
 
 
-def _placed(mount: LampMount, spec: VehicleSpec, pose: Pose, layer: int) -> PlacedLamp:
-    if mount.function == "rear":
-        turned, table = rotation(np.pi), rear_lamp()
+def _placed(mount: LampMount, spec: VehicleSpec, pose: Pose, layer: int, is_left: bool) -> PlacedLamp:
+    if mount.function in _SIGNALS:
+        turned, table = rotation(mount.yaw_rad), _SIGNALS[mount.function]()
     else:
-        turned = _aim(spec.yaw_aim_deg, spec.pitch_aim_deg)
-        table = high_beam() if spec.beam == "high" else _low_table(spec.low_beam_file)
+        turned, table = _aim(spec.yaw_aim_deg, spec.pitch_aim_deg), _headlamp_table(spec, is_left)
     in_world = pose @ Pose(np.asarray(mount.position_m), turned)
     return PlacedLamp(in_world, table, layer, spec.brightness, mount.radius_m)
+
+
+_SIGNALS: dict[LampFunction, Callable[[], IntensityTable]] = {
+    "rear": rear_lamp,
+    "rear_marker": rear_lamp,
+    "front_marker": marker_lamp,
+    "side_marker": marker_lamp,
+    "brake": brake_lamp,
+    "centre_brake": centre_brake_lamp,
+}
+
+
+def _headlamp_table(spec: VehicleSpec, is_left: bool) -> IntensityTable:
+    if spec.kind == "bicycle":
+        return bicycle_lamp()
+    return _high_table(is_left) if spec.beam == "high" else _low_table(spec.low_beam_file, is_left)
 
 
 def _aim(yaw_deg: float, pitch_deg: float) -> Floats:
@@ -142,6 +219,13 @@ def _aim(yaw_deg: float, pitch_deg: float) -> Floats:
 
 
 @functools.cache  # one object for each table, which is sent to the renderer once
-def _low_table(file: str | None) -> IntensityTable:
-    """The built-in low beam, or that of an IES file."""
-    return low_beam() if file is None else read_ies(Path(file))
+def _low_table(file: str | None, is_left: bool) -> IntensityTable:
+    """The built-in low beam, or that of an IES file; mirrored where traffic keeps to the left."""
+    table = low_beam() if file is None else read_ies(Path(file))
+    return table.mirrored if is_left and file is None else table
+
+
+@functools.cache
+def _high_table(is_left: bool) -> IntensityTable:
+    """The built-in high beam, which holds the low beam."""
+    return high_beam().mirrored if is_left else high_beam()

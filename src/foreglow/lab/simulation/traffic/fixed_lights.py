@@ -1,4 +1,4 @@
-"""Street lamps and lit windows: their light, and their image in the camera."""
+"""Street lamps, lit windows, screens and traffic lights: their light, and their image in the camera."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from foreglow.geometry import Floats
 from foreglow.lab.simulation.camera.optics import LampPoints
 from foreglow.lab.simulation.light.lamps import FIXED_LAYER, PlacedLamp
 from foreglow.lab.simulation.traffic.sightings import Sightings
-from foreglow.lab.simulation.world.buildings import FixedLight
-from foreglow.photometry import IntensityTable, street_lamp, window
-
-REACH_M = 120.0
-"""Light of street lamps further from the camera does not matter in the image; the lamps themselves are still seen."""
+from foreglow.lab.simulation.world.fixed_light import FixedLight
+from foreglow.photometry import IntensityTable, street_lamp, traffic_light, window
 
 FARTHEST_M = 600.0
 """Lights further away are not drawn."""
@@ -34,21 +31,21 @@ class FixedLights:
         self._positions_m = np.array([light.pose.position_m for light in self._lights]).reshape(-1, 3)
 
     def lamps_near(self, position_m: Floats) -> list[PlacedLamp]:
-        """The street lamps whose light a camera at `position_m`, shape (3,), sees; windows light nothing."""
-        near = np.linalg.norm(self._positions_m - position_m, axis=1) < REACH_M
+        """The lights that light what a camera at `position_m`, shape (3,), sees; windows of flats light nothing."""
+        distances = np.linalg.norm(self._positions_m - position_m, axis=1)
         return [
-            PlacedLamp(light.pose, street_lamp(), FIXED_LAYER, light.intensity_cd)
-            for light, is_near in zip(self._lights, near, strict=True)
-            if is_near and light.kind == "street_lamp"
+            PlacedLamp(light.pose, _table(light), FIXED_LAYER, light.intensity_cd)
+            for light, distance in zip(self._lights, distances, strict=True)
+            if distance < light.reach_m and light.kind != "window"
         ]
 
     def points(self, sightings: Sightings) -> LampPoints:
-        """The faces of the lights as the camera sees them, a few points each."""
+        """The faces of the lights as the camera sees them, a few points each; screens are surfaces of the world."""
         positions, illuminances, radii = [], [], []
         camera_m = sightings.camera_m
         for light, position_m in zip(self._lights, self._positions_m, strict=True):
             distance = float(np.linalg.norm(camera_m - position_m))
-            if distance > FARTHEST_M:
+            if distance > FARTHEST_M or light.kind == "screen":
                 continue
             towards = light.pose.to_body(camera_m)
             intensity = float(_table(light).towards(towards)) * light.intensity_cd
@@ -66,4 +63,5 @@ class FixedLights:
 
 
 def _table(light: FixedLight) -> IntensityTable:
-    return street_lamp() if light.kind == "street_lamp" else window()
+    tables = {"street_lamp": street_lamp, "signal": traffic_light}
+    return tables.get(light.kind, window)()

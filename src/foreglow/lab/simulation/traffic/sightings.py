@@ -124,7 +124,7 @@ class Sightings:
 
     def range_m(self, actor: Actor) -> float:
         """From the camera to the middle between a vehicle's headlamps, or to its box's centre if they are off."""
-        heads = [lamp.placed.world_from_lamp.position_m for lamp in actor.lamps if not lamp.is_rear]
+        heads = [lamp.placed.world_from_lamp.position_m for lamp in actor.lamps if lamp.function == "low"]
         middle = np.mean(heads, axis=0) if heads else actor.state.pose.to_outer(actor.body.box_centre_m)
         return float(np.linalg.norm(middle - self.camera_m))
 

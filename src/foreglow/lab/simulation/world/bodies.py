@@ -21,7 +21,16 @@ from foreglow.lab.simulation.world.primitives import box, loft, tubes
 
 SHIPPED = Path(__file__).with_name("bodies.toml")
 
-LampFunction: TypeAlias = Literal["low", "high", "rear"]
+LampFunction: TypeAlias = Literal[
+    "low", "high", "front_marker", "side_marker", "rear", "rear_marker", "brake", "centre_brake"
+]
+
+REAR_FUNCTIONS: frozenset[LampFunction] = frozenset({"rear", "rear_marker", "brake", "centre_brake"})
+"""Lamps that shine backwards."""
+
+BRAKE_FUNCTIONS: frozenset[LampFunction] = frozenset({"brake", "centre_brake"})
+MARKER_FUNCTIONS: frozenset[LampFunction] = frozenset({"front_marker", "side_marker", "rear_marker"})
+"""Lamps of a few candela that show how wide, high and long a vehicle is; what they light is too dark to be seen."""
 
 Rows: TypeAlias = list[list[float]]
 
@@ -34,11 +43,11 @@ LAMP_GAP_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class LampMount:
-    """The mount of a lamp, whose axis points along x, or backwards for rear lamps.
+    """The mount of a lamp, whose axis points along x, backwards for rear lamps, or outwards for side markers.
 
     Attributes:
         name: A name such as `low_left`.
-        function: The beam that it belongs to.
+        function: The beam that it belongs to, or what else it is for.
         position_m: Position in the vehicle's frame, just outside the body.
         radius_m: Radius of its disc.
     """
@@ -48,13 +57,20 @@ class LampMount:
     position_m: tuple[float, float, float]
     radius_m: float
 
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of its axis, to the left of the vehicle's x."""
+        if self.function == "side_marker":
+            return float(np.copysign(np.pi / 2, self.position_m[1]))
+        return np.pi if self.function in REAR_FUNCTIONS else 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """A kind of vehicle.
 
     Attributes:
-        kind: car, van, lorry or motorcycle.
+        kind: A kind of vehicle, as scenes call it.
         mesh: Mesh in the vehicle's frame, with dark paint.
         lamps: Mounts of its lamps.
         size_m: Length, width and height of the box around it.
@@ -164,15 +180,19 @@ _SHAPES: dict[str, Callable[..., Mesh]] = {
 }
 
 
-def _mounts(function: LampFunction, is_pair: bool, position_m: list[float], radius_m: float) -> list[LampMount]:
-    """One lamp, or a left and a right one, just outside the body's shell."""
+def _mounts(
+    function: LampFunction, is_pair: bool, position_m: list[float], radius_m: float, number: int | None = None
+) -> list[LampMount]:
+    """One lamp, or a left and a right one, just outside the body's shell; a number tells those of a row apart."""
     x, y, z = position_m
-    x += -LAMP_GAP_M if function == "rear" else LAMP_GAP_M
+    if function == "side_marker":
+        y += LAMP_GAP_M
+    else:
+        x += -LAMP_GAP_M if function in REAR_FUNCTIONS else LAMP_GAP_M
+    name = function if number is None else f"{function}_{number}"
     if not is_pair:
-        return [LampMount(function, function, (x, y, z), radius_m)]
-    return [
-        LampMount(f"{function}_{side}", function, (x, s * y, z), radius_m) for side, s in (("left", 1), ("right", -1))
-    ]
+        return [LampMount(name, function, (x, y, z), radius_m)]
+    return [LampMount(f"{name}_{side}", function, (x, s * y, z), radius_m) for side, s in (("left", 1), ("right", -1))]
 
 
 def _body(

@@ -1,37 +1,17 @@
-"""Houses with windows and street lamps, and the light of both."""
+"""Houses with windows and shops, and street lamps, and the light of all."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.scenes.surroundings import House, StreetLamp
+from foreglow.lab.simulation.world.fixed_light import FixedLight, screen, screen_light
 from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.primitives import box, flat, triangulated, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedLight:
-    """A fixed light, not that of a vehicle.
-
-    Attributes:
-        pose: world_from_lamp; a street lamp's x points down, a window's out of the wall.
-        kind: Street lamp or window.
-        intensity_cd: Intensity on its axis; it falls with the cosine of the angle to the axis.
-        size_m: Width (along its y) and height (along its z) of its face.
-    """
-
-    pose: Pose
-    kind: Literal["street_lamp", "window"]
-    intensity_cd: float
-    size_m: tuple[float, float]
-
 
 STOREY_M = 2.7
 WINDOW_SIZE_M = (1.0, 1.25)
@@ -41,7 +21,15 @@ FOUNDATION_M = 2.0
 
 ROOF_PITCH = 0.75
 EAVES_M = 0.5
+SHOP_M = (0.45, 2.55)
+"""Heights of the lower and the upper edge of shop windows."""
+
+SHOP_MARGIN_M = 0.8
+"""Width of the wall, or of the door, beside a shop window."""
+
 ARM_M = 1.2
+REACH_PER_HEIGHT = 15.0
+"""Reach of a street lamp's light over its height: at 4 degrees above the ground, it is dark beyond."""
 HEAD_SIZE_M = (0.28, 0.55, 0.10)
 
 
@@ -64,6 +52,10 @@ def build_houses(
         is_lit = np.zeros(len(windows), bool)
         is_lit[rng.permutation(len(windows))[: house.num_lit_windows]] = True
         meshes.append(house_mesh(house, wall, windows).moved(pose))
+        if house.shop_cd_m2 > 0:
+            for pane in _shop_panes(house):
+                meshes.append(screen(_shop_size_m(house), house.shop_cd_m2, picture=1.0).moved(pose @ pane))
+                lights.append(screen_light(pose @ pane, _shop_size_m(house), house.shop_cd_m2))
         area = WINDOW_SIZE_M[0] * WINDOW_SIZE_M[1]
         for window, is_window_lit in zip(windows, is_lit, strict=True):
             if is_window_lit and house.window_cd_m2 > 0:
@@ -113,7 +105,7 @@ def _windows(house: House) -> list[Pose]:
     poses = []
     for level in levels:
         has_door = level < STOREY_M
-        front = [y for y in _row(length) if not has_door or abs(y) > 1.1]
+        front = [y for y in _row(length) if not has_door or (abs(y) > 1.1 and not house.shop_cd_m2)]
         poses += [Pose(np.array([0.0, y, level]), rotation()) for y in front]
         for x in _row(depth):
             poses += [
@@ -121,6 +113,17 @@ def _windows(house: House) -> list[Pose]:
                 for side in (-1.0, 1.0)
             ]
     return poses
+
+
+def _shop_panes(house: House) -> list[Pose]:
+    """Poses of the shop windows left and right of the door, in the house's frame."""
+    middle = house.size_m[0] / 4
+    height = sum(SHOP_M) / 2
+    return [Pose(np.array([0.06, side * middle, height]), rotation()) for side in (-1.0, 1.0)]
+
+
+def _shop_size_m(house: House) -> tuple[float, float]:
+    return house.size_m[0] / 2 - 2 * SHOP_MARGIN_M, SHOP_M[1] - SHOP_M[0]
 
 
 def _row(length_m: float) -> Floats:
@@ -142,7 +145,9 @@ def build_street_lamps(lamps: tuple[StreetLamp, ...], terrain: Terrain) -> tuple
         meshes.append(_lamp_post(lamp.height_m, arm).moved(foot))
         if lamp.intensity_cd > 0:
             down = Pose(np.array([arm, 0.0, lamp.height_m]), rotation(pitch_rad=-np.pi / 2))
-            lights.append(FixedLight(foot @ down, "street_lamp", lamp.intensity_cd, (HEAD_SIZE_M[0], HEAD_SIZE_M[1])))
+            reach_m = max(REACH_PER_HEIGHT * lamp.height_m, 120.0)
+            face = (HEAD_SIZE_M[0], HEAD_SIZE_M[1])
+            lights.append(FixedLight(foot @ down, "street_lamp", lamp.intensity_cd, face, reach_m))
     return meshes, lights
 
 

@@ -88,25 +88,43 @@ def _rail(rail: Rail, terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
     side = SIDE_SIGNS[rail.side]
     face = side * (terrain.road.half_width_m + rail.offset_m)
     wobble = Noise(rng, 6.0)
-    meshes = []
-    for start, end in clear_spans(terrain, rail.span_m, face):
-        s = np.linspace(start, end, max(2, round((end - start) / RAIL_STEP_M) + 1))
-        # Rails are never quite straight, which breaks up their glints.
-        behind = RAIL_PROFILE_M[:, 0] + 0.006 * wobble(s, 0.0)[:, None]
-        base = rail_base_m(terrain, s, face) + 0.004 * wobble(s, 9.0)
-        # At its ends the rail goes down into the ground.
-        buried = np.minimum(terrain.ground_height_m(s, face) - base - 0.2, 0.0) - RAIL_PROFILE_M[-1, 1]
-        base = base + (1 - _risen(s, start, end)) * buried
-        heights = base[:, None] + RAIL_PROFILE_M[:, 1]
-        points = terrain.road.points(s[:, None], face + side * behind)
-        points[..., 2] = heights
-        along = np.broadcast_to(s[:, None], behind.shape)
-        around = np.broadcast_to(np.arange(len(RAIL_PROFILE_M)) * 0.032, behind.shape)
-        meshes.append(strip(points, material_number("rail"), coordinates_m=np.stack([along, around], -1)))
-        posts = np.arange(start + 0.5 * rail.post_spacing_m, end, rail.post_spacing_m)
-        posts = posts[_risen(posts, start, end) > 0.6]
-        meshes += _rail_posts(terrain, posts, face, side, np.interp(posts, s, base))
-    return meshes
+    return [
+        mesh
+        for span in clear_spans(terrain, rail.span_m, face)
+        for mesh in rail_run(terrain, span, face, side, post_spacing_m=rail.post_spacing_m, wobble=wobble)
+    ]
+
+
+def rail_run(
+    terrain: Terrain, span: Span, face_m: float, side: float, *, post_spacing_m: float, wobble: Noise
+) -> list[Mesh]:
+    """A rail and its posts along `span`.
+
+    Args:
+        terrain: The ground.
+        span: Begin and end.
+        face_m: Offset of its face from the centre line.
+        side: 1 if its posts stand to the left of its face, else -1.
+        post_spacing_m: Distance between posts.
+        wobble: How it departs from a straight line.
+    """
+    start, end = span
+    s = np.linspace(start, end, max(2, round((end - start) / RAIL_STEP_M) + 1))
+    # Rails are never quite straight, which breaks up their glints.
+    behind = RAIL_PROFILE_M[:, 0] + 0.006 * wobble(s, 0.0)[:, None]
+    base = rail_base_m(terrain, s, face_m) + 0.004 * wobble(s, 9.0)
+    # At its ends the rail goes down into the ground.
+    buried = np.minimum(terrain.ground_height_m(s, face_m) - base - 0.2, 0.0) - RAIL_PROFILE_M[-1, 1]
+    base = base + (1 - _risen(s, start, end)) * buried
+    heights = base[:, None] + RAIL_PROFILE_M[:, 1]
+    points = terrain.road.points(s[:, None], face_m + side * behind)
+    points[..., 2] = heights
+    along = np.broadcast_to(s[:, None], behind.shape)
+    around = np.broadcast_to(np.arange(len(RAIL_PROFILE_M)) * 0.032, behind.shape)
+    beam = strip(points, material_number("rail"), coordinates_m=np.stack([along, around], -1))
+    posts = np.arange(start + 0.5 * post_spacing_m, end, post_spacing_m)
+    posts = posts[_risen(posts, start, end) > 0.6]
+    return [beam, *_rail_posts(terrain, posts, face_m, side, np.interp(posts, s, base))]
 
 
 def _risen(s: Floats, start: float, end: float) -> Floats:

@@ -43,6 +43,7 @@ class GroundCover:
         drifts: Noise of its height along the road.
         frays: Noise of the edge of the gravel.
         snow_limits: Values that `snow_score` must exceed, left and right, for the wanted share of snow.
+        grass_m: Half the width of a strip of grass between the directions.
     """
 
     left: Verge
@@ -52,11 +53,13 @@ class GroundCover:
     drifts: Noise
     frays: Noise
     snow_limits: tuple[float, float]
+    grass_m: float = 0.0
 
     def materials(self, s: Floats, t: Floats) -> NDArray[np.uint8]:
         """Material numbers at points of any shape, carriageway included."""
         out = np.abs(t) - self.half_width_m
         kinds = np.full(np.shape(s), material_number("road"), np.uint8)
+        kinds[np.abs(t) < self.grass_m] = material_number("grass_ground")
         for is_side, verge, limit in zip((t > 0, t <= 0), (self.left, self.right), self.snow_limits, strict=True):
             beyond = is_side & (out > 0)
             if verge.ground == "pavement":
@@ -79,7 +82,7 @@ class GroundCover:
 
 
 def ground_cover(
-    left: Verge, right: Verge, half_width_m: float, length_m: float, rng: np.random.Generator
+    left: Verge, right: Verge, half_width_m: float, length_m: float, rng: np.random.Generator, grass_m: float = 0.0
 ) -> GroundCover:
     """Draws the covers; the limits for snow are quantiles of the score over the verges along the road."""
     patches = Noise(rng, 5.0, 4), Noise(rng, 0.7, 2)
@@ -91,7 +94,7 @@ def ground_cover(
     ]
     # With a share of 1, everything is under snow.
     limits = [-np.inf if verge.snow == 1 else limit for verge, limit in zip((left, right), limits, strict=True)]
-    return GroundCover(left, right, half_width_m, patches, drifts, frays, (limits[0], limits[1]))
+    return GroundCover(left, right, half_width_m, patches, drifts, frays, (limits[0], limits[1]), grass_m)
 
 
 def snow_score(patches: tuple[Noise, Noise], s: Floats, t: Floats, out: Floats) -> Floats:

@@ -54,7 +54,8 @@ class Terrain:
         self.road, self.branches = road, branches
         self._left, self._right = verges
         self._rolling, self._rough = Noise(rng, 28.0), Noise(rng, 2.2)
-        self._cover = ground_cover(*verges, road.half_width_m, road.length_m, rng)
+        grass_m = road.spec.median_m / 2 if road.spec.median == "rails" else 0.0
+        self._cover = ground_cover(*verges, road.half_width_m, road.length_m, rng, grass_m)
         self.fine_m = fine_m
 
     def verge(self, t_m: float) -> Verge:

@@ -10,17 +10,27 @@ from numpy.typing import ArrayLike
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.scenes.surroundings import Span
-from foreglow.lab.simulation.world.buildings import FixedLight, build_houses, build_street_lamps
+from foreglow.lab.simulation.world.buildings import build_houses, build_street_lamps
+from foreglow.lab.simulation.world.fixed_light import FixedLight
 from foreglow.lab.simulation.world.furniture import build_furniture
+from foreglow.lab.simulation.world.median import build_median
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.plants import build_plants
 from foreglow.lab.simulation.world.road import Road, branch_road, interpolated
 from foreglow.lab.simulation.world.signs import build_signs
+from foreglow.lab.simulation.world.street_lights import build_panels, build_signals
 from foreglow.lab.simulation.world.terrain import Terrain
 
 __all__ = ["FixedLight", "World", "build_world"]
 
-TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM = 101, 102, 103, 104, 105
+TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM, MEDIAN_STREAM = (
+    101,
+    102,
+    103,
+    104,
+    105,
+    106,
+)
 """Random streams, one for each part, so that an additional sign does not move a tree."""
 
 GRASS_REACH_M = 45.0
@@ -42,7 +52,7 @@ class World:
             its own, with the offset shifted by (n + 1) * `terrain.BRANCH_T_M`.
         road: The main road.
         branches: The side roads, in the order of `Scene.road.branches`.
-        lights: Street lamps that are on, and lit windows.
+        lights: Street lamps that are on, lit windows, screens and traffic lights.
         terrain: The ground.
     """
 
@@ -72,6 +82,8 @@ def build_world(scene: Scene) -> World:
     )
     houses, windows = build_houses(spec.houses, terrain, stream(BUILDINGS_STREAM))
     posts, lamps = build_street_lamps(spec.street_lamps, terrain)
+    panels, screens = build_panels(spec.panels, terrain)
+    masts, signals = build_signals(spec.signals, terrain)
     meshes = [
         terrain.mesh(),
         *build_furniture(spec, terrain, stream(FURNITURE_STREAM)),
@@ -85,8 +97,11 @@ def build_world(scene: Scene) -> World:
             seen_m=(start - BEHIND_M, end + SIGHT_M),
             near_m=(start - BEHIND_M, end + GRASS_REACH_M),
         ),
+        *build_median(terrain, stream(MEDIAN_STREAM)),
+        *panels,
+        *masts,
     ]
-    return World(joined(meshes), road, branches, (*windows, *lamps), terrain)
+    return World(joined(meshes), road, branches, (*windows, *lamps, *screens, *signals), terrain)
 
 
 def _driven_m(scene: Scene) -> Span:
