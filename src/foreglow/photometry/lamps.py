@@ -98,9 +98,9 @@ def marker_lamp() -> IntensityTable:
 def bicycle_lamp() -> IntensityTable:
     """A bicycle's dynamo or LED lamp: 4,000 cd below its cut-off, 40 lx on a wall at 10 m, and 110 cd above it.
 
-    German requirements, which most lamps in Europe follow: at least 10 lx at 10 m in the hot spot, which is 1,000 cd, and
-    at most 2 lx, 200 cd, from 3.4 degrees above it on (TA 23 of paragraph 22a StVZO). The hot spot is 3 degrees below
-    the horizon, as it meets the road after 15 m.
+    German requirements, which most lamps in Europe follow: at least 10 lx at 10 m in the hot spot, which is 1,000 cd,
+    and at most 2 lx, 200 cd, from 3.4 degrees above it on (TA 23 of paragraph 22a StVZO). The hot spot is aimed so low
+    that it meets the road 15 to 30 m ahead.
     """
     azimuths, elevations = np.meshgrid(HEADLAMP_AZIMUTHS_DEG, HEADLAMP_ELEVATIONS_DEG)
     depth = np.clip(-1.5 - elevations, 0.0, None)

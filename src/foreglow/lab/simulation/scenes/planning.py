@@ -12,19 +12,12 @@ from typing import Literal
 
 import numpy as np
 
+from foreglow.lab.simulation.scenes.conditions import draw_camera, draw_sensor, draw_weather
 from foreglow.lab.simulation.scenes.courses import Course, Layout
 from foreglow.lab.simulation.scenes.draw import Draw
 from foreglow.lab.simulation.scenes.encounter import Corridor, corridor, is_light_in_sight, sight_time_s
 from foreglow.lab.simulation.scenes.roadside import draw_surroundings
-from foreglow.lab.simulation.scenes.scene import (
-    CameraSpec,
-    EgoSpec,
-    RoadSpec,
-    Scene,
-    SensorSpec,
-    VehicleSpec,
-    WeatherSpec,
-)
+from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Profile, SurroundingsSpec
 from foreglow.lab.simulation.world.road import Road
 
@@ -43,7 +36,7 @@ SHORTEST_S, LONGEST_S = 6.5, 9.5
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
+class Plan:
     """An encounter.
 
     Attributes:
@@ -74,10 +67,10 @@ class _Plan:
 
 def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
     """Draws everything in a scene; the encounter is drawn again until it resembles those of PVDN."""
-    weather, wetness = _weather(draw)
-    plans: list[_Plan] = []
+    weather, wetness = draw_weather(draw)
+    plans: list[Plan] = []
     while len(plans) < MAX_PLANS and not (plans and plans[-1].is_good):
-        plans.append(_plan(draw, layout, wetness))
+        plans.append(plan_encounter(draw, layout, wetness))
     plan = plans[-1] if plans[-1].is_good else min(plans, key=lambda plan: plan.miss_s + plan.lead_s)
     duration_s = plan.meeting_s + draw.uniform(-0.3, 1.2)
     return Scene(
@@ -95,12 +88,12 @@ def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
             body_motion=draw.log_uniform(0.5, 2.0),
         ),
         weather=weather,
-        camera=_camera(draw),
-        sensor=_sensor(draw),
+        camera=draw_camera(draw),
+        sensor=draw_sensor(draw),
     )
 
 
-def _plan(draw: Draw, layout: Layout, wetness: float) -> _Plan:
+def plan_encounter(draw: Draw, layout: Layout, wetness: float) -> Plan:
     """Draws a road with its roadside, and times the encounter."""
     sight_s = draw.normal(*SIGHT_S)
     start_m = draw.uniform(10.0, 25.0)
@@ -118,7 +111,7 @@ def _plan(draw: Draw, layout: Layout, wetness: float) -> _Plan:
     seen_s = sight_time_s(road, free, ego, other)
     light_s = sight_time_s(road, free, ego, other, is_light_in_sight)
     miss_s = abs(meeting_s - seen_s - sight_s)
-    return _Plan(course, spec, surroundings, ego, other, meeting_s, miss_s, light_s - seen_s)
+    return Plan(course, spec, surroundings, ego, other, meeting_s, miss_s, light_s - seen_s)
 
 
 def _encounter(road: Road, free: Corridor, ego: Profile, other_mps: float, sight_s: float) -> tuple[Profile, float]:
@@ -140,16 +133,16 @@ def _vehicles(draw: Draw, course: Course, other: Profile, ego: Profile) -> tuple
     """The oncoming car and other vehicles; one drive in eight has none at all."""
     if draw.chance(0.12):
         return ()
-    vehicles = [_vehicle(draw, timetable=other)]
+    vehicles = [draw_vehicle(draw, timetable=other)]
     behind_m = 0.0
     while draw.chance(0.12):  # several in a row
         behind_m += draw.uniform(12.0, 45.0)
-        vehicles.append(_vehicle(draw, timetable=_shifted(other, behind_m)))
+        vehicles.append(draw_vehicle(draw, timetable=shifted(other, behind_m)))
     if draw.chance(0.07):
-        vehicles.append(_vehicle(draw, lane="own", timetable=_shifted(ego, draw.uniform(25.0, 120.0))))
+        vehicles.append(draw_vehicle(draw, lane="own", timetable=shifted(ego, draw.uniform(25.0, 120.0))))
     if course.style == "village":
         vehicles += [
-            _vehicle(
+            draw_vehicle(
                 draw,
                 lane=draw.choice(["parked_left", "parked_right"]),
                 is_towards=draw.chance(0.5),
@@ -161,12 +154,12 @@ def _vehicles(draw: Draw, course: Course, other: Profile, ego: Profile) -> tuple
     if course.branches:
         far = min(draw.uniform(60.0, 110.0), course.branches[0].length_m - 5.0)
         vehicles.append(
-            _vehicle(draw, lane="branch", timetable=((0.0, far), (draw.uniform(4.0, 7.0), 9.0), (12.0, 8.5)))
+            draw_vehicle(draw, lane="branch", timetable=((0.0, far), (draw.uniform(4.0, 7.0), 9.0), (12.0, 8.5)))
         )
     return tuple(vehicles)
 
 
-def _vehicle(
+def draw_vehicle(
     draw: Draw,
     *,
     timetable: Profile,
@@ -174,6 +167,7 @@ def _vehicle(
     is_towards: bool = True,
     beam: Literal["low", "off"] = "low",
 ) -> VehicleSpec:
+    """A vehicle of any kind, with lamps as people leave them."""
     return VehicleSpec(
         kind=draw.choice(["car", "van", "lorry", "motorcycle"], [0.78, 0.1, 0.08, 0.04]),
         lane=lane,
@@ -220,61 +214,6 @@ def _speed_mps(draw: Draw, course: Course, cruising_mps: float) -> float:
     return round(min(cruising_mps, float(np.sqrt(3.5 / tightest)) if tightest else cruising_mps), 2)
 
 
-def _shifted(timetable: Profile, by_m: float) -> Profile:
+def shifted(timetable: Profile, by_m: float) -> Profile:
+    """The time table of a vehicle that drives `by_m` further along the road."""
     return tuple((time, round(s_m + by_m, 2)) for time, s_m in timetable)
-
-
-def _weather(draw: Draw) -> tuple[WeatherSpec, float]:
-    """The weather, and how wet the road is."""
-    kind = draw.choice(["dry", "wet", "rain", "snow", "mist"], [0.55, 0.2, 0.1, 0.08, 0.07])
-    haze = {
-        "dry": (5e-5, 3e-4),
-        "wet": (1e-4, 6e-4),
-        "rain": (2e-4, 1e-3),
-        "snow": (4e-4, 1.5e-3),
-        "mist": (1e-3, 4e-3),
-    }
-    weather = WeatherSpec(
-        scattering_per_m=draw.log_uniform(*haze[kind]),
-        rain_mm_h=draw.log_uniform(0.5, 8.0) if kind == "rain" else 0.0,
-        snow_mm_h=draw.log_uniform(0.3, 3.0) if kind == "snow" else 0.0,
-        sky_cd_m2=draw.log_uniform(1e-4, 5e-3),
-    )
-    wetness = {"dry": 0.0, "wet": draw.uniform(0.3, 1.0), "rain": draw.uniform(0.6, 1.0)}
-    return weather, wetness.get(kind, draw.uniform(0.0, 0.4))
-
-
-def _camera(draw: Draw) -> CameraSpec:
-    return CameraSpec(
-        focal_px=draw.normal(1312.0, 50.0),
-        centre_px=(draw.normal(640.0, 6.0), draw.normal(480.0, 6.0)),
-        distortion=(
-            draw.normal(-0.05, 0.02),
-            draw.normal(0.02, 0.01),
-            draw.normal(0.0, 3e-4),
-            draw.normal(0.0, 3e-4),
-            0.0,
-        ),
-        mount_m=(draw.uniform(1.7, 2.1), draw.normal(0.0, 0.05), draw.uniform(1.2, 1.45)),
-        pitch_deg=draw.normal(-0.7, 0.4),
-        yaw_deg=draw.normal(0.0, 0.3),
-        roll_deg=draw.normal(0.0, 0.2),
-    )
-
-
-def _sensor(draw: Draw) -> SensorSpec:
-    """Draws around the figures of the one lossless real frame."""
-    return SensorSpec(
-        grey_per_cd_m2=draw.log_uniform(38.0, 66.0),
-        night_gain=draw.log_uniform(6.0, 11.0),
-        black_level=draw.normal(7.6, 0.8),
-        knee=draw.normal(38.0, 3.0),
-        log_slope=draw.normal(14.0, 1.5),
-        read_noise=draw.normal(1.35, 0.15),
-        shot_noise=draw.log_uniform(0.038, 0.066),
-        column_noise=draw.log_uniform(0.7, 1.3),
-        core_px=draw.normal(0.8, 0.08),
-        middle_share=draw.uniform(0.18, 0.32),
-        middle_px=draw.log_uniform(0.5, 1.2),
-        tail_share=draw.log_uniform(8e-3, 2.2e-2),
-    )

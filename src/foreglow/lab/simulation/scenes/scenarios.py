@@ -2,30 +2,92 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, TypeAlias
 
 from foreglow.config import validated
 from foreglow.lab.simulation.scenes import courses
+from foreglow.lab.simulation.scenes.country import cyclists, following, queue
 from foreglow.lab.simulation.scenes.courses import Layout
 from foreglow.lab.simulation.scenes.draw import Draw
+from foreglow.lab.simulation.scenes.mirror import mirrored
+from foreglow.lab.simulation.scenes.motorway import motorway
 from foreglow.lab.simulation.scenes.planning import planned_scene
 from foreglow.lab.simulation.scenes.scene import EgoBeam, Scene
+from foreglow.lab.simulation.scenes.town import town
 
 Split: TypeAlias = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
-SCENARIOS: dict[str, tuple[Layout, float]] = {
-    "curve": (courses.curve, 0.30),
-    "s_bend": (courses.s_bend, 0.16),
-    "crest": (courses.crest, 0.14),
-    "sag": (courses.sag, 0.06),
-    "straight": (courses.straight, 0.06),
-    "junction": (courses.junction, 0.05),
-    "village": (courses.village, 0.06),
-    "forest": (courses.forest, 0.17),
+DrawScene: TypeAlias = Callable[[Draw, str, int], Scene]
+"""Draws a scene with a name and a seed."""
+
+
+def _encounter(layout: Layout) -> DrawScene:
+    """Scenes with the one encounter that PVDN's drives show, on a road of this layout."""
+    return lambda draw, name, seed: planned_scene(draw, name, layout, seed)
+
+
+def _left(draw_scene: DrawScene) -> DrawScene:
+    """The same scenes where traffic keeps to the left."""
+    return lambda draw, name, seed: mirrored(draw_scene(draw, name, seed))
+
+
+SCENARIOS: dict[str, DrawScene] = {
+    "curve": _encounter(courses.curve),
+    "s_bend": _encounter(courses.s_bend),
+    "crest": _encounter(courses.crest),
+    "sag": _encounter(courses.sag),
+    "straight": _encounter(courses.straight),
+    "junction": _encounter(courses.junction),
+    "village": _encounter(courses.village),
+    "forest": _encounter(courses.forest),
+    "motorway": motorway,
+    "queue": queue,
+    "following": following,
+    "cyclists": cyclists,
+    "town": town,
+    "left_motorway": _left(motorway),
+    "left_queue": _left(queue),
+    "left_town": _left(town),
 }
-"""Every scenario by name, with its share of a data set. Most are roads that hide the other car, since these are what
-provident detection is about."""
+"""Every scenario by name."""
+
+MIXTURES: dict[str, dict[str, float]] = {
+    "pvdn": {
+        "curve": 0.30,
+        "s_bend": 0.16,
+        "crest": 0.14,
+        "sag": 0.06,
+        "straight": 0.06,
+        "junction": 0.05,
+        "village": 0.06,
+        "forest": 0.17,
+    },
+    "standard": {
+        "curve": 0.11,
+        "s_bend": 0.06,
+        "crest": 0.05,
+        "sag": 0.03,
+        "straight": 0.03,
+        "junction": 0.03,
+        "village": 0.03,
+        "forest": 0.06,
+        "motorway": 0.15,
+        "queue": 0.12,
+        "following": 0.07,
+        "cyclists": 0.05,
+        "town": 0.14,
+        "left_motorway": 0.02,
+        "left_queue": 0.02,
+        "left_town": 0.03,
+    },
+}
+"""What data sets are drawn from: scenarios with their shares. In `pvdn`, most are roads that hide the other car, since
+these are what provident detection is about; `standard` has as much of other traffic and of lit streets."""
+
+HALF_EMPTY: frozenset[str] = frozenset({"standard"})
+"""Mixtures in which every second drive has no vehicle with its lamps on."""
 
 
 def scenario(name: str, seed: int = 0) -> Scene:
@@ -36,25 +98,29 @@ def scenario(name: str, seed: int = 0) -> Scene:
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
-    return planned_scene(Draw(seed, 0), name, SCENARIOS[name][0], seed)
+    return SCENARIOS[name](Draw(seed, 0), name, seed)
 
 
-def draw_scenes(num_scenes: int, seed: int, split: Split = "train") -> tuple[Scene, ...]:
-    """The scenes of a data set; each depends only on the seed, the split and its number.
+def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str = "pvdn") -> tuple[Scene, ...]:
+    """The scenes of a data set; each depends only on the seed, the split, the mixture and its number.
 
     Raises:
-        ValueError: If the number is not positive or the split is unknown.
+        ValueError: If the number is not positive, or the split or the mixture is unknown.
     """
     if num_scenes < 1:
         raise ValueError(f"scenes: expected at least 1, got {num_scenes}")
     if split not in SPLITS:
         raise ValueError(f"split: expected one of {', '.join(SPLITS)}, got {split!r}")
-    names, weights = list(SCENARIOS), [share for _, share in SCENARIOS.values()]
+    if mixture not in MIXTURES:
+        raise ValueError(f"mixture: expected one of {', '.join(MIXTURES)}, got {mixture!r}")
+    names, weights = list(MIXTURES[mixture]), list(MIXTURES[mixture].values())
     scenes = []
     for number in range(num_scenes):
         draw = Draw(seed, 1 + SPLITS.index(split), number)
         name = draw.choice(names, weights)
-        scenes.append(planned_scene(draw, name, SCENARIOS[name][0], draw.integer(0, 2**31)))
+        scene = SCENARIOS[name](draw, name, draw.integer(0, 2**31))
+        is_empty = mixture in HALF_EMPTY and number % 2 == 1
+        scenes.append(without_traffic(scene) if is_empty else scene)
     return tuple(scenes)
 
 

@@ -116,6 +116,11 @@ class RoadSpec(SpecModel):
         """From the centre line to either edge of the carriageway."""
         return self.median_m / 2 + self.shoulders_m[0] + self.num_lanes * self.lane_width_m + self.shoulders_m[1]
 
+    @property
+    def mirror(self) -> int:
+        """1 where traffic keeps to the right, -1 where it keeps to the left: the factor on offsets and turns."""
+        return 1 if self.traffic == "right" else -1
+
     def lane_m(self, number: int | None = None) -> float:
         """From the centre line to the middle of a lane; lanes count from the median, None is the one at the edge."""
         lane = self.num_lanes - 1 if number is None else number

@@ -12,7 +12,7 @@ import numpy as np
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
 from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
-from foreglow.lab.simulation.traffic.kinematics import VehicleState, keeping_side, vehicle_state
+from foreglow.lab.simulation.traffic.kinematics import VehicleState, vehicle_state
 from foreglow.lab.simulation.world.bodies import (
     BODIES,
     BRAKE_FUNCTIONS,
@@ -115,7 +115,7 @@ def actors_at(
         first_layer: Layer of the first vehicle's light.
     """
     actors: list[Actor] = []
-    is_left = keeping_side(roads[0]) < 0
+    is_left = roads[0].spec.traffic == "left"
     for number, spec in enumerate(vehicles):
         body = _right_hand_drive(spec.kind) if is_left else BODIES[spec.kind]
         state = vehicle_state(spec, *roads, body.wheelbase_m, time_s)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foreglow.geometry import Pose, rotation
-from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
+from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.world.road import Road, interpolated
 
 EGO_WHEELBASE_M = 2.8
@@ -64,7 +64,7 @@ class BodyMotion:
 def ego_state(ego: EgoSpec, road: Road, body: BodyMotion, time_s: float) -> VehicleState:
     """Our own vehicle at `time_s`, in the middle of its lane."""
     s, speed = (float(value) for value in interpolated(ego.timetable, time_s))
-    steady = road.pose(s, -keeping_side(road) * road.spec.lane_m(ego.lane_number), 1, EGO_WHEELBASE_M)
+    steady = road.pose(s, -road.spec.mirror * road.spec.lane_m(ego.lane_number), 1, EGO_WHEELBASE_M)
     return VehicleState(steady @ body.at(time_s), s, speed, speed * float(road.curvature_per_m(s)))
 
 
@@ -75,7 +75,7 @@ def vehicle_state(
     s, rate = (float(value) for value in interpolated(vehicle.timetable, time_s))
     own_road = branches[vehicle.branch] if vehicle.lane == "branch" else road
     direction = driving_direction(vehicle)
-    lateral = _lateral_m(vehicle, own_road) if vehicle.lateral_m is None else vehicle.lateral_m
+    lateral = lateral_m(vehicle, own_road.spec)
     speed = direction * rate
     # Driving against the arc length turns a bend to the left into one to the right.
     yaw_rate = speed * direction * float(own_road.curvature_per_m(s))
@@ -91,14 +91,11 @@ def driving_direction(vehicle: VehicleSpec) -> int:
     return -1 if vehicle.is_towards else 1
 
 
-def keeping_side(road: Road) -> float:
-    """1 where traffic keeps to the right, -1 where it keeps to the left: a mirror's factor on offsets."""
-    return 1.0 if road.spec.traffic == "right" else -1.0
-
-
-def _lateral_m(vehicle: VehicleSpec, road: Road) -> float:
-    """The middle of the vehicle's lane, metres to the left of the centre line."""
-    lane = keeping_side(road) * road.spec.lane_m(vehicle.lane_number)
+def lateral_m(vehicle: VehicleSpec, road: RoadSpec) -> float:
+    """Offset of the vehicle to the left of the centre line of its road, by default the middle of its lane."""
+    if vehicle.lateral_m is not None:
+        return vehicle.lateral_m
+    lane = road.mirror * road.lane_m(vehicle.lane_number)
     offsets: dict[str, float] = {
         "own": -lane,
         "oncoming": lane,

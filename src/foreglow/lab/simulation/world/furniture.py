@@ -210,12 +210,12 @@ def _delineators(spec: SurroundingsSpec, terrain: Terrain, rng: np.random.Genera
             # All have the same height above the carriageway's edge, even where the ground falls away.
             edge = road.points(s, side * road.half_width_m)[:, 2]
             feet[:, 2] = np.clip(edge, feet[:, 2], feet[:, 2] + DELINEATOR_FOOT_M - BURIED_M)
-            meshes.append(instanced(_delineator(side), feet, turns))
+            meshes.append(instanced(_delineator(side * road.spec.mirror), feet, turns))
     return meshes
 
 
 def _delineator(side: float) -> Mesh:
-    """A post with its foot at the origin, for the road's left (1) or right (-1); x along the road."""
+    """A post with its foot at the origin, for the oncoming side (1) or ours (-1); x along the road."""
     post, black, reflector = (material_number(name) for name in ("post", "sign_black", "reflector"))
     width, depth, top = 0.12, 0.10, DELINEATOR_HEIGHT_M
     parts = [
