@@ -193,6 +193,7 @@ def _house(draw: Draw, side: Side, road: RoadSpec) -> House:
         offset_m=draw.uniform(25.0, 55.0),
         size_m=(draw.uniform(10.0, 30.0), draw.uniform(8.0, 11.0), draw.uniform(4.0, 9.0)),
         num_lit_windows=draw.integer(0, 10),
+        has_panes=True,
         window_cd_m2=draw.log_uniform(5.0, 80.0),
         yaw_deg=draw.normal(0.0, 15.0),
     )

@@ -153,6 +153,7 @@ class House(SpecModel):
         size_m: Length along the road, depth, and height of the walls.
         num_lit_windows: Number of lit windows.
         window_cd_m2: Luminance of a lit window.
+        has_panes: Whether lit windows are surfaces behind their frames; otherwise each is a few points of light.
         shop_cd_m2: Luminance of shop windows along the whole ground floor; 0 for none.
         yaw_deg: Rotation away from the direction of the road.
     """
@@ -163,6 +164,7 @@ class House(SpecModel):
     size_m: tuple[Size, Size, Size] = (10.0, 8.0, 5.0)
     num_lit_windows: Annotated[int, Field(ge=0, le=60)] = 2
     window_cd_m2: NonNegative = 30.0
+    has_panes: bool = False
     shop_cd_m2: NonNegative = 0.0
     yaw_deg: float = 0.0
 

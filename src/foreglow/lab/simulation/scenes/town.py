@@ -192,6 +192,7 @@ def _house(draw: Draw, side: Side, s_m: float, width_m: float, offset_m: float, 
         offset_m=offset_m,
         size_m=(width_m, draw.uniform(8.0, 11.0), height),
         num_lit_windows=draw.integer(0, round(width_m * height / 12.0)),
+        has_panes=True,
         window_cd_m2=draw.log_uniform(*WINDOW_CD_M2),
         shop_cd_m2=draw.log_uniform(*SHOP_CD_M2) if draw.chance(0.05 + 0.5 * bustle) else 0.0,
     )

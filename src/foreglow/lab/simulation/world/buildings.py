@@ -16,6 +16,10 @@ from foreglow.lab.simulation.world.terrain import Terrain
 STOREY_M = 2.7
 WINDOW_SIZE_M = (1.0, 1.25)
 WINDOW_SPACING_M = 2.2
+PANE_SIZE_M = (0.94, 1.2)
+PANE_POSE = Pose(np.array([0.02, 0.0, 0.0]), rotation())
+"""A lit pane, just in front of the dark one and behind the frame."""
+
 FOUNDATION_M = 2.0
 """Depth of the walls below the ground at the middle of a house."""
 
@@ -59,6 +63,9 @@ def build_houses(
         area = WINDOW_SIZE_M[0] * WINDOW_SIZE_M[1]
         for window, is_window_lit in zip(windows, is_lit, strict=True):
             if is_window_lit and house.window_cd_m2 > 0:
+                if house.has_panes:
+                    meshes.append(screen(PANE_SIZE_M, house.window_cd_m2, picture=0.5).moved(pose @ window @ PANE_POSE))
+                    continue
                 out = Pose(window.to_outer([0.05, 0.0, 0.0]), window.rotation)
                 lights.append(FixedLight(pose @ out, "window", house.window_cd_m2 * area, WINDOW_SIZE_M))
     return meshes, lights
