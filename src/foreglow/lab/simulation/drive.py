@@ -153,11 +153,11 @@ class _Run:
         roads = (self._world.road, self._world.branches)
         actors = actors_at(scene.vehicles, roads, ego.pose, time_s, FIRST_VEHICLE_LAYER)
         bodies = [actor.placed_body for actor in actors]
-        is_left = scene.road.traffic == "left"
-        tables = ego_tables(scene.ego, led_levels, self._headlamps, is_left=is_left)
-        own = ego_lamps(scene.ego, ego.pose, tables, EGO_LAYER, self._headlamps)
+        own = ego_lamps(
+            scene.ego, ego.pose, ego_tables(scene.ego, led_levels, self._headlamps), EGO_LAYER, self._headlamps
+        )
         fixed = self._lights.lamps_near(view.position_m)
-        theirs = [lamp.placed for actor in actors for lamp in actor.lamps if not lamp.is_marker]
+        theirs = [lamp.placed for actor in actors for lamp in actor.lamps]
         num_layers = FIRST_VEHICLE_LAYER + len(actors)
         rendered = self._renderer.render(view, [*fixed, *own, *theirs], num_layers, bodies, scene.weather)
         sightings = Sightings(self._renderer, self._camera, view, bodies, scene.weather.scattering_per_m)
@@ -176,7 +176,7 @@ class _Run:
             self._annotator.annotate(index, actor, seen, exposure, view.position_m)
             for index, (actor, seen) in enumerate(zip(actors, lamps, strict=True))
         ]
-        eyes = Eyes(sightings, actors, own, fixed, is_left=is_left)
+        eyes = Eyes(sightings, actors, own, fixed)
         vehicles = tuple(
             _vehicle_truth(index, actor, lamps[index], annotations[index], sightings, eyes)
             for index, actor in enumerate(actors)

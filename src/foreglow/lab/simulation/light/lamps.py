@@ -21,6 +21,7 @@ class PlacedLamp:
         layer: Number of the layer for its light.
         scale: Factor on the table.
         radius_m: Radius of its disc, for its image and its visible share.
+        lights_nothing: Whether it is so faint that it is only seen itself, and what it lights is left out.
     """
 
     world_from_lamp: Pose
@@ -28,6 +29,7 @@ class PlacedLamp:
     layer: int
     scale: float = 1.0
     radius_m: float = 0.08
+    lights_nothing: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

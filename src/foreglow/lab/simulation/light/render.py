@@ -102,7 +102,7 @@ class Renderer:
             if not 0 <= lamp.layer < num_layers:
                 raise ValueError(f"lamps[{index}].layer: expected 0 to {num_layers - 1}, got {lamp.layer}")
         self._world.place(bodies)
-        self._lights.switch_on(lamps, num_layers)
+        self._lights.switch_on([lamp for lamp in lamps if not lamp.lights_nothing], num_layers)
         space = space_of(self._world, self._lights, camera_pose, self._settings.darkest_cd_m2)
         air = air_of(weather)
         samples = self._samples

@@ -25,7 +25,9 @@ def mirrored(scene: Scene) -> Scene:
     traffic. Everything else follows from the scene as always: labels, street data, lidar. The pictures on signs and the
     textures are drawn anew, since nothing in reality mirrors them.
     """
-    ego = scene.ego.model_copy(update={"yaw_aim_deg": _negated(scene.ego.yaw_aim_deg)})
+    ego = scene.ego.model_copy(
+        update={"yaw_aim_deg": _negated(scene.ego.yaw_aim_deg), "traffic": SWAPPED[scene.ego.traffic]}
+    )
     return scene.model_copy(
         update={
             "road": _road(scene.road),

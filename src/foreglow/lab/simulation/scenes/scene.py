@@ -175,6 +175,7 @@ class EgoSpec(SpecModel):
     Attributes:
         timetable: Pairs (time in s, arc length in m), as for other vehicles.
         lane_number: Which of our lanes, counted from the median; None for the one at the edge.
+        traffic: The side of traffic for which its low beam is made.
         beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
         low_beam_file: An IES file for the low beam instead of the built-in table.
         brightness: Factor on the headlamps.
@@ -185,6 +186,7 @@ class EgoSpec(SpecModel):
 
     timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
     lane_number: LaneNumber | None = None
+    traffic: Side = "right"
     beam: EgoBeam = "low"
     low_beam_file: str | None = None
     brightness: Positive = 1.0

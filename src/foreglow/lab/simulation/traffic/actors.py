@@ -63,11 +63,6 @@ class LitLamp:
     placed: PlacedLamp
     function: LampFunction = "low"
 
-    @property
-    def is_marker(self) -> bool:
-        """Whether it is so faint that it matters only itself, not by what it lights."""
-        return self.function in MARKER_FUNCTIONS
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor:
@@ -131,17 +126,12 @@ def actors_at(
     return tuple(actors)
 
 
-def ego_tables(
-    ego: EgoSpec, led_levels: Floats, headlamps: Headlamps, *, is_left: bool = False
-) -> tuple[IntensityTable, IntensityTable]:
-    """The light of our left and right headlamps.
+def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[IntensityTable, IntensityTable]:
+    """The light of our left and right headlamps; `led_levels`, shape (2, L), 0..1, is for the matrix beam only.
 
-    Args:
-        ego: Our vehicle.
-        led_levels: Shape (2, L), 0..1, for the matrix beam only.
-        headlamps: Our headlamps.
-        is_left: Whether traffic keeps to the left; LEDs stay where they are, the low beam is mirrored.
+    In a car for left-hand traffic the low beam is mirrored; the LEDs of the matrix beam stay where they are.
     """
+    is_left = ego.traffic == "left"
     if ego.beam == "matrix":
         lamps = [_matrix(lamp.matrix, is_left) for lamp in (headlamps.left, headlamps.right)]
         return lamps[0].table(led_levels[0]), lamps[1].table(led_levels[1])
@@ -195,7 +185,8 @@ def _placed(mount: LampMount, spec: VehicleSpec, pose: Pose, layer: int, is_left
     else:
         turned, table = _aim(spec.yaw_aim_deg, spec.pitch_aim_deg), _headlamp_table(spec, is_left)
     in_world = pose @ Pose(np.asarray(mount.position_m), turned)
-    return PlacedLamp(in_world, table, layer, spec.brightness, mount.radius_m)
+    is_marker = mount.function in MARKER_FUNCTIONS
+    return PlacedLamp(in_world, table, layer, spec.brightness, mount.radius_m, lights_nothing=is_marker)
 
 
 _SIGNALS: dict[LampFunction, Callable[[], IntensityTable]] = {

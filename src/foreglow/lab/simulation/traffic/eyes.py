@@ -12,7 +12,7 @@ from foreglow.lab.simulation.traffic.actors import Actor
 from foreglow.lab.simulation.traffic.sightings import Sightings
 
 EGO_EYE_M = np.array([1.45, 0.35, 1.2])
-"""Our driver's eye in the vehicle's frame; mirrored where traffic keeps to the left."""
+"""Our driver's eye in the vehicle's frame, in a car for right-hand traffic."""
 
 FARTHEST_M = 400.0
 """Lamps further away are left out: a low beam gives less than 0.005 lx there."""
@@ -27,13 +27,7 @@ class Eyes:
     """
 
     def __init__(
-        self,
-        sightings: Sightings,
-        actors: Sequence[Actor],
-        own: Sequence[PlacedLamp],
-        fixed: Sequence[PlacedLamp],
-        *,
-        is_left: bool = False,
+        self, sightings: Sightings, actors: Sequence[Actor], own: Sequence[PlacedLamp], fixed: Sequence[PlacedLamp]
     ) -> None:
         """Takes the frame's lamps.
 
@@ -42,13 +36,11 @@ class Eyes:
             actors: The other vehicles.
             own: Our headlamps.
             fixed: Street lamps nearby.
-            is_left: Whether traffic keeps to the left.
         """
         self._sightings = sightings
         self._actors = actors
         self._own = own
         self._fixed = fixed
-        self._ego_eye_m = EGO_EYE_M * [1.0, -1.0 if is_left else 1.0, 1.0]
 
     def at_vehicle(self, index: int) -> dict[str, float]:
         """Illuminance at the eye of the vehicle at `index`, by source: `ego`, `fixed`, and other vehicles' ids."""
@@ -64,7 +56,7 @@ class Eyes:
 
     def at_ego(self, pose: Pose) -> dict[str, float]:
         """Illuminance at our own driver's eye, by vehicle id."""
-        eye, forward = pose.to_outer(self._ego_eye_m), pose.rotation[:, 0]
+        eye, forward = pose.to_outer(EGO_EYE_M), pose.rotation[:, 0]
         return {
             str(actor.vehicle_id): self._lx(eye, forward, [lamp.placed for lamp in actor.lamps], None)
             for actor in self._actors
