@@ -1,5 +1,6 @@
-# make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench, make data [DATA=folder], make drives,
-# make model, make simulator-pictures, make simulator-report, make drive.
+# make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench,
+# make data [DATA=folder] [SCALE=share] [CAMERAS=name,...], make pvdn-data, make drives, make model,
+# make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
 PYTHON ?= python3
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find native CMakeLists.txt -name '*.?pp' -o -name '*.inl' -o -name CMakeLists.txt)
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo quick test check wheel docs bench data drives model simulator-pictures simulator-report drive clean
+.PHONY: demo quick test check wheel docs bench data pvdn-data drives model simulator-pictures simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -92,10 +93,22 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.ros2
 	$(BIN)/python -m benchmarks.scale
 
-# Simulated drives to learn from, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights
-# much that is no vehicle: about 70 minutes on two cores; goes on where it was.
+# The standard data in data/standard: 600 drives of the mixture "standard", half of them without any vehicle's light, and a
+# data card. make data SCALE=0.05 is a small set for trials. It goes on where it was, a drive at a time.
 DATA ?= data
+SCALE ?= 1
+CAMERAS ?=
+scenes = $(shell awk 'BEGIN { n = int($(1) * $(SCALE) + 0.5); print (n < 2 ? 2 : n) }')
+standard = --mixture standard --seed 17 --fps 1.25 $(if $(CAMERAS),--camera $(CAMERAS))
 data: $(VENV)/.dev
+	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes $(call scenes,480) $(standard)
+	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes $(call scenes,60) $(standard)
+	$(BIN)/foreglow simulate --out $(DATA)/standard --split test --scenes $(call scenes,60) $(standard)
+	$(BIN)/python -m foreglow.lab.simulation.data_card $(DATA)/standard
+
+# The drives that the model that ships learnt from, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights
+# much that is no vehicle: about 70 minutes on two cores; goes on where it was.
+pvdn-data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA) --split train --scenes 100 --seed 7 --fps 4
 	$(BIN)/foreglow simulate --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
 	$(BIN)/foreglow simulate --out $(DATA) --split test --scenes 24 --seed 7 --fps 4

@@ -25,6 +25,7 @@ def simulate(
     num_scenes: Annotated[int, option("N", "Number of drives to draw.", "--scenes", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of everything random; the same seed gives the same bytes.", min=0)] = 7,
     split: Annotated[str, option("train|val|test", "Split to draw; no two splits share a drive.")] = "train",
+    mixture: Annotated[str, option("pvdn|standard", "Scenarios to draw from, as docs/scenes.md lists them.")] = "pvdn",
     scene: Annotated[
         list[Path] | None, file("TOML file of a scene of your own, instead of drawn ones; repeatable.")
     ] = None,
@@ -61,7 +62,8 @@ def simulate(
     else:
         config = simulation.DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
-            drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, cast("simulation.Split", split))
+            own_split = cast("simulation.Split", split)
+            drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, own_split, mixture)
             scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle)
         _simulate(scenes, out, config, workers, quality)
 

@@ -63,7 +63,7 @@ PRESETS: dict[str, PipelineConfig] = {
     # Published code's hand-chosen baseline, run at 640x480.
     "baseline": PipelineConfig(proposals=ProposalConfig(kappa=0.5, window_px=20, min_deviation=0.005, gap_px=13)),
     # Found by `foreglow tune data --objective light --images 1000 --trials 300 --jobs 2 --seed 3` on the drives of
-    # `make data`.
+    # `make pvdn-data`.
     "foreglow": PipelineConfig(
         proposals=ProposalConfig(
             kappa=0.525,
