@@ -20,7 +20,7 @@ from foreglow.lab.simulation import drive_frames
 from foreglow.lab.simulation.light.haze import Haze
 from foreglow.lab.simulation.light.llvm import dr, prepare
 from foreglow.lab.simulation.light.render import Renderer
-from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, adapted, scenario
+from foreglow.lab.simulation.scenes.scenarios import MIXTURES, adapted, scenario
 from foreglow.lab.simulation.scenes.scene import Scene
 
 SIZES_PX = ((1280, 960), (640, 480))
@@ -31,7 +31,7 @@ SEED = 7
 class Effort:
     """How much is simulated."""
 
-    scenarios: tuple[str, ...] = tuple(SCENARIOS)
+    scenarios: tuple[str, ...] = tuple(MIXTURES["pvdn"])
     num_frames: int = 12
 
 

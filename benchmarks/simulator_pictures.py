@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
-from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
+from foreglow.lab.simulation import DriveFrame, Scene, adapted, drive_frames, scenario
 from foreglow.lab.simulation.preview import labelled
+from foreglow.lab.simulation.scenes.scenarios import MIXTURES
 
 SEED = 0
 SIZE_PX = (1280, 960)
@@ -31,7 +32,8 @@ Picture = NDArray[np.uint8]
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    for names in (list(SCENARIOS)[:4], list(SCENARIOS)[4:]):
+    encounters = list(MIXTURES["pvdn"])
+    for names in (encounters[:4], encounters[4:]):
         rows += [np.hstack([_tile(scenario(name, SEED), cycle, name) for name in names]) for cycle in TIMES_S]
     _write(folder / "scenarios.jpg", np.vstack(rows))
     _write(folder / "light.jpg", _taken_apart(scenario("curve", SEED)))
