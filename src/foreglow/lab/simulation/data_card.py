@@ -104,8 +104,7 @@ def _lines(data: Path, splits: Sequence[SplitCard]) -> list[str]:
 
 def _each_once(splits: Sequence[SplitCard]) -> list[Scene]:
     """The scenes of all splits; those of further cameras are left out."""
-    kept = {(split.info.split, scene.name, scene.seed): scene for split in splits for scene in split.scenes}
-    return list(kept.values())
+    return list({scene.road.model_dump_json(): scene for split in splits for scene in split.scenes}.values())
 
 
 def _table(title: str, counts: Counter[str]) -> list[str]:

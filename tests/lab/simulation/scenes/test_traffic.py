@@ -1,4 +1,4 @@
-"""Scenarios with traffic: nobody drives through anybody, left-hand traffic is a mirror image, half the drives are dark."""
+"""Scenarios with traffic: collisions, the side of the road, left-hand traffic as a mirror image, drives without light."""
 
 from __future__ import annotations
 

@@ -1,0 +1,121 @@
+"""Medians, lanes' markings, screens and traffic lights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene
+from foreglow.lab.simulation.scenes.surroundings import House, Panel, Signal, StreetLamp
+from foreglow.lab.simulation.world.markings import has_several_lanes, lane_lines
+from foreglow.lab.simulation.world.materials import material_number
+from foreglow.lab.simulation.world.world import World, build_world
+from tests.lab.simulation.small_scenes import is_of, points_of, small_scene
+
+MOTORWAY = RoadSpec(length_m=100, num_lanes=2, median="barrier", median_m=2.0, shoulders_m=(0.8, 2.0))
+STRAIGHT = RoadSpec(length_m=100)
+
+
+def world_of(road: RoadSpec = STRAIGHT, **surroundings: object) -> World:
+    return build_world(small_scene(road, **surroundings))
+
+
+def test_a_two_lane_road_has_its_old_measures() -> None:
+    road = RoadSpec(lane_width_m=3.1)
+    assert (road.half_width_m, road.lane_m()) == (3.1, 1.55)
+    assert not has_several_lanes(road)
+
+
+def test_lanes_lie_between_their_lines() -> None:
+    offsets = [line.offset_m for line in lane_lines(MOTORWAY)]
+    assert len(offsets) == 3
+    assert offsets[0] < MOTORWAY.lane_m(0) < offsets[1] < MOTORWAY.lane_m(1) < offsets[2] < MOTORWAY.half_width_m
+    assert np.mean([MOTORWAY.lane_m(0), MOTORWAY.lane_m(1)]) == pytest.approx(offsets[1])
+
+
+def test_edge_lines_are_drawn_only_where_there_are_any() -> None:
+    bare = MOTORWAY.model_copy(update={"has_edge_marking": False})
+    assert len(lane_lines(bare)) == 2
+
+
+def test_a_barrier_stands_on_the_middle_of_the_road() -> None:
+    world = world_of(MOTORWAY)
+    s, t = world.road.places_m(points_of(world.mesh, "concrete"))
+    heights = points_of(world.mesh, "concrete")[:, 2] - world.road.elevation_m(s)
+    assert np.abs(t).max() < 0.35
+    assert heights.max() == pytest.approx(0.9, abs=0.03)
+    assert s.min() < 1.0
+    assert s.max() > 99.0
+
+
+def test_rails_in_the_middle_face_both_ways_on_grass() -> None:
+    road = MOTORWAY.model_copy(update={"median": "rails", "median_m": 3.0})
+    world = world_of(road)
+    _, t = world.road.places_m(points_of(world.mesh, "rail"))
+    assert t.min() == pytest.approx(-t.max(), abs=0.05)
+    assert np.abs(t).max() < road.median_m / 2
+    grass = points_of(world.mesh, "grass_ground")
+    _, t = world.road.places_m(grass[np.abs(grass[:, 1]) < 10])
+    assert (np.abs(t) < 1.5).any()
+    assert not is_of(world_of(MOTORWAY).mesh, "concrete").all()
+
+
+def test_a_screen_is_as_bright_as_it_says_and_lights_what_is_before_it() -> None:
+    panel = Panel(side="right", s_m=50, size_m=(3.0, 2.0), screen_cd_m2=200, offset_m=2.0, height_m=2.5)
+    world = world_of(panels=[panel])
+    is_screen = world.mesh.materials == material_number("screen")
+    vertices = np.unique(world.mesh.faces[is_screen])
+    assert np.all(world.mesh.coordinates_m[vertices, 0] == 200)
+    _, t = world.road.places_m(world.mesh.vertices_m[vertices])
+    assert t.max() < -world.road.half_width_m - 1.9  # not over the road
+    (light,) = world.lights
+    assert light.kind == "screen"
+    assert light.intensity_cd == pytest.approx(200 * 3.0 * 2.0)
+    assert light.pose.rotation[0, 0] == pytest.approx(-1)  # at us, who drive along x
+
+
+def test_a_dark_panel_is_no_light() -> None:
+    world = world_of(panels=[Panel(side="left", s_m=50, screen_cd_m2=0)])
+    assert not world.lights
+    assert not is_of(world.mesh, "screen").any()
+
+
+@pytest.mark.parametrize("faces_oncoming", [False, True])
+def test_a_traffic_light_shows_its_lens_to_its_readers_above_the_lane(faces_oncoming: bool) -> None:
+    signal = Signal(side="right", s_m=50, arm_m=3.0, height_m=4.8, lit="red", faces_oncoming=faces_oncoming)
+    world = world_of(signals=[signal])
+    (light,) = world.lights
+    assert light.intensity_cd == 200
+    assert light.pose.rotation[0, 0] == pytest.approx(1 if faces_oncoming else -1)
+    x, y, z = light.pose.position_m
+    assert y == pytest.approx(-3.5 - 0.8 + 3.0, abs=0.01)
+    assert x == pytest.approx(50, abs=0.3)
+    assert 5.3 < z < 5.8
+    green = world_of(signals=[signal.model_copy(update={"lit": "green"})]).lights[0]
+    assert green.pose.position_m[2] < z
+
+
+def test_shops_shine_out_of_the_ground_floor() -> None:
+    house = House(side="left", s_m=50, size_m=(12, 8, 6), num_lit_windows=0, shop_cd_m2=150)
+    world = world_of(houses=[house])
+    shops = points_of(world.mesh, "screen")
+    assert len(world.lights) == 2
+    ground_m = float(world.ground_height_m(50.0, 11.0))
+    assert 0.2 < shops[:, 2].min() - ground_m < shops[:, 2].max() - ground_m < 3.0
+
+
+def test_lit_panes_replace_points_of_light() -> None:
+    house = House(side="left", s_m=50, num_lit_windows=3)
+    assert len(world_of(houses=[house]).lights) == 3
+    detailed = world_of(houses=[house.model_copy(update={"has_panes": True})])
+    assert not detailed.lights
+    assert is_of(detailed.mesh, "screen").sum() == 6
+
+
+def test_high_lamps_reach_further() -> None:
+    lamps = [StreetLamp(side="right", s_m=s_m, height_m=height) for s_m, height in ((30, 6.0), (60, 12.0))]
+    assert [light.reach_m for light in world_of(street_lamps=lamps).lights] == [120.0, 180.0]
+
+
+def test_the_world_of_a_scene_without_any_of_these_has_none() -> None:
+    assert not is_of(build_world(Scene(duration_s=1, road=STRAIGHT)).mesh, "screen", "concrete").any()
