@@ -1,4 +1,4 @@
-"""Scenarios with traffic: collisions, the side of the road, left-hand traffic as a mirror image, drives without light."""
+"""Scenarios with traffic: collisions, sides of the road, the mirror image of a scene, drives without light."""
 
 from __future__ import annotations
 
