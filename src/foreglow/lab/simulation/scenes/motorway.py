@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
 from foreglow.lab.simulation.scenes.conditions import draw_weather
 from foreglow.lab.simulation.scenes.draw import Draw
@@ -23,6 +25,7 @@ from foreglow.lab.simulation.scenes.surroundings import (
     Rail,
     Side,
     Sign,
+    Span,
     StreetLamp,
     SurroundingsSpec,
     Verge,
@@ -55,7 +58,7 @@ def motorway(draw: Draw, name: str, seed: int) -> Scene:
 
 
 def _road(draw: Draw, length_m: float, wetness: float) -> RoadSpec:
-    median = draw.choice(["barrier", "rails"], [0.6, 0.4])
+    median: Literal["barrier", "rails"] = draw.choice(["barrier", "rails"], [0.6, 0.4])
     bends: list[tuple[float, float]] = [(0.0, 0.0)]
     if draw.chance(0.6):
         start, length = draw.uniform(0.0, 0.6) * length_m, draw.uniform(250.0, 600.0)
@@ -84,13 +87,14 @@ def _rounded(points: list[tuple[float, float]]) -> Profile:
 def _ahead(draw: Draw, journey: Journey, road: RoadSpec, braking: Braking | None) -> list[VehicleSpec]:
     """Vehicles in our direction: those that brake ahead of us, one that overtakes, and the other lanes."""
     vehicles: list[VehicleSpec] = []
-    own = {"lane": "own", "lane_number": journey.lane_number}
+    own: dict[str, Any] = {"lane": "own", "lane_number": journey.lane_number}
     kinds = SLOW_LANE if journey.lane_number == road.num_lanes - 1 else FAST_LANE
     gap_m = 0.0
     for number in range(draw.integer(1, 3) if braking else draw.integer(0, 2)):
         gap_m += draw.log_uniform(22.0, 80.0) + 8.0
         start_m = round(START_M + gap_m, 2)
-        timetable, spans = steady(start_m, journey.speed_mps), ()
+        timetable = steady(start_m, journey.speed_mps)
+        spans: tuple[Span, ...] = ()
         if braking:
             earlier = braking.delayed(-0.8 * number)
             timetable = slowed(start_m, journey.speed_mps, journey.duration_s, earlier)
@@ -99,7 +103,7 @@ def _ahead(draw: Draw, journey: Journey, road: RoadSpec, braking: Braking | None
         gap_m += 10.0
     if journey.lane_number and draw.chance(0.5):  # overtakes us in the lane next to ours
         start_m, faster = START_M - draw.uniform(12.0, 50.0), draw.uniform(4.0, 10.0)
-        other = {"lane": "own", "lane_number": (journey.lane_number or 0) - 1}
+        other: dict[str, Any] = {"lane": "own", "lane_number": (journey.lane_number or 0) - 1}
         timetable = steady(start_m, journey.speed_mps + faster)
         vehicles.append(drawn_vehicle(draw, drawn_kind(draw, FAST_LANE), timetable, **other))
     for lane in range(road.num_lanes):
@@ -142,7 +146,11 @@ def _surroundings(draw: Draw, road: RoadSpec) -> SurroundingsSpec:
             rails.append(Rail(side=side, span_m=span, offset_m=draw.uniform(0.4, 1.0)))
         if draw.chance(0.35):
             begin = draw.uniform(0.0, 0.5) * road.length_m
-            wood = {"offset_m": draw.uniform(8.0, 15.0), "depth_m": draw.uniform(0.0, 10.0), "spacing_m": 7.0}
+            wood: dict[str, Any] = {
+                "offset_m": draw.uniform(8.0, 15.0),
+                "depth_m": draw.uniform(0.0, 10.0),
+                "spacing_m": 7.0,
+            }
             woods.append(Woods(side=side, span_m=(begin, begin + draw.uniform(100.0, 400.0)), **wood))
     verges = [
         Verge(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
 from foreglow.lab.simulation.scenes.conditions import draw_weather
 from foreglow.lab.simulation.scenes.draw import Draw
 from foreglow.lab.simulation.scenes.lamp_rows import lamp_row
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
-from foreglow.lab.simulation.scenes.stream import TOWN, Braking, Stream, drawn_kind, drawn_vehicle, slowed
+from foreglow.lab.simulation.scenes.stream import TOWN, Braking, Kinds, Stream, drawn_kind, drawn_vehicle, slowed
 from foreglow.lab.simulation.scenes.surroundings import (
     House,
     Panel,
@@ -25,6 +26,8 @@ START_M = 60.0
 SIGHT_M = 320.0
 SIDES: tuple[Side, Side] = ("left", "right")
 PAVED = Verge(bank_m=0.0, bank_offset_m=12.0, ditch_m=0.0, ground="pavement", grass_per_m2=0.0)
+
+PARKED: Kinds = {"car": 0.85, "van": 0.15}
 
 SHOP_CD_M2 = (60.0, 400.0)
 """Luminances of shop windows; similar to published measurements in European high streets."""
@@ -108,7 +111,7 @@ def _ahead(draw: Draw, journey: Journey, braking: Braking | None) -> list[Vehicl
         earlier = (braking or Braking(0.0, 0.0, 0.0)).delayed(-0.7 * number)
         timetable = slowed(START_M + gap_m, journey.speed_mps, journey.duration_s, earlier)
         spans = ((earlier.begin_s, earlier.end_s),) if braking else ()
-        fields = {"lane": "own", "lane_number": journey.lane_number, "brakes_s": spans}
+        fields: dict[str, Any] = {"lane": "own", "lane_number": journey.lane_number, "brakes_s": spans}
         vehicles.append(drawn_vehicle(draw, drawn_kind(draw, TOWN), timetable, **fields))
         gap_m += 6.0
     return vehicles
@@ -150,7 +153,7 @@ def _parked(draw: Draw, street: _Street) -> list[VehicleSpec]:
         while s_m < street.road.length_m - 20.0 and draw.chance(0.93):
             timetable = ((0.0, round(s_m, 2)),)
             is_towards = lane == "parked_left"
-            kind = draw.choice(["car", "van"], [0.85, 0.15])
+            kind = drawn_kind(draw, PARKED)
             car = drawn_vehicle(draw, kind, timetable, lane=lane, is_towards=is_towards)
             cars.append(car.model_copy(update={"beam": "off"}))
             s_m += draw.choice([6.2, 7.0, 25.0, 60.0])
@@ -228,7 +231,7 @@ def _signals(draw: Draw, street: _Street, end_m: float) -> tuple[Signal, ...]:
     for _ in range(draw.choice([0, 1, 2], [0.35, 0.4, 0.25])):
         s_m = round(draw.uniform(110.0, end_m + 130.0), 1)
         lit = "green" if s_m < end_m + 25.0 else draw.choice(["red", "red", "amber", "green"])
-        fields = {"lit": lit, "intensity_cd": draw.log_uniform(*SIGNAL_CD)}
+        fields: dict[str, Any] = {"lit": lit, "intensity_cd": draw.log_uniform(*SIGNAL_CD)}
         signals.append(Signal(side="right", s_m=s_m, **fields))
         if draw.chance(0.6):
             arm_m = street.road.shoulders_m[1] + street.road.lane_width_m
