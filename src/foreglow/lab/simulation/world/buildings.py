@@ -28,6 +28,7 @@ EAVES_M = 0.5
 SHOP_M = (0.45, 2.55)
 """Heights of the lower and the upper edge of shop windows."""
 
+SHOP_PANE_M = 1.9
 SHOP_MARGIN_M = 0.8
 """Width of the wall, or of the door, beside a shop window."""
 
@@ -58,7 +59,8 @@ def build_houses(
         meshes.append(house_mesh(house, wall, windows).moved(pose))
         if house.shop_cd_m2 > 0:
             for pane in _shop_panes(house):
-                meshes.append(screen(_shop_size_m(house), house.shop_cd_m2, picture=1.0).moved(pose @ pane))
+                shine = screen(_shop_size_m(house), house.shop_cd_m2, picture=0.7)
+                meshes.append(joined([shine, *_shop_frame(_shop_size_m(house))]).moved(pose @ pane))
                 lights.append(screen_light(pose @ pane, _shop_size_m(house), house.shop_cd_m2))
         area = WINDOW_SIZE_M[0] * WINDOW_SIZE_M[1]
         for window, is_window_lit in zip(windows, is_lit, strict=True):
@@ -131,6 +133,19 @@ def _shop_panes(house: House) -> list[Pose]:
 
 def _shop_size_m(house: House) -> tuple[float, float]:
     return house.size_m[0] / 2 - 2 * SHOP_MARGIN_M, SHOP_M[1] - SHOP_M[0]
+
+
+def _shop_frame(size_m: tuple[float, float]) -> list[Mesh]:
+    """Bars between the panes of a shop window, and the dark goods at its foot."""
+    (width, height), dark = size_m, material_number("sign_black")
+    num_panes = max(1, round(width / SHOP_PANE_M))
+    bars = [box((0.02, y, 0.0), (0.04, 0.07, height), dark) for y in np.linspace(-width / 2, width / 2, num_panes + 1)]
+    goods = np.linspace(-width / 2, width / 2, 2 * num_panes + 2)[1:-1]
+    sizes = 0.25 + 0.3 * np.abs(np.sin(7.0 * goods))
+    bars += [
+        box((0.02, y, (size - height) / 2), (0.02, 0.45, size), dark) for y, size in zip(goods, sizes, strict=True)
+    ]
+    return [*bars, box((0.02, 0.0, 0.28 * height), (0.04, width, 0.05), dark)]
 
 
 def _row(length_m: float) -> Floats:

@@ -39,7 +39,8 @@ def build_panels(panels: tuple[Panel, ...], terrain: Terrain) -> tuple[list[Mesh
         meshes.append(joined([frame, posts]).moved(foot))
         if panel.screen_cd_m2 > 0:
             pose = foot @ Pose(middle, rotation())
-            meshes.append(screen(panel.size_m, panel.screen_cd_m2, picture=0.8).moved(pose))
+            picture = joined([screen(panel.size_m, panel.screen_cd_m2, picture=0.8), *_print(panel.size_m)])
+            meshes.append(picture.moved(pose))
             lights.append(screen_light(pose, panel.size_m, panel.screen_cd_m2))
     return meshes, lights
 
@@ -62,6 +63,16 @@ def build_signals(signals: tuple[Signal, ...], terrain: Terrain) -> tuple[list[M
             pose = foot @ Pose(lens, rotation())
             lights.append(FixedLight(pose, "signal", signal.intensity_cd, (LENS_M, LENS_M)))
     return meshes, lights
+
+
+def _print(size_m: tuple[float, float]) -> list[Mesh]:
+    """Lines of large letters on a billboard, as bars."""
+    width, height = size_m
+    lines = ((0.0, 0.3, 0.8, 0.1), (-0.14, 0.14, 0.52, 0.06), (0.1, -0.38, 0.6, 0.08))
+    return [
+        box((0.02, y * width, z * height), (0.02, length * width, size * height), material_number("sign_black"))
+        for y, z, length, size in lines
+    ]
 
 
 def _signal_mesh(height_m: float, across_m: float) -> Mesh:
