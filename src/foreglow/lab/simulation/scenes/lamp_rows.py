@@ -28,7 +28,7 @@ def lamp_row(
 ) -> tuple[StreetLamp, ...]:
     """Lamps at equal distances along `span_m`; one in thirty is broken.
 
-    Luminaires on streets have 4,000 to 12,000 lm at 5 to 9 m, on motorways 14,000 to 30,000 lm at 10 to 12 m, 30 to
+    Luminaires on streets have 2,500 to 9,000 lm at 5 to 9 m, on motorways 14,000 to 30,000 lm at 10 to 12 m, 30 to
     50 m apart, which gives the 0.5 to 2 cd/m^2 that EN 13201-2 asks of road classes M5 to M1.
     """
     lamps = []

@@ -265,7 +265,7 @@ def _lamps(draw: Draw, street: _Street) -> tuple[StreetLamp, ...]:
     row = {
         "spacing_m": draw.uniform(24.0, 36.0),
         "height_m": draw.uniform(7.0, 9.5) if is_wide else draw.uniform(5.0, 7.0),
-        "flux_lm": draw.log_uniform(5_000.0, 12_000.0) if is_wide else draw.log_uniform(2_500.0, 7_000.0),
+        "flux_lm": draw.log_uniform(4_000.0, 9_000.0) if is_wide else draw.log_uniform(2_500.0, 6_000.0),
         "offset_m": 0.6,
     }
     return tuple(lamp for side in sides for lamp in lamp_row(draw, side, (0.0, street.road.length_m), **row))
