@@ -1,8 +1,8 @@
-"""The pictures of docs/simulator.md and docs/scenes.md: `python -m benchmarks.simulator_pictures FOLDER`.
+"""The pictures of docs/simulator.md: `python -m benchmarks.simulator_pictures FOLDER`.
 
 `scenarios.jpg` shows one frame of every scenario, in the short exposure above and in the long one below, each
 brightened for the eye; `light.jpg` takes one frame apart: the image, the same without the hidden car, what its light
-adds, the labels. `scene_NAME.jpg` shows a frame of a scenario with traffic, in the long exposure.
+adds, the labels.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
-from foreglow.lab.simulation import DriveFrame, Scene, adapted, drive_frames, scenario
+from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
 from foreglow.lab.simulation.preview import labelled
-from foreglow.lab.simulation.scenes.scenarios import MIXTURES
 
 SEED = 0
 SIZE_PX = (1280, 960)
@@ -26,40 +25,16 @@ TILE_PX = (480, 360)
 TIMES_S = {"day": 3.3, "night": 3.3}
 GAINS = {"day": 3.5, "night": 1.7}
 BLACK_GREY = 6.0
-TRAFFIC = {
-    "motorway": ("motorway", 6, 5.0),
-    "lit_motorway": ("motorway", 7, 5.0),
-    "queue": ("queue", 7, 5.0),
-    "lorry": ("queue", 6, 5.2),
-    "following": ("following", 7, 5.0),
-    "cyclists": ("cyclists", 5, 5.0),
-    "town": ("town", 2, 4.0),
-    "left_town": ("left_town", 1, 4.0),
-}
-"""Pictures of scenarios with traffic: scenario, seed, and time in s."""
-
-TRAFFIC_PX = (640, 480)
 Picture = NDArray[np.uint8]
 
 
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    encounters = list(MIXTURES["pvdn"])
-    for names in (encounters[:4], encounters[4:]):
+    for names in (list(SCENARIOS)[:4], list(SCENARIOS)[4:8]):
         rows += [np.hstack([_tile(scenario(name, SEED), cycle, name) for name in names]) for cycle in TIMES_S]
     _write(folder / "scenarios.jpg", np.vstack(rows))
     _write(folder / "light.jpg", _taken_apart(scenario("curve", SEED)))
-    traffic(folder)
-
-
-def traffic(folder: Path) -> None:
-    """The pictures of docs/scenes.md."""
-    for picture, (name, seed, time_s) in TRAFFIC.items():
-        scene = scenario(name, seed).model_copy(update={"duration_s": 2.0 * time_s})
-        image = _brightened(_frame(scene, "night", time_s).frame.image, GAINS["night"])
-        small = np.asarray(cv2.resize(image, TRAFFIC_PX, interpolation=cv2.INTER_AREA), np.uint8)
-        _write(folder / f"scene_{picture}.jpg", small)
 
 
 def _tile(scene: Scene, cycle: str, name: str) -> Picture:
