@@ -131,6 +131,7 @@ model: $(VENV)/.dev
 # The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.simulator_pictures docs/images
+	$(BIN)/python -m benchmarks.traffic_pictures docs/images
 
 # The tables of docs/simulator.md: ten minutes on two cores. REAL_LABELS and REAL_IMAGE are compared with where they are there.
 REAL_LABELS ?= $(wildcard ../shared/data/pvdn_night_val_labels.json)
