@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec, W
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
 from tests.lab.simulation.stub_drive import drive
 
-SHORT = {"duration_s": 1.0, "rate_hz": 4.0}
+SHORT: dict[str, Any] = {"duration_s": 1.0, "rate_hz": 4.0}
 
 
 def scenes(*lengths_m: float) -> list[Scene]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import Pose
-from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
+from foreglow.lab.simulation.scenes.scene import EGO_BEAMS, EgoBeam, EgoSpec, RoadSpec, VehicleSpec
+from foreglow.lab.simulation.scenes.surroundings import Side
 from foreglow.lab.simulation.traffic.actors import Actor, actors_at, ego_tables
 from foreglow.lab.simulation.world.road import Road
 from foreglow.photometry import (
@@ -21,10 +22,11 @@ from foreglow.photometry import (
     rear_lamp,
 )
 
+SIDES: tuple[Side, Side] = ("right", "left")
 AHEAD = Pose(np.zeros(3), np.eye(3))
 
 
-def actor(time_s: float = 0.0, traffic: str = "right", **fields: Any) -> Actor:
+def actor(time_s: float = 0.0, traffic: Side = "right", **fields: Any) -> Actor:
     spec = VehicleSpec(**{"timetable": ((0.0, 40.0), (10.0, 240.0)), "lane": "own", **fields})
     road = Road(RoadSpec(traffic=traffic))
     return actors_at((spec,), (road, ()), AHEAD, time_s, 2)[0]
@@ -68,18 +70,18 @@ def test_candelas_are_those_of_the_regulations() -> None:
 def test_low_beams_are_mirrored_with_the_traffic() -> None:
     to_the_right = [np.cos(0.05), -np.sin(0.05), -0.005]
     to_the_left = [np.cos(0.05), np.sin(0.05), -0.005]
-    here, there = (actor(traffic=side).lamps[0].placed.table for side in ("right", "left"))
+    here, there = (actor(traffic=side).lamps[0].placed.table for side in SIDES)
     assert here is low_beam()
     assert there.towards(to_the_left) == pytest.approx(here.towards(to_the_right))
     assert there.towards(to_the_left) > 2 * there.towards(to_the_right)
     assert there is actor(traffic="left").lamps[1].placed.table  # sent to the renderer once
 
 
-@pytest.mark.parametrize("beam", ["low", "high", "matrix"])
-def test_our_low_beam_is_mirrored_and_our_leds_stay(beam: str) -> None:
+@pytest.mark.parametrize("beam", EGO_BEAMS)
+def test_our_low_beam_is_mirrored_and_our_leds_stay(beam: EgoBeam) -> None:
     headlamps = read_headlamps()
     levels = np.zeros((2, headlamps.num_leds))
-    here, there = (ego_tables(EgoSpec(beam=beam, traffic=side), levels, headlamps)[0] for side in ("right", "left"))
+    here, there = (ego_tables(EgoSpec(beam=beam, traffic=side), levels, headlamps)[0] for side in SIDES)
     np.testing.assert_allclose(there.intensities_cd, here.intensities_cd[:, ::-1])
     if beam == "matrix":
         levels[0, 3] = 1.0

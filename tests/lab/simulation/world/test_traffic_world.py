@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ MOTORWAY = RoadSpec(length_m=100, num_lanes=2, median="barrier", median_m=2.0, s
 STRAIGHT = RoadSpec(length_m=100)
 
 
-def world_of(road: RoadSpec = STRAIGHT, **surroundings: object) -> World:
+def world_of(road: RoadSpec = STRAIGHT, **surroundings: Any) -> World:
     return build_world(small_scene(road, **surroundings))
 
 
