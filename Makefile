@@ -97,7 +97,8 @@ bench: $(VENV)/.dev
 # data card. make data SCALE=0.05 is a small set for trials. It goes on where it was, a drive at a time.
 DATA ?= data
 SCALE ?= 1
-CAMERAS ?=
+FIVE_CAMERAS := pvdn_day,pvdn_night,dashcam,phone,car_hdr
+CAMERAS ?= $(if $(wildcard src/foreglow/lab/simulation/camera/profiles),$(FIVE_CAMERAS))
 scenes = $(shell awk 'BEGIN { n = int($(1) * $(SCALE) + 0.5); print (n < 2 ? 2 : n) }')
 standard = --mixture standard --seed 17 --fps 1.25 $(if $(CAMERAS),--camera $(CAMERAS))
 data: $(VENV)/.dev
