@@ -64,14 +64,15 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--cycle", "dawn"), "cycle: expected one of"),
         (("--ego-beam", "none"), "--ego-beam: expected one of"),
         (("--split", "dev"), "split: expected one of"),
+        (("--mixture", "mine"), "mixture: expected one of pvdn, standard, got 'mine'"),
     ],
 )
 def test_bad_options_are_told_before_all_scenes_are_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: tuple[str, str], expected: str
 ) -> None:
-    def only_a_first(num_scenes: int, seed: int, split: Split = "train") -> tuple[Scene, ...]:
+    def only_a_first(num_scenes: int, seed: int, split: Split, mixture: str) -> tuple[Scene, ...]:
         assert num_scenes == 1
-        return draw_scenes(num_scenes, seed, split)
+        return draw_scenes(num_scenes, seed, split, mixture)
 
     monkeypatch.setattr(simulation, "draw_scenes", only_a_first)
     assert expected in complaint("simulate", "--out", tmp_path / "out", *option)
