@@ -36,6 +36,19 @@ def test_an_output_that_is_an_input(tmp_path: Path) -> None:
     check_outputs({"--config": read}, {"--out": tmp_path / "other"}, {})
 
 
+def test_a_part_of_a_folder_that_is_read(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (tmp_path / "link").symlink_to(run)
+    for name in ("frames.jsonl", "report.html"):
+        (run / name).touch()
+    for written in (run / "frames.jsonl", tmp_path / "link" / "frames.jsonl"):
+        with pytest.raises(ValueError, match="expected a file that does not overwrite a part of RUN"):
+            check_outputs({"RUN": run}, {"--out": written}, {})
+    check_outputs({"RUN": run}, {"--out": run / "report.html"}, {})
+    check_outputs({"RUN": run}, {"--json": run / "new.json"}, {})
+
+
 def test_a_file_that_is_written_in_parts(tmp_path: Path) -> None:
     read = tmp_path / "a.mcap.partial"
     read.touch()

@@ -23,6 +23,7 @@ from foreglow.plugins import find
 from foreglow.runtime.live import LiveFault, Paced
 from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, Ranges, Tracks
+from tests.cli.commands import complaint
 from tests.runtime.live.stand_ins import run_live
 from tests.stand_ins import ListSource
 from tests.test_pipeline import identity
@@ -246,3 +247,10 @@ def test_nonsense_of_a_foreign_policy_is_low_beam_in_live(
     assert modes[frames[24].timestamp_ns] != BeamMode.LOW
     assert {modes[frame.timestamp_ns] for frame in frames[25:]} == {BeamMode.LOW}
     assert fault in summary.fault_counts
+
+
+def test_what_takes_other_arguments(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text('[tracker]\nmethod = "os:system"\n')
+    line = complaint("run", shipped_drive(), "--limit", 1, "--config", path, "--out", tmp_path / "out")
+    assert "tracker.method: os:system cannot be made of" in line

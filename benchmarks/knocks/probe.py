@@ -29,6 +29,9 @@ MAX_S = 60.0
 MAX_LINE_CHARS = 2000
 """A message that is longer helps nobody."""
 
+STATUS = re.compile(r"\s+\d+\.\d+ s  ")
+"""A line of `live` about a fault, with its time."""
+
 DONE, REFUSED, INTERRUPTED = 0, 2, 130
 
 
@@ -44,6 +47,7 @@ class Outcome:
         resident_mib: The most memory that it used.
         is_input_changed: Whether a file that was there before is another one now, or gone.
         left: Files that should not have stayed: partial and hidden ones.
+        written: What is there besides the inputs.
     """
 
     code: int | None
@@ -53,6 +57,7 @@ class Outcome:
     resident_mib: float
     is_input_changed: bool
     left: tuple[str, ...]
+    written: tuple[str, ...]
 
 
 Check = Callable[[Path, Outcome], list[str]]
@@ -69,8 +74,9 @@ def orderly(folder: Path, outcome: Outcome) -> list[str]:
         wrong.append("a traceback")
     if outcome.code == REFUSED:
         lines = outcome.stderr.splitlines()
-        if len(lines) != 1 or not lines[0].startswith("foreglow: "):
-            wrong.append(f"{len(lines)} lines where one is expected")
+        told = [line for line in lines if not STATUS.match(line)]
+        if len(told) != 1 or not told[0].startswith("foreglow: "):
+            wrong.append(f"{len(told)} lines where one is expected")
         if len(outcome.stderr) > MAX_LINE_CHARS:
             wrong.append(f"a message of {len(outcome.stderr)} characters")
     if outcome.resident_mib > MAX_RESIDENT_MIB:
@@ -149,31 +155,37 @@ def try_out(probe: Probe, folder: Path) -> Verdict:
         (folder / name).touch()
     code, seconds, resident_mib = _run(probe, folder, command)
     stdout, stderr = ((folder / name).read_text(errors="replace") for name in (".stdout", ".stderr"))
+    after = digests(folder / "inputs")
+    entries = [path for path in sorted(folder.rglob("*")) if is_written(path, folder)]
     outcome = Outcome(
         code,
         stdout,
         stderr,
         seconds,
         resident_mib,
-        digests(folder / "inputs") != before,
-        tuple(str(path.relative_to(folder)) for path in sorted(folder.rglob("*")) if is_left(path, folder)),
+        any(after.get(name) != digest for name, digest in before.items()),
+        tuple(str(path.relative_to(folder)) for path in entries if is_left(path)),
+        tuple(str(path.relative_to(folder)) for path in entries),
     )
     words = "function" if callable(command) else " ".join(command)
     wrong = tuple(probe.check(folder, outcome))
-    return Verdict(probe.kind, probe.name, words[:400], wrong, code, seconds, resident_mib, stderr[:400])
+    said = stderr or stdout[-400:]
+    return Verdict(probe.kind, probe.name, words[:400], wrong, code, seconds, resident_mib, said[-400:])
 
 
-def is_left(path: Path, folder: Path) -> bool:
-    """Whether a file is one that only an unfinished command has."""
-    if (folder / "inputs") in path.parents or path.name in (".stdout", ".stderr"):
-        return False
-    return path.name.endswith((".partial", ".tmp")) or (
-        path.name.startswith(".") and path.is_file() and not _is_lock(path)
+def is_written(path: Path, folder: Path) -> bool:
+    """Whether a command has made a file or folder."""
+    inputs = folder / "inputs"
+    return path != inputs and inputs not in path.parents and path.name not in (".stdout", ".stderr")
+
+
+def is_left(path: Path) -> bool:
+    """Whether a file is one that only an unfinished command has; a recording is kept as far as it came."""
+    return (
+        path.suffix == ".tmp"
+        or path.name.startswith(".")
+        or (".mcap" not in path.suffixes and path.suffix == ".partial")
     )
-
-
-def _is_lock(path: Path) -> bool:
-    return bool(re.search(r"lock", path.name))
 
 
 def digests(folder: Path) -> dict[str, str]:

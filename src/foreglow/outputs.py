@@ -103,7 +103,9 @@ class FolderLock:
 
 
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
-    """Checks that no output is an input, or lies over one, and that no two outputs are one file.
+    """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
+
+    Only reports (`.html`) may lie beside what they are about, and be written again.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
@@ -117,6 +119,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, read in inputs.items():
             if _is_same(path, read) or _is_same(partial_path(path), read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
+            if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
+                raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
         if path.is_dir():
             raise ValueError(f"{name} {path}: expected a file to write, got a folder")
     for name, path in folders.items():
@@ -159,6 +163,14 @@ def _is_same(path: Path, other: Path) -> bool:
     try:
         return path.resolve() == other.resolve() or (path.exists() and other.exists() and path.samefile(other))
     except (OSError, RuntimeError, ValueError):  # a loop of links, a name that is no name
+        return False
+
+
+def _lies_in(path: Path, folder: Path) -> bool:
+    """Whether a file lies below a folder, whatever the names of both."""
+    try:
+        return folder.is_dir() and folder.resolve() in path.resolve().parents
+    except (OSError, RuntimeError, ValueError):
         return False
 
 

@@ -44,6 +44,22 @@ def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry
     return cast("Entry", imported(field, points[name].value))
 
 
+def make(field: str, name: str, table: Mapping[str, Callable[..., Entry]], group: str, *arguments: Any) -> Entry:
+    """What the entry that `name` stands for makes of `arguments`.
+
+    Raises:
+        ValueError: As `find`, or if what was plugged in does not take these arguments.
+    """
+    entry = find(field, name, table, group)
+    if name in table:
+        return entry(*arguments)
+    try:
+        return entry(*arguments)
+    except TypeError as error:
+        kinds = ", ".join(type(argument).__name__ for argument in arguments)
+        raise ValueError(f"{field}: {name} cannot be made of {kinds}: {error}") from error
+
+
 def imported(field: str, target: str) -> Any:
     """What `target`, `module:Name`, is.
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from foreglow.cli import errors
-from tests.cli.commands import foreglow_command
+from tests.cli.commands import PNG, foreglow_command
 
 
 def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -100,3 +100,14 @@ def test_usage_is_one_line_where_nobody_looks() -> None:
     assert done.stderr.startswith("foreglow: ")
     assert len(done.stderr.splitlines()) == 1
     assert json.dumps(done.stdout) == '""'
+
+
+def test_an_interrupt_while_a_module_loads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr("foreglow.datasets.open_source", interrupted)
+    (tmp_path / "a.png").write_bytes(PNG)
+    result = foreglow_command("run", tmp_path / "a.png", "--out", tmp_path / "out")
+    assert result.exit_code == 130
+    assert result.stderr == "foreglow: interrupted\n"

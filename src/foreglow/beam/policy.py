@@ -16,7 +16,7 @@ from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
-from foreglow.plugins import find
+from foreglow.plugins import find, make
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
@@ -248,9 +248,9 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
     """The policy that `config.policy` names.
 
     Raises:
-        ValueError: As `policy_class`.
+        ValueError: As `policy_class`, or if it cannot be made of these two.
     """
-    return policy_class(config.policy)(config, headlamps)
+    return make("beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps)
 
 
 def _is_coming(bearing: Bearing) -> bool:

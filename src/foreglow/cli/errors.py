@@ -14,7 +14,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -124,10 +124,20 @@ class Commands(TyperGroup):
         except Exception as error:
             if is_debug:
                 raise
-            line, code = one_line(error, inputs)
+            is_interrupted = any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error))
+            line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
         with contextlib.suppress(OSError):  # a terminal that is gone
             typer.echo(f"foreglow: {line}", err=True)
         raise typer.Exit(code)
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """What led to an error: an interrupt while a module loads becomes an ImportError, for instance."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:

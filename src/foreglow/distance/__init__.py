@@ -12,7 +12,7 @@ from foreglow.config import DistanceConfig
 from foreglow.distance.ground_plane import GroundPlane
 from foreglow.distance.psd import PSD2D, PSD3D, PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
-from foreglow.plugins import find
+from foreglow.plugins import make
 from foreglow.types import Detections, Frame, Ranges
 
 __all__ = [
@@ -57,4 +57,4 @@ def make_estimator(config: DistanceConfig) -> RangeEstimator:
     Raises:
         ValueError: If it names none, or one that cannot be imported.
     """
-    return find("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators")(config)
+    return make("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config)

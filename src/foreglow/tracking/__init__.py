@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from foreglow.config import TrackerConfig
-from foreglow.plugins import find
+from foreglow.plugins import make
 from foreglow.tracking.published import PublishedTracker
 from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
@@ -39,4 +39,4 @@ def make_tracker(config: TrackerConfig) -> Tracker:
     Raises:
         ValueError: If it names none, or one that cannot be imported.
     """
-    return find("tracker.method", config.method, TRACKERS, "foreglow.trackers")(config)
+    return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config)

@@ -82,7 +82,8 @@ def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:
     summary, _ = run_live(Paced(ListSource(frames), speed=60.0), live_config())
     assert summary.num_dropped > 0
     assert LiveFault.CAMERA_SLOW not in summary.fault_counts  # it is we who are slow
-    assert summary.run.num_frames + summary.num_dropped == len(frames)
+    num_given_up = summary.fault_counts.get(LiveFault.STAGE_HANGS, 0)  # on a machine that is busy otherwise
+    assert 0 <= len(frames) - summary.run.num_frames - summary.num_dropped <= num_given_up
 
 
 class FakeCapture:
@@ -146,6 +147,9 @@ def test_camera(capture: list[FakeCapture]) -> None:
 def test_camera_that_is_not_there() -> None:
     with pytest.raises(OSError, match="camera:9: cannot be opened"):
         next(iter(open_live("camera:9", CameraOptions())))
+    for device in ("x", "12345", "", "video0"):
+        with pytest.raises(ValueError, match=f"camera:{device}: expected a number, or a path"):
+            open_live(f"camera:{device}", CameraOptions())
 
 
 def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:

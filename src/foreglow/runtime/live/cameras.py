@@ -23,6 +23,10 @@ OPEN_S, READ_S = 5.0, 1.0
 """Longest time that a network stream may take to open, and to deliver its next packet."""
 
 
+MAX_DIGITS = 3
+"""Of a camera's number."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraOptions:
     """How a live source is read.
@@ -119,8 +123,15 @@ class CaptureCamera(LiveCamera):
 
 
 def open_v4l2(device: str, options: CameraOptions) -> CaptureCamera:
-    """The V4L2 device with this number or path."""
-    number_or_path = int(device) if device.isdecimal() else device
+    """The V4L2 device with this number or path.
+
+    Raises:
+        ValueError: If it is neither.
+    """
+    is_number = device.isdecimal() and len(device) <= MAX_DIGITS
+    if not (is_number or device.startswith("/")):
+        raise ValueError(f"camera:{device}: expected a number, or a path such as /dev/video0, got {device!r}")
+    number_or_path = int(device) if is_number else device
     return CaptureCamera(f"camera:{device}", number_or_path, cv2.CAP_V4L2, options)
 
 
