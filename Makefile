@@ -89,6 +89,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.recording
 	$(BIN)/python -m benchmarks.viewer
 	$(BIN)/python -m benchmarks.simulator
+	$(BIN)/python -m benchmarks.cameras
 	$(BIN)/python -m benchmarks.live_faults
 	$(BIN)/python -m benchmarks.ros2
 	$(BIN)/python -m benchmarks.scale

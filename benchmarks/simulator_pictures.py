@@ -2,11 +2,12 @@
 
 `scenarios.jpg` shows one frame of every scenario, in the short exposure above and in the long one below, each
 brightened for the eye; `light.jpg` takes one frame apart: the image, the same without the hidden car, what its light
-adds, the labels.
+adds, the labels. `cameras.jpg`, the picture of docs/cameras.md, shows one moment in all camera profiles, as they are.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
-from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_frames, scenario
+from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_exposures, drive_frames, scenario
+from foreglow.lab.simulation.camera.profile import PROFILES, read_profile
 from foreglow.lab.simulation.preview import labelled
 
 SEED = 0
@@ -25,6 +27,8 @@ TILE_PX = (480, 360)
 TIMES_S = {"day": 3.3, "night": 3.3}
 GAINS = {"day": 3.5, "night": 1.7}
 BLACK_GREY = 6.0
+CAMERAS_SCENE = ("village", 0)
+CAMERAS_HZ, CAMERAS_TIME_S = 0.5, 6.0
 Picture = NDArray[np.uint8]
 
 
@@ -35,6 +39,7 @@ def main(folder: Path) -> None:
         rows += [np.hstack([_tile(scenario(name, SEED), cycle, name) for name in names]) for cycle in TIMES_S]
     _write(folder / "scenarios.jpg", np.vstack(rows))
     _write(folder / "light.jpg", _taken_apart(scenario("curve", SEED)))
+    _write(folder / "cameras.jpg", _in_all_cameras())
 
 
 def _tile(scene: Scene, cycle: str, name: str) -> Picture:
@@ -44,6 +49,24 @@ def _tile(scene: Scene, cycle: str, name: str) -> Picture:
     exposure = "short" if cycle == "day" else "long"
     cv2.putText(small, f"{name}, {exposure} exposure", (10, 24), 0, 0.55, (235, 235, 235), 1, cv2.LINE_AA)
     return small
+
+
+def _in_all_cameras() -> Picture:
+    """A moment with a car near by and street lamps, in every profile."""
+    profiles = [read_profile(name) for name in PROFILES]
+    scene = adapted(scenario(*CAMERAS_SCENE), SIZE_PX, CAMERAS_HZ, "night")
+    moments = drive_exposures(scene, profiles)
+    frames = next(itertools.islice(moments, round(CAMERAS_TIME_S * CAMERAS_HZ), None))
+    tiles = []
+    for profile, known in zip(profiles, frames, strict=True):
+        image = known.frame.image
+        height = TILE_PX[0] * image.shape[0] // image.shape[1]
+        tile = np.full((TILE_PX[1], TILE_PX[0]), 60, np.uint8)
+        tile[:height] = cv2.resize(image, (TILE_PX[0], height), interpolation=cv2.INTER_AREA)
+        cv2.putText(tile, profile.name, (10, TILE_PX[1] - 12), 0, 0.6, 235, 1, cv2.LINE_AA)
+        tiles.append(tile)
+    tiles += [np.full_like(tiles[0], 60)] * (-len(tiles) % 4)
+    return np.vstack([np.hstack(tiles[first : first + 4]) for first in range(0, len(tiles), 4)])
 
 
 def _taken_apart(scene: Scene) -> Picture:

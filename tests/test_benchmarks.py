@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import beam, distance, guard_sweep, ros2, scale, simulator, tracking
+from benchmarks import beam, camera_looks, distance, guard_sweep, ros2, scale, simulator, tracking
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
@@ -161,3 +161,25 @@ def test_the_simulator_is_timed_by_scenario() -> None:
     row = simulator.measure_drive(adapted(drawn, (64, 48), 2.0 / drawn.duration_s, "night"))
     assert row["scenario"] == "straight"
     assert 0 < row["haze_median_ms"] < row["render_median_ms"] < row["frame_median_ms"]
+
+
+def test_the_halo_of_a_lamp_is_measured_over_its_angle() -> None:
+    rows, columns = np.indices((240, 320))
+    distances = np.hypot(columns - 160, rows - 100)
+    focal_px = 300.0
+    angles = np.degrees(np.arctan(distances / focal_px))
+    grey = np.where(distances < 2, 255.0, np.minimum(150.0 / np.maximum(angles, 0.5), 200.0))
+    (found,) = camera_looks.halos(grey, focal_px)
+    middles = np.sqrt(camera_looks.ANGLES_DEG[1:] * camera_looks.ANGLES_DEG[:-1])
+    is_known = np.isfinite(found) & (middles > 0.8)
+    assert found[is_known] == pytest.approx(150.0 / middles[is_known], rel=0.12)
+
+
+def test_figures_tell_noise_and_blocks() -> None:
+    rng = np.random.default_rng(5)
+    smooth = np.tile(np.linspace(0.0, 200.0, 128), (128, 1))
+    noisy, blocky = smooth + rng.normal(0.0, 3.0, smooth.shape), np.repeat(smooth[:, ::8], 8, axis=1)
+    plain = camera_looks.figures(smooth)
+    assert camera_looks.figures(noisy)["noise"] > 2.0 > plain["noise"]
+    assert camera_looks.figures(blocky)["blocks"] > 100 * plain["blocks"]
+    assert plain["percentile 50"] == pytest.approx(100.0)

@@ -162,7 +162,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--scenes", "1"), "expected --out DIR, --preview NAME or --print NAME"),
+        (("--scenes", "1"), "expected --out DIR, --preview NAME, --print NAME or --print-camera NAME"),
         (("--preview", "nothing"), "scenario: expected one of curve"),
         (("--preview", "curve", "--size", "12"), "size: expected WIDTHxHEIGHT"),
         (("--preview", "curve", "--size", "8x8"), "camera.width_px"),
@@ -174,6 +174,11 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         ),
         (("--out", "unused", "--split", "exam"), "split: expected one of train"),
         (("--scene", "nowhere.toml", "--out", "unused"), "nowhere.toml: no such"),
+        (("--out", "unused", "--camera", "pinhole"), "--camera: expected one of"),
+        (("--out", "unused", "--camera", "nowhere.toml"), "nowhere.toml: no such"),
+        (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
+        (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
+        (("--out", "unused", "--variants", "2"), "expected together with --camera"),
     ],
 )
 def test_bad_arguments(
@@ -181,6 +186,28 @@ def test_bad_arguments(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert expected in complaint("simulate", *arguments)
+
+
+def test_a_printed_profile_is_a_profile_of_ones_own(tmp_path: Path) -> None:
+    printed = foreglow("simulate", "--print-camera", "phone").stdout
+    assert 'name = "phone"' in printed
+    path = tmp_path / "mine.toml"
+    path.write_text(printed.replace('name = "phone"', 'name = "mine"').replace("kbps = 4000.0", "kbps = -1.0"))
+    said = complaint("simulate", "--out", tmp_path / "DATA", "--camera", path)
+    assert "mine.toml: encoder.kbps" in said
+
+
+@pytest.mark.renderer
+def test_each_camera_has_a_data_set_that_the_other_commands_read(scene_file: Path, tmp_path: Path) -> None:
+    small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast")
+    cameras = ("--camera", "pvdn_day,pvdn_night", "--variants", "2", "--shares", "foreglow")
+    result = foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras)
+    assert result.stdout.count("2 drives, 8 images") == 2
+    for folder in ("pvdn_day/day", "pvdn_night/night"):
+        split = tmp_path / "DATA" / folder / "train"
+        assert (split / "simulation" / "S00002" / "shares.parquet").is_file()
+        assert "8 frames" in foreglow("run", split, "--out", tmp_path / folder / "results").stdout
+    assert foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras).stdout.count("were there") == 2
 
 
 def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file: Path, tmp_path: Path) -> None:

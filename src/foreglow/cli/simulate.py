@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -14,6 +15,7 @@ from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, o
 if TYPE_CHECKING:
     from foreglow.lab import simulation
     from foreglow.lab.simulation import DatasetConfig, DatasetSummary, Scene
+    from foreglow.lab.simulation.camera.profile import CameraProfile
     from foreglow.parallel import Workers
 
 
@@ -35,6 +37,17 @@ def simulate(
     ] = None,
     size: Annotated[str | None, option("WxH", "Size of the images (default: 1280x960; 640x480 for --preview).")] = None,
     cycle: Annotated[str, option("day|night", "PVDN's short or long exposure of the night.")] = "day",
+    camera: Annotated[
+        str | None,
+        option("NAME,...", "Camera profiles or their TOML files: each drive is rendered once and exposed for each."),
+    ] = None,
+    variants: Annotated[
+        int, option("K", "Sequences a drive and camera, with other strengths of light and veil.", min=1, max=1000)
+    ] = 1,
+    shares: Annotated[
+        str | None, option("PRESET,...", "Store whose light is in the proposals of these presets (with --camera).")
+    ] = None,
+    print_camera: Annotated[str | None, option("NAME", "Only print this camera profile as TOML.")] = None,
     ego_beam: Annotated[
         str | None, option("low|high|matrix", "Beam of the car with the camera (default: low).")
     ] = None,
@@ -50,7 +63,11 @@ def simulate(
 
     workers = work.workers()
     _check_quality(quality)
-    if print_scene is not None:
+    if print_camera is not None:
+        from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
+
+        typer.echo(profile_to_toml(read_profile(print_camera)), nl=False)
+    elif print_scene is not None:
         drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
         typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
     elif preview is not None:
@@ -58,14 +75,20 @@ def simulate(
         scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
     elif out is None:
-        raise ValueError("simulate: expected --out DIR, --preview NAME or --print NAME")
+        raise ValueError("simulate: expected --out DIR, --preview NAME, --print NAME or --print-camera NAME")
     else:
         config = simulation.DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
+        exposing = _exposing(config, camera, variants, shares)
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
             drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, own_split, mixture)
             scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle)
-        _simulate(scenes, out, config, workers, quality)
+            if exposing is not None:
+                exposing.check(scenes)
+        if exposing is None:
+            _simulate(scenes, out, config, workers, quality)
+        else:
+            _expose(scenes, out, exposing, workers, quality)
 
 
 def _check_quality(quality: str) -> None:
@@ -119,6 +142,61 @@ def _simulate(scenes: tuple[Scene, ...], out: Path, config: DatasetConfig, worke
     with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
         summary = simulate_dataset(out, scenes, drive, config, workers=workers, progress=progress)
     typer.echo("\n".join(_lines(summary)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Exposing:
+    """What is made of each drive: for each camera, some variants, with shares for the proposals of some presets."""
+
+    configs: tuple[DatasetConfig, ...]
+    num_variants: int
+    presets: tuple[str, ...]
+
+    @property
+    def profiles(self) -> tuple[CameraProfile, ...]:
+        return tuple(config.camera for config in self.configs if config.camera is not None)
+
+    def check(self, scenes: tuple[Scene, ...]) -> None:
+        from foreglow.lab.simulation.drive import check_exposures
+
+        check_exposures(self.profiles, scenes, self.presets)
+
+
+def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shares: str | None) -> _Exposing | None:
+    """What `--camera`, `--variants` and `--shares` ask for; None without a camera."""
+    from foreglow.lab.simulation.camera.profile import read_profiles
+
+    if camera is None:
+        if num_variants > 1 or shares is not None:
+            raise ValueError("--variants, --shares: expected together with --camera, such as --camera pvdn_day")
+        return None
+    presets = () if shares is None else tuple(name.strip() for name in shares.split(","))
+    configs = (config.exposed_for(profile, presets) for profile in read_profiles(camera))
+    return _Exposing(tuple(configs), num_variants, presets)
+
+
+def _expose(scenes: tuple[Scene, ...], out: Path, exposing: _Exposing, workers: Workers, quality: str) -> None:
+    """Writes a data set for each camera."""
+    from foreglow.display.progress import SceneProgress
+    from foreglow.lab.simulation import Target, drive_exposures, simulate_datasets
+
+    names = [profile.name for profile in exposing.profiles]
+    folders = [out / name for name in names] if len(names) > 1 else [out]
+    targets = [Target(folder, config) for folder, config in zip(folders, exposing.configs, strict=True)]
+    num_variants = exposing.num_variants
+    expose = functools.partial(
+        drive_exposures,
+        profiles=exposing.profiles,
+        num_variants=num_variants,
+        quality=quality,
+        presets=exposing.presets,
+    )
+    with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
+        summaries = simulate_datasets(
+            targets, scenes, expose, num_variants=num_variants, workers=workers, progress=progress
+        )
+    for summary in summaries:
+        typer.echo("\n".join(_lines(summary)))
 
 
 def _lines(summary: DatasetSummary) -> list[str]:

@@ -11,7 +11,7 @@ everything else does not.
 True
 """
 
-from foreglow.lab.simulation.drive import Drive, drive_frames, simulate
+from foreglow.lab.simulation.drive import Drive, drive_exposures, drive_frames, simulate
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scenarios import (
     SCENARIOS,
@@ -24,7 +24,13 @@ from foreglow.lab.simulation.scenes.scenarios import (
     without_traffic,
 )
 from foreglow.lab.simulation.scenes.scene import EGO_BEAMS, EgoBeam, LabelRule, Scene, read_scene, scene_to_toml
-from foreglow.lab.simulation.writing.dataset import DatasetConfig, DatasetSummary, simulate_dataset
+from foreglow.lab.simulation.writing.dataset import (
+    DatasetConfig,
+    DatasetSummary,
+    Target,
+    simulate_dataset,
+    simulate_datasets,
+)
 
 __all__ = [
     "EGO_BEAMS",
@@ -37,8 +43,10 @@ __all__ = [
     "LabelRule",
     "Scene",
     "Split",
+    "Target",
     "adapted",
     "draw_scenes",
+    "drive_exposures",
     "drive_frames",
     "read_scene",
     "resized",
@@ -46,6 +54,7 @@ __all__ = [
     "scene_to_toml",
     "simulate",
     "simulate_dataset",
+    "simulate_datasets",
     "with_beam",
     "without_traffic",
 ]

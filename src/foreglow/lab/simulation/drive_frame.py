@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.simulated import FrameTruth
+from foreglow.datasets.simulated.shares import BoxShares
 from foreglow.geometry import Camera, Pose
 from foreglow.types import Frame
 
@@ -20,11 +21,13 @@ class DriveFrame(FrameTruth):
         frame: The image, as every source of frames yields it.
         camera: Its calibration.
         depth_m: Shape (height, width), float32, distance along each pixel's ray; NaN where there is only sky.
+        shares: Whose light is in the proposals of some presets; empty if nobody asked.
     """
 
     frame: Frame
     camera: Camera
     depth_m: NDArray[np.float32]
+    shares: tuple[BoxShares, ...] = ()
 
     @property
     def camera_pose(self) -> Pose:

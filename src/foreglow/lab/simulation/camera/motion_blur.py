@@ -80,3 +80,15 @@ def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
         blurred = blurred.copy() if blurred is luminance else blurred
         blurred[window] = total / NUM_TAPS
     return blurred
+
+
+def sheared(luminance: Image, motion_px: Image) -> Image:
+    """`luminance`, shape (H, W), read out row by row while it moves by `motion_px`, shape (H, W, 2).
+
+    The middle row is where it was: a rolling shutter.
+    """
+    height, width = luminance.shape
+    share = ((np.arange(height, dtype=np.float32) + 0.5) / height - 0.5)[:, np.newaxis]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    x, y = x - share * motion_px[..., 0], y - share * motion_px[..., 1]
+    return np.asarray(cv2.remap(luminance, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)

@@ -81,7 +81,13 @@ class LampPoints:
 
 
 class Optics:
-    """The lens of one camera."""
+    """The lens of one camera.
+
+    Attributes:
+        static_cd_m2: Shape (H, W), light that stands still in the image, on the pixels; None for none.
+    """
+
+    static_cd_m2: Image | None = None
 
     def __init__(self, spec: SensorSpec, camera: Camera) -> None:
         self.camera = camera
@@ -113,7 +119,7 @@ class Optics:
         image, the edge is continued for the former, and it is dark for the tail.
         """
         image = np.asarray(luminance, np.float32)
-        spread = self._glare(image)
+        spread = self._glare(image) if self._tail else np.zeros_like(image)
         for across, down in self._kernels:
             cv2.add(spread, cv2.sepFilter2D(image, -1, across, down, borderType=cv2.BORDER_REPLICATE), dst=spread)
         return spread
@@ -129,7 +135,8 @@ class Optics:
         columns = np.arange(0, width + FAR_STEP, FAR_STEP, dtype=np.float32) + 0.5 * FAR_STEP
         far = np.zeros((len(rows), columns.size), np.float32)
         fluxes = points.illuminances_lx / self._pixel_solid_angles_sr(points.positions_px)
-        for (x, y), flux in zip(points.positions_px, fluxes, strict=True):
+        lamps = zip(points.positions_px, fluxes, strict=True) if self._tail else ()
+        for (x, y), flux in lamps:
             squares = (rows - np.float32(y)) ** 2 + (columns - np.float32(x)) ** 2
             np.add(far, np.float32(flux * self._tail) / (squares + np.float32(self._far_softening_px**2)), out=far)
         whole = cv2.resize(far, (columns.size * FAR_STEP, len(rows) * FAR_STEP), interpolation=cv2.INTER_LINEAR)

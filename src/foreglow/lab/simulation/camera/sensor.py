@@ -53,12 +53,17 @@ QUANTISATION_GREY = 12.0**-0.5
 class Sensor:
     """The imager behind a lens; its fixed pattern is the same in every frame.
 
-    Images of fewer than 1280 columns are binned from such pixels: noise and pattern are averaged accordingly.
+    Images of fewer than 1280 columns are binned from such pixels: noise and pattern are averaged accordingly. All rows
+    are exposed at once, and all colours alike.
     """
 
-    def __init__(self, spec: SensorSpec, camera: Camera, seed: int) -> None:
+    sees_colour = False
+    readout_s = 0.0
+
+    def __init__(self, spec: SensorSpec, camera: Camera, seed: int, optics: Optics | None = None) -> None:
+        """The imager behind `optics`; None for the lens that `spec` describes."""
         self.spec = spec
-        self.optics = Optics(spec, camera)
+        self.optics = optics or Optics(spec, camera)
         self._seed = seed
         self._shape = (camera.height_px, camera.width_px)
         gain, self._analogue_gain = 1.0, 1.0
@@ -77,6 +82,9 @@ class Sensor:
     def exposure_s(self) -> float:
         """Time for which the shutter is open."""
         return self.spec.night_exposure_s if self.spec.exposure == "night" else self.spec.day_exposure_s
+
+    def meter(self, luminance: Image, time_s: float) -> None:
+        """Does nothing: the exposure is fixed."""
 
     def expected_grey(self, luminance: Image) -> Image:
         """Grey levels for the light on the pixels, shape (H, W), float32, not rounded, without noise and pattern.

@@ -92,8 +92,12 @@ class Renderer:
         num_layers: int,
         bodies: Sequence[PlacedBody],
         weather: WeatherSpec,
+        *,
+        num_repeated: int = 0,
     ) -> Rendered:
         """The view from `camera_pose`, world_from_camera; layers of lamps are below `num_layers`.
+
+        The last `num_repeated` layers are of lamps that shine in other layers, too: they change nothing in these.
 
         Raises:
             ValueError: If a lamp's layer is out of range, or there is no mesh for a body.
@@ -109,7 +113,7 @@ class Renderer:
         first = self._shoot(space, air, samples.first, samples.pixels)
         surface, ambient = first.surface_cd_m2, first.ambient_cd_m2
         haze = self._haze.render(space, air, first.distance_m)
-        chosen = samples.detailed(surface.sum(axis=0).reshape(samples.shape))
+        chosen = samples.detailed(surface[: len(surface) - num_repeated].sum(axis=0).reshape(samples.shape))
         if len(chosen):
             slots = mi.UInt32(np.arange(len(chosen), dtype=np.uint32))
             for rays in samples.further(chosen):

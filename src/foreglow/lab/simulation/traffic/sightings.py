@@ -89,9 +89,9 @@ class Sightings:
             return None
         return (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
-    def lamp_points(self, actor: Actor, lamps: tuple[LampTruth, ...]) -> LampPoints:
-        """The lamps of a vehicle that the camera sees, as points of light."""
-        seen = [index for index, lamp in enumerate(lamps) if lamp.visible_share > 0]
+    def lamp_points(self, actor: Actor, lamps: tuple[LampTruth, ...], *, only_rear: bool = False) -> LampPoints:
+        """The lamps of a vehicle that the camera sees, as points of light; all of them, or only rear lamps."""
+        seen = [index for index, lamp in enumerate(lamps) if lamp.visible_share > 0 and (lamp.is_rear or not only_rear)]
         distances = [float(np.linalg.norm(lamps[index].position_world_m - self.camera_m)) for index in seen]
         return LampPoints(
             np.array([lamps[index].position_px for index in seen]).reshape(-1, 2),

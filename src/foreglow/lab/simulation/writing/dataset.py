@@ -7,13 +7,16 @@ that folder, or `DATA` while it is the only split in there; commands that learn 
 Each scene is driven in a temporary folder, which gets its name when it is complete: `simulation/S00001` is there as a
 whole or not at all. PVDN's label files are made from the truth of all scenes at the end. So a run that was interrupted
 continues where it stopped, and neither that nor the number of processes changes a byte.
+
+Several cameras make as many data sets, `OUT/CAMERA`, from one rendering of each scene; with variants, each scene
+becomes as many sequences, one after the other.
 """
 
 from __future__ import annotations
 
 import functools
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -36,10 +39,13 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
+from foreglow.datasets.simulated.shares import BoxShares, write_shares
 from foreglow.files import write_atomic
+from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.production import ProductionConfig
 from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.variants import AS_IT_IS, draw_variants
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth
 from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
@@ -61,6 +67,9 @@ MAX_JITTER_NS = 1_000_000
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
 """Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of such."""
 
+ExposeScene: TypeAlias = Callable[[Scene], Iterable[tuple[DriveFrame, ...]]]
+"""Drives a scene and yields, for each moment, its frames of every data set and variant; else as `DriveScene`."""
+
 Progress: TypeAlias = Callable[[int, int, int], None]
 """Called with a scene's number, the number of its frames that are done, and the number of its frames."""
 
@@ -76,6 +85,8 @@ class DatasetConfig(FrozenModel):
         lidar: The scanner of the depth images.
         street: How wrong the street messages are.
         production: Parameters of the modelled production system, for the record.
+        camera: The profile of the camera; None for the scenes' own.
+        presets: Presets in whose proposals the light is told apart.
     """
 
     cycle: Cycle = Cycle.NIGHT
@@ -85,6 +96,8 @@ class DatasetConfig(FrozenModel):
     lidar: LidarConfig = LidarConfig()
     street: StreetDataError = StreetDataError()
     production: dict[str, Any] = Field(default_factory=dict)
+    camera: CameraProfile | None = None
+    presets: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, *, seed: int | None, split: str, cycle: str, quality: str) -> DatasetConfig:
@@ -101,6 +114,11 @@ class DatasetConfig(FrozenModel):
             "production": ProductionConfig().model_dump(mode="json"),
         }
         return validated(cls, fields, "simulate")
+
+    def exposed_for(self, camera: CameraProfile, presets: Sequence[str] = ()) -> DatasetConfig:
+        """This configuration for a camera with its own cycle, with shares for the proposals of `presets`."""
+        changed = {"camera": camera, "cycle": _cycle(camera.cycle), "presets": tuple(presets)}
+        return self.model_copy(update=changed)
 
 
 def _cycle(name: str) -> Cycle:
@@ -151,34 +169,93 @@ def simulate_dataset(
         OSError: If something cannot be written, such as on a full disk, or a process died; scenes that are finished
             stay.
     """
-    config = config or DatasetConfig()
-    files = _scene_files(scenes, config)
-    root = Path(out) / config.cycle / config.split
-    kept = _kept(root, files)
-    for folder in ("images", "labels/keypoints", "simulation"):
-        (root / folder).mkdir(parents=True, exist_ok=True)
-    info = _info(files, config)
-    write_info(root, info)
-    write_scenes(root, files)
+    target = Target(Path(out), config or DatasetConfig())
+    expose = functools.partial(_one_each, drive)
+    return simulate_datasets((target,), scenes, expose, workers=workers, progress=progress)[0]
+
+
+def _one_each(drive: DriveScene, scene: Scene) -> Iterator[tuple[DriveFrame, ...]]:
+    return ((known,) for known in drive(scene))
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A data set to write.
+
+    Attributes:
+        out: Its folder.
+        config: Cycle, split, camera and the rest.
+    """
+
+    out: Path
+    config: DatasetConfig
+
+    @property
+    def root(self) -> Path:
+        """The split's folder."""
+        return self.out / self.config.cycle / self.config.split
+
+
+def simulate_datasets(
+    targets: Sequence[Target],
+    scenes: Sequence[Scene],
+    expose: ExposeScene,
+    *,
+    num_variants: int = 1,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+) -> tuple[DatasetSummary, ...]:
+    """Drives each of `scenes` once and writes it to every one of `targets`, else as `simulate_dataset`.
+
+    Args:
+        targets: The data sets, in the order of the frames that `expose` yields.
+        scenes: At least one scene; all with the same frame rate and label rule.
+        expose: Drives a scene and yields the frames of each moment: for each target, those of all its variants.
+        num_variants: Sequences that each scene becomes.
+        workers: The processes that drive, each with a renderer of its own; None drives in this process.
+        progress: Called after every moment, in this process, with the number of the scene.
+
+    Raises:
+        ValueError: As `simulate_dataset`.
+        OSError: As `simulate_dataset`.
+    """
+    files = {target.root: _scene_files(scenes, target.config, num_variants) for target in targets}
+    kept = {root: _kept(root, listed) for root, listed in files.items()}
+    infos = {target.root: _info(files[target.root], target.config) for target in targets}
+    for root, listed in files.items():
+        for folder in ("images", "labels/keypoints", "simulation"):
+            (root / folder).mkdir(parents=True, exist_ok=True)
+        write_info(root, infos[root])
+        write_scenes(root, listed)
     report = progress or _no_progress
-    for file in files:
-        if file.sequence in kept:
-            report(file.sequence, file.scene.num_frames, file.scene.num_frames)
-    missing = {sequence_name(file.sequence): file for file in files if file.sequence not in kept}
-    work = functools.partial(_make_scene, root, drive)
-    for _ in (workers or Local()).each(work, missing, report, paths=(root,)):
+    missing: dict[str, _Outputs] = {}
+    for number, scene in enumerate(scenes, start=1):
+        outputs = tuple(
+            (root, file)
+            for root, listed in files.items()
+            for file in listed[(number - 1) * num_variants :][:num_variants]
+        )
+        if all(file.sequence in kept[root] for root, file in outputs):
+            report(number, scene.num_frames, scene.num_frames)
+        else:
+            missing[sequence_name(outputs[0][1].sequence)] = _Outputs(number, outputs)
+    work = functools.partial(_make_scene, expose)
+    for _ in (workers or Local()).each(work, missing, report, paths=tuple(files)):
         pass
-    for leftover in root.rglob(".*.tmp"):  # of a run that was killed
-        leftover.unlink(missing_ok=True)
-    return DatasetSummary(root, len(kept), write_labels(root, info))
+    summaries = []
+    for root, info in infos.items():
+        for leftover in root.rglob(".*.tmp"):  # of a run that was killed
+            leftover.unlink(missing_ok=True)
+        summaries.append(DatasetSummary(root, len(kept[root]), write_labels(root, info)))
+    return tuple(summaries)
 
 
 def _no_progress(sequence: int, num_done: int, num_frames: int) -> None:
     """A progress callback that shows nothing."""
 
 
-def _scene_files(scenes: Sequence[Scene], config: DatasetConfig) -> list[SceneFile]:
-    """The scenes with their numbers and the cycle's exposure; checks that they fit together."""
+def _scene_files(scenes: Sequence[Scene], config: DatasetConfig, num_variants: int) -> list[SceneFile]:
+    """The sequences with their numbers and the cycle's exposure; checks that the scenes fit together."""
     if not scenes:
         raise ValueError("scenes: expected at least one, got none")
     first = scenes[0]
@@ -190,10 +267,21 @@ def _scene_files(scenes: Sequence[Scene], config: DatasetConfig) -> list[SceneFi
                 )
         if scene.num_frames > MAX_FRAMES:
             raise ValueError(f"scenes: expected up to {MAX_FRAMES} frames each, scene {number} has {scene.num_frames}")
-    making = Making(generator=config.generator, lidar=config.lidar, street=config.street)
+    making = Making(
+        generator=config.generator,
+        lidar=config.lidar,
+        street=config.street,
+        camera=config.camera,
+        presets=config.presets,
+    )
+    variants = [
+        (_exposed(scene, config.cycle), None if variant == AS_IT_IS else variant)
+        for scene in scenes
+        for variant in draw_variants(scene, num_variants)
+    ]
     return [
-        SceneFile(sequence=number, made_with=making, scene=_exposed(scene, config.cycle))
-        for number, scene in enumerate(scenes, start=1)
+        SceneFile(sequence=number, made_with=making, scene=scene, variant=variant)
+        for number, (scene, variant) in enumerate(variants, start=1)
     ]
 
 
@@ -249,47 +337,84 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _make_scene(root: Path, drive: DriveScene, file: SceneFile, parent: Parent) -> None:
-    """Drives a scene; its images and its truth appear together or not at all."""
-    name = sequence_name(file.sequence)
-    partial = root / "simulation" / f".{name}.partial"
-    images, truth = root / "images" / name, sequence_folder(root, file.sequence)
-    shutil.rmtree(partial, ignore_errors=True)  # of a run that was killed
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    """What one drive through a scene writes: for each of its frames, the data set and the sequence."""
+
+    number: int
+    sequences: tuple[tuple[Path, SceneFile], ...]
+
+
+def _make_scene(expose: ExposeScene, outputs: _Outputs, parent: Parent) -> None:
+    """Drives a scene; images and truth of each of its sequences appear together or not at all."""
+    partials = [root / "simulation" / f".{sequence_name(file.sequence)}.partial" for root, file in outputs.sequences]
     try:
-        (partial / "images").mkdir(parents=True)
-        _drive_into(partial, file, drive, parent)
-        for leftover in (truth, images):  # of a run that was killed between the two lines that follow
-            if leftover.exists():
-                shutil.rmtree(leftover)
-        (partial / "images").rename(images)
-        partial.rename(truth)
+        for partial in partials:
+            shutil.rmtree(partial, ignore_errors=True)  # of a run that was killed
+            (partial / "images").mkdir(parents=True)
+        _drive_into(partials, outputs, expose, parent)
+        for partial, (root, file) in zip(partials, outputs.sequences, strict=True):
+            truth = sequence_folder(root, file.sequence)
+            images = root / "images" / sequence_name(file.sequence)
+            for leftover in (truth, images):  # of a run that was killed between the two lines that follow
+                if leftover.exists():
+                    shutil.rmtree(leftover)
+            (partial / "images").rename(images)
+            partial.rename(truth)
     except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
+        for partial in partials:
+            shutil.rmtree(partial, ignore_errors=True)
         raise
 
 
-def _drive_into(folder: Path, file: SceneFile, drive: DriveScene, parent: Parent) -> None:
-    scene, name = file.scene, sequence_name(file.sequence)
-    street = StreetMap(Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM]))
-    lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
-    writer = TruthWriter(folder)
-    start_ns, num_done = 0, 0
-    for known in drive(scene):
-        if num_done == 0:
-            start_ns = known.timestamp_ns
-        _check_frame(known, num_done, scene, start_ns, name)
-        image_id = file.sequence * MAX_FRAMES + num_done
-        write_atomic(folder / "images" / f"{image_id:06d}.png", png(known.frame.image))
-        depth = lidar_depth(known.depth_m, known.camera, lidar_rng, file.made_with.lidar)
-        numbered = replace(known, image_id=image_id, street=street.message(known.ego_s_m))
-        writer.add(numbered, known.camera, depth)
-        num_done += 1
-        parent.report_progress(file.sequence, num_done, scene.num_frames)
+def _drive_into(folders: Sequence[Path], outputs: _Outputs, expose: ExposeScene, parent: Parent) -> None:
+    scene = outputs.sequences[0][1].scene
+    recorders = [_Recorder(folder, file) for folder, (_, file) in zip(folders, outputs.sequences, strict=True)]
+    for num_done, frames in enumerate(expose(scene), start=1):
+        for recorder, known in zip(recorders, frames, strict=True):
+            recorder.add(known)
+        parent.report_progress(outputs.number, num_done, scene.num_frames)
         if parent.is_stopped:
             raise KeyboardInterrupt
-    if num_done != scene.num_frames:
-        raise ValueError(f"{name}: drive: expected {scene.num_frames} frames, got {num_done}")
-    writer.close(file.model_dump_json(indent=1), road_file(scene))
+    for recorder in recorders:
+        recorder.close()
+
+
+class _Recorder:
+    """Writes one sequence, frame by frame, into a folder."""
+
+    def __init__(self, folder: Path, file: SceneFile) -> None:
+        scene = file.scene
+        self._folder, self._file = folder, file
+        self._name = sequence_name(file.sequence)
+        self._street = StreetMap(
+            Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM])
+        )
+        self._lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
+        self._writer = TruthWriter(folder)
+        self._shares: list[tuple[int, BoxShares]] = []
+        self._start_ns, self._num_done = 0, 0
+
+    def add(self, known: DriveFrame) -> None:
+        file, number = self._file, self._num_done
+        if number == 0:
+            self._start_ns = known.timestamp_ns
+        _check_frame(known, number, file.scene, self._start_ns, self._name)
+        image_id = file.sequence * MAX_FRAMES + number
+        write_atomic(self._folder / "images" / f"{image_id:06d}.png", png(known.frame.image))
+        depth = lidar_depth(known.depth_m, known.camera, self._lidar_rng, file.made_with.lidar)
+        numbered = replace(known, image_id=image_id, street=self._street.message(known.ego_s_m))
+        self._writer.add(numbered, known.camera, depth)
+        self._shares += [(image_id, found) for found in known.shares]
+        self._num_done += 1
+
+    def close(self) -> None:
+        file = self._file
+        if self._num_done != file.scene.num_frames:
+            raise ValueError(f"{self._name}: drive: expected {file.scene.num_frames} frames, got {self._num_done}")
+        if file.made_with.presets:
+            write_shares(self._folder / "shares.parquet", self._shares)
+        self._writer.close(file.model_dump_json(indent=1), road_file(file.scene))
 
 
 def _check_frame(known: DriveFrame, number: int, scene: Scene, start_ns: int, name: str) -> None:

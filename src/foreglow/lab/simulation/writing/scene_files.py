@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from foreglow.config import FrozenModel
 from foreglow.datasets.json_files import read_json, read_json_lines
@@ -16,7 +18,9 @@ from foreglow.datasets.pvdn.schema import Id
 from foreglow.datasets.simulated import SequenceTruth
 from foreglow.datasets.simulated.files import RoadFile
 from foreglow.files import write_atomic
+from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.variants import Variant
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.street_data import StreetDataError
@@ -29,19 +33,42 @@ class Making(FrozenModel):
         generator: Name and version of the program; part of it must change when the same scene gives other bytes.
         lidar: The scanner of the depth images.
         street: How wrong the street messages are.
+        camera: The profile of the camera; None, and left out, for the scene's own.
+        presets: Presets in whose proposals the light is told apart; left out if there are none.
     """
 
     generator: str
     lidar: LidarConfig = LidarConfig()
     street: StreetDataError = StreetDataError()
+    camera: CameraProfile | None = None
+    presets: tuple[str, ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without(written(self), "camera", "presets")
+
+    @field_validator("presets", mode="before")
+    @classmethod
+    def _as_tuple(cls, presets: Any) -> Any:
+        return tuple(presets) if isinstance(presets, list) else presets
 
 
 class SceneFile(FrozenModel):
-    """`scene.json`."""
+    """`scene.json`; `variant` is left out for the scene as it is."""
 
     sequence: Id
     made_with: Making
     scene: Scene
+    variant: Variant | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without(written(self), "variant")
+
+
+def _without(fields: dict[str, Any], *names: str) -> dict[str, Any]:
+    """`fields` without those called `names` that say nothing, as files were before there were such fields."""
+    return {key: value for key, value in fields.items() if key not in names or value}
 
 
 class _SceneLine(FrozenModel):
