@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import cv2
@@ -199,6 +200,7 @@ def test_a_printed_profile_is_a_profile_of_ones_own(tmp_path: Path) -> None:
 
 @pytest.mark.renderer
 def test_each_camera_has_a_data_set_that_the_other_commands_read(scene_file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
     small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast")
     cameras = ("--camera", "pvdn_day,pvdn_night", "--variants", "2", "--shares", "foreglow")
     result = foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras)
@@ -208,6 +210,14 @@ def test_each_camera_has_a_data_set_that_the_other_commands_read(scene_file: Pat
         assert (split / "simulation" / "S00002" / "shares.parquet").is_file()
         assert "8 frames" in foreglow("run", split, "--out", tmp_path / folder / "results").stdout
     assert foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras).stdout.count("were there") == 2
+
+
+def test_what_writes_shares_is_missed_before_the_first_drive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    arguments = ("--scenes", "1", "--camera", "pvdn_day", "--shares", "foreglow")
+    said = complaint("simulate", "--out", tmp_path / "DATA", *arguments)
+    assert "pip install 'foreglow[parquet]'" in said
+    assert not (tmp_path / "DATA").exists()
 
 
 def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, scene_file: Path, tmp_path: Path) -> None:

@@ -183,6 +183,7 @@ def written(out: Path, profiles: tuple[CameraProfile, ...], jobs: int = 1) -> No
 @pytest.mark.slow
 @pytest.mark.process
 def test_same_bytes_at_any_jobs_and_order_also_after_a_loss(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
     written(tmp_path / "one", (OWN, DAY))
     written(tmp_path / "two", (DAY, OWN), jobs=2)
     expected = files(tmp_path / "one")

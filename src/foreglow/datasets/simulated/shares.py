@@ -64,7 +64,7 @@ def write_shares(path: Path, rows: Iterable[tuple[int, BoxShares]]) -> None:
         ModuleNotFoundError: If the extra `parquet` is not installed.
         OSError: If that fails.
     """
-    arrow = _arrow()
+    arrow = load_arrow()
     rows = [(image_id, found) for image_id, found in rows if len(found.boxes_xyxy_px)]
     boxes = np.concatenate([found.boxes_xyxy_px for _, found in rows]) if rows else np.zeros((0, 4), np.int32)
     shares = np.concatenate([found.shares for _, found in rows]) if rows else np.zeros((0, len(SOURCES)), np.float32)
@@ -91,7 +91,7 @@ def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; foreglow simulate --camera NAME --shares PRESET makes it")
-    arrow = _arrow()
+    arrow = load_arrow()
     try:
         table = arrow.parquet.read_table(path, columns=["image_id", "preset", *BOX, *SOURCES])
     except (arrow.ArrowException, OSError) as error:
@@ -116,11 +116,13 @@ def _columns(table: Any, names: Sequence[str], dtype: type[np.generic]) -> NDArr
     return np.stack([table[name].to_numpy().astype(dtype) for name in names], 1)
 
 
-def _arrow() -> Any:
-    """PyArrow, with its Parquet part."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("shares: expected PyArrow; pip install 'foreglow[parquet]' brings it") from error
+def load_arrow() -> Any:
+    """PyArrow, with its Parquet part.
+
+    Raises:
+        ModuleNotFoundError: If the extra `parquet` is not installed.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foreglow.config import preset
-from foreglow.datasets.simulated.shares import BoxShares
+from foreglow.datasets.simulated.shares import BoxShares, load_arrow
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.camera.view import View
@@ -165,13 +165,16 @@ def _with_shares(known: DriveFrame, camera: DriveCamera, proposers: Mapping[str,
 
 
 def check_exposures(profiles: Sequence[CameraProfile], scenes: Sequence[Scene], presets: Sequence[str] = ()) -> None:
-    """Checks that every profile sees only what is rendered, and that there are such presets.
+    """Checks that every profile sees only what is rendered, and that presets and what writes their shares are there.
 
     Raises:
+        ModuleNotFoundError: If the extra `parquet` is not installed.
         ValueError: If that is not so; the message names profile, field and expectation.
     """
     for name in presets:
         preset(name)
+    if presets:
+        load_arrow()  # now, rather than at the end of the first drive
     for scene in scenes:
         for profile in profiles:
             View(profile, camera_of(scene.camera))
