@@ -180,6 +180,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--variants", "2"), "expected together with --camera"),
+        (("--preview", "curve", "--camera", "phone"), "--camera: expected with --out and without --preview"),
     ],
 )
 def test_bad_arguments(

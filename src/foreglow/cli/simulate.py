@@ -71,6 +71,8 @@ def simulate(
         drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
         typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
     elif preview is not None:
+        if camera is not None:
+            raise ValueError("--camera: expected with --out and without --preview, whose camera is the scene's own")
         drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
         scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import Pose, rotation
-from foreglow.lab.simulation.camera.motion_blur import MotionBlur, blur
+from foreglow.lab.simulation.camera.motion_blur import MotionBlur, blur, sheared
 from tests.lab.simulation.cameras import camera
 
 CAMERA = camera()
@@ -59,3 +59,15 @@ def test_only_what_moves_is_blurred() -> None:
     assert (blurred[:180] == image[:180]).all()
     assert blurred[190:].std() < 0.5 * image[190:].std()
     assert blurred[190:].mean() == pytest.approx(image[190:].mean(), abs=0.01)
+
+
+def test_later_rows_show_what_moves_further_on() -> None:
+    line = np.zeros((101, 64), np.float32)
+    line[:, 32] = 1.0
+    motion_px = np.zeros((101, 64, 2), np.float32)
+    motion_px[..., 0] = 8.0
+    read_out = sheared(line, motion_px)
+    middles = (read_out * np.arange(64)).sum(1) / read_out.sum(1)
+    assert middles[50] == pytest.approx(32.0, abs=1e-3)
+    assert middles[[0, 100]] == pytest.approx([28.0, 36.0], abs=0.1)
+    assert (np.diff(middles) > 0).all()
