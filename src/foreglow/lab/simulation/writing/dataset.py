@@ -17,52 +17,41 @@ from __future__ import annotations
 import functools
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel, validated
-from foreglow.datasets.images import png
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.pvdn.schema import Cycle, Name
 from foreglow.datasets.simulated.files import (
     MAX_FRAMES,
     InfoFile,
-    TruthWriter,
     finished_sequences,
     has_truth,
     sequence_folder,
     sequence_name,
     write_info,
 )
-from foreglow.datasets.simulated.shares import BoxShares, write_shares
-from foreglow.files import write_atomic
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.production import ProductionConfig
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.variants import AS_IT_IS, draw_variants
-from foreglow.lab.simulation.world.road import Road
-from foreglow.lab.simulation.writing.lidar import LidarConfig, lidar_depth
+from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
-from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, road_file, write_scenes
-from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetDataError, StreetMap
+from foreglow.lab.simulation.writing.recorder import Recorder
+from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
+from foreglow.lab.simulation.writing.street_data import StreetDataError
 from foreglow.parallel import Local, Parent, Workers
 
 SIMULATOR_VERSION = 1
 """Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
 
 GENERATOR = f"foreglow {version('foreglow')}, simulator {SIMULATOR_VERSION}"
-
-LIDAR_STREAM = 902
-"""Random stream of a scene's scanner, `np.random.default_rng([scene.seed, LIDAR_STREAM])`."""
-
-MAX_JITTER_NS = 1_000_000
-"""Largest difference of a frame's time from its number over the frame rate, which is the time that readers will see."""
 
 DriveScene: TypeAlias = Callable[[Scene], Iterable[DriveFrame]]
 """Drives a scene; for several processes it must be a function of a module, or a `functools.partial` of such."""
@@ -369,7 +358,7 @@ def _make_scene(expose: ExposeScene, outputs: _Outputs, parent: Parent) -> None:
 
 def _drive_into(folders: Sequence[Path], outputs: _Outputs, expose: ExposeScene, parent: Parent) -> None:
     scene = outputs.sequences[0][1].scene
-    recorders = [_Recorder(folder, file) for folder, (_, file) in zip(folders, outputs.sequences, strict=True)]
+    recorders = [Recorder(folder, file) for folder, (_, file) in zip(folders, outputs.sequences, strict=True)]
     for num_done, frames in enumerate(expose(scene), start=1):
         for recorder, known in zip(recorders, frames, strict=True):
             recorder.add(known)
@@ -378,53 +367,3 @@ def _drive_into(folders: Sequence[Path], outputs: _Outputs, expose: ExposeScene,
             raise KeyboardInterrupt
     for recorder in recorders:
         recorder.close()
-
-
-class _Recorder:
-    """Writes one sequence, frame by frame, into a folder."""
-
-    def __init__(self, folder: Path, file: SceneFile) -> None:
-        scene = file.scene
-        self._folder, self._file = folder, file
-        self._name = sequence_name(file.sequence)
-        self._street = StreetMap(
-            Road(scene.road), file.made_with.street, np.random.default_rng([scene.seed, STREET_STREAM])
-        )
-        self._lidar_rng = np.random.default_rng([scene.seed, LIDAR_STREAM])
-        self._writer = TruthWriter(folder)
-        self._shares: list[tuple[int, BoxShares]] = []
-        self._start_ns, self._num_done = 0, 0
-
-    def add(self, known: DriveFrame) -> None:
-        file, number = self._file, self._num_done
-        if number == 0:
-            self._start_ns = known.timestamp_ns
-        _check_frame(known, number, file.scene, self._start_ns, self._name)
-        image_id = file.sequence * MAX_FRAMES + number
-        write_atomic(self._folder / "images" / f"{image_id:06d}.png", png(known.frame.image))
-        depth = lidar_depth(known.depth_m, known.camera, self._lidar_rng, file.made_with.lidar)
-        numbered = replace(known, image_id=image_id, street=self._street.message(known.ego_s_m))
-        self._writer.add(numbered, known.camera, depth)
-        self._shares += [(image_id, found) for found in known.shares]
-        self._num_done += 1
-
-    def close(self) -> None:
-        file = self._file
-        if self._num_done != file.scene.num_frames:
-            raise ValueError(f"{self._name}: drive: expected {file.scene.num_frames} frames, got {self._num_done}")
-        if file.made_with.presets:
-            write_shares(self._folder / "shares.parquet", self._shares)
-        self._writer.close(file.model_dump_json(indent=1), road_file(file.scene))
-
-
-def _check_frame(known: DriveFrame, number: int, scene: Scene, start_ns: int, name: str) -> None:
-    """Refuses a frame that would make the files contradict each other."""
-    where = f"{name}: drive: frame {number}"
-    if number >= scene.num_frames:
-        raise ValueError(f"{where}: expected {scene.num_frames} frames, got more")
-    expected_ns = start_ns + round(number * 1e9 / scene.rate_hz)
-    if abs(known.timestamp_ns - expected_ns) > MAX_JITTER_NS:
-        raise ValueError(f"{where}: timestamp_ns: expected about {expected_ns}, got {known.timestamp_ns}")
-    size_px, image_px = (known.camera.width_px, known.camera.height_px), (known.frame.width_px, known.frame.height_px)
-    if image_px != size_px:
-        raise ValueError(f"{where}: image: expected the camera's {size_px} px, got {image_px} px")
