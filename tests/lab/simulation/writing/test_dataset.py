@@ -17,7 +17,7 @@ from foreglow.datasets.simulated import read_truth
 from foreglow.files import write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
-from foreglow.lab.simulation.writing import dataset
+from foreglow.lab.simulation.writing import recorder
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
 from foreglow.parallel import Local
 from tests.lab.simulation.stub_drive import drive, scene
@@ -285,7 +285,7 @@ def test_a_full_disk_is_one_error_and_finished_scenes_stay(
         write_atomic(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(dataset, "write_atomic", full)
+        patch.setattr(recorder, "write_atomic", full)
         with pytest.raises(OSError, match=r"No space left on device: '.*020001\.png'"):
             simulate_dataset(tmp_path, SCENES, drive)
     assert not list(tmp_path.rglob(".S00002*"))
