@@ -49,9 +49,7 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": set(),
     "options": {"config", "beam", "datasets", "outputs", "parallel"},
     "lab": set(),
-    "lab.simulation": VALUES
-    | BASES
-    | {"calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
+    "lab.simulation": VALUES | BASES | {"calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
     "lab.learning": CAR | {"lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"lab.simulation", "lab.evaluation", "lab.learning"},

@@ -8,6 +8,7 @@ import resource
 import shlex
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -342,27 +343,24 @@ def ended(folder: Path, outcome: Outcome) -> list[str]:
 
 def together(words: list[str]) -> int:
     """Two processes with the same command line; 0 if each is done, or says in one line that the other is at it."""
+    from foreglow.cli import main
+
+    sys.argv = ["foreglow", *words]
     pids = []
     for number in range(2):
         pid = os.fork()
         if pid == 0:
             os.dup2(os.open(f"stderr_{number}", os.O_WRONLY | os.O_CREAT, 0o600), 2)
-            import sys
-
-            from foreglow.cli import main
-
-            sys.argv, sys.stderr = ["foreglow", *words], os.fdopen(2, "w", buffering=1)
+            code: object = 0
             try:
                 main()
-                os._exit(0)
             except SystemExit as ending:
-                sys.stderr.flush()
-                os._exit(ending.code if isinstance(ending.code, int) else 0)
+                code = ending.code
+            sys.stderr.flush()
+            os._exit(code if isinstance(code, int) else 0)
         pids.append(pid)
     codes = [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
     lines = [Path(f"stderr_{number}").read_text().splitlines() for number in range(2)]
     sound = all(code == 0 or (code == 2 and len(said) == 1) for code, said in zip(codes, lines, strict=True))
-    if not sound or 0 not in codes:
-        print(codes, lines)
-        return 1
-    return 0
+    print(codes, lines)
+    return 0 if sound and 0 in codes else 1

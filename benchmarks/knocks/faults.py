@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.soak import ALL_FAULTS
 
 NUM_FRAMES = 200
-"""Four drives: the first is without a fault, the last, too."""
+"""Four drives: the first is without a fault, the last, too. A stuck part is known after the first second of a drive."""
 
 FAULT_PROBES = tuple(f"{fault}, {k}" for fault in ALL_FAULTS for k in range(2))
 
@@ -25,7 +25,7 @@ def live_fault(name: str, folder: Path) -> Callable[[], int]:  # noqa: ARG001
 def _played(fault: str, again: int) -> int:
     from benchmarks.soak import MAX_FRAMES_TO_LOW, measure
 
-    first = 15 + int(np.random.default_rng([again, len(fault)]).integers(10))
+    first = 20 + int(np.random.default_rng([again, len(fault)]).integers(10))
     figures = measure(NUM_FRAMES, 1, faults=[fault], first=first)
     counts = figures["first_low"].get(fault, {})
     print(counts)

@@ -75,7 +75,9 @@ def orderly(folder: Path, outcome: Outcome) -> list[str]:
     if outcome.code == REFUSED:
         lines = outcome.stderr.splitlines()
         told = [line for line in lines if not STATUS.match(line)]
-        if len(told) != 1 or not told[0].startswith("foreglow: "):
+        if lines and not told:  # `live` has told on the way what is not whole
+            told = lines[-1:]
+        elif len(told) != 1 or not told[0].startswith("foreglow: "):
             wrong.append(f"{len(told)} lines where one is expected")
         if len(outcome.stderr) > MAX_LINE_CHARS:
             wrong.append(f"a message of {len(outcome.stderr)} characters")
@@ -105,7 +107,8 @@ def incomplete(folder: Path) -> list[str]:
             except (OSError, ValueError) as error:
                 wrong.append(f"{path.relative_to(folder)}: {error}")
                 continue
-            if summary.get("num_frames") not in (None, num_lines):
+            is_whole = summary.get("is_complete") and not summary.get("live", {}).get("num_unrecorded")
+            if is_whole and summary.get("num_frames") not in (None, num_lines):
                 wrong.append(f"{path.relative_to(folder)}: {summary['num_frames']} frames, {num_lines} lines")
     return wrong
 
@@ -249,9 +252,8 @@ def _child(probe: Probe, folder: Path, command: Any) -> None:
     except BaseException:  # the command's own edge should have turned it into a line
         traceback.print_exc()
     finally:
-        resource.setrlimit(
-            resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
-        )
+        for kind, _ in probe.limits:
+            resource.setrlimit(kind, 2 * (resource.getrlimit(kind)[1],))
         peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         (folder / ".usage").write_text(str(peak_kib / 1024))
         sys.stdout.flush()

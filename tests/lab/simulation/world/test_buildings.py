@@ -11,10 +11,10 @@ from foreglow.lab.simulation.scenes.surroundings import House, Side, StreetLamp,
 from foreglow.lab.simulation.world.buildings import (
     FOUNDATION_M,
     WINDOW_SIZE_M,
-    FixedLight,
     build_houses,
     build_street_lamps,
 )
+from foreglow.lab.simulation.world.fixed_light import FixedLight
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.world.terrain import Terrain
