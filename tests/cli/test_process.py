@@ -47,6 +47,14 @@ def test_a_library_that_logs_adds_no_line(tmp_path: Path) -> None:
     assert names(tmp_path) == set()
 
 
+@pytest.mark.parametrize("closing", ["2>&-", "<&- >&- 2>&-"])
+def test_standard_streams_that_are_closed(tmp_path: Path, folder: Path, config: Path, closing: str) -> None:
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    done = subprocess.run(["sh", "-c", f'"$@" {closing}', "sh", *command], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert names(tmp_path / "out") == RESULTS
+
+
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
 def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path, config: Path) -> None:
     reading, writing = os.pipe()

@@ -6,9 +6,10 @@ imported when it runs, so that the help is there at once.
 
 import signal
 
-from foreglow.cli.signals import end_despite_hanging, interruptible
+from foreglow.cli.signals import end_despite_hanging, fill_standard_streams, interruptible
 
 with interruptible():
+    fill_standard_streams()
     from foreglow.cli.app import app
 
     # In the order of the help.

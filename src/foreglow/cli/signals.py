@@ -1,4 +1,4 @@
-"""How the process ends: a plain `kill` and a terminal that closes count as Ctrl-C, from the first line on."""
+"""How the process begins and ends: standard streams are there, and a plain `kill` counts as Ctrl-C."""
 
 from __future__ import annotations
 
@@ -38,6 +38,30 @@ def interruptible() -> Iterator[None]:
             with contextlib.suppress(OSError):  # a terminal that is gone
                 sys.stderr.write("foreglow: interrupted\n")
             sys.exit(INTERRUPTED)
+
+
+def fill_standard_streams() -> None:
+    """Lets nothing be read from, or written to, standard streams that were closed by who started the process.
+
+    Otherwise a file that is opened later would get such a stream's number, and what libraries print would go into it.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        if getattr(sys, name) is not None:
+            continue
+        nothing = os.open(os.devnull, os.O_RDWR)
+        if nothing > number and _is_closed(number):
+            os.dup2(nothing, number)
+            os.close(nothing)
+            nothing = number
+        setattr(sys, name, open(nothing, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def _is_closed(descriptor: int) -> bool:
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return True
+    return False
 
 
 def end_despite_hanging(code: object) -> None:
