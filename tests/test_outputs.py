@@ -14,7 +14,9 @@ import pytest
 
 from foreglow.outputs import FolderLock, check_outputs, locked
 from foreglow.runs.folder import OutputFolder
+from foreglow.runs.tally import Tally
 from tests.cli.commands import complaint, foreglow_command
+from tests.stand_ins import REFERENCE
 
 
 @pytest.fixture
@@ -67,6 +69,42 @@ def test_folders(tmp_path: Path) -> None:
     check_outputs({"--config": config}, {}, {"--out": config.parent / "again"})
 
 
+def test_a_file_of_an_input_folder(tmp_path: Path) -> None:
+    labels = tmp_path / "data" / "labels" / "sequences.json"
+    labels.parent.mkdir(parents=True)
+    for path in (labels, labels.with_name("report.html")):
+        path.touch()
+    with pytest.raises(ValueError, match="expected a file that does not overwrite a part of SPLIT"):
+        check_outputs({"SPLIT": tmp_path / "data"}, {"--json": labels}, {})
+    check_outputs({"SPLIT": tmp_path / "data"}, {"--json": labels.with_name("quality.json")}, {})
+    check_outputs({"RUN": tmp_path / "data"}, {"--out": labels.with_name("report.html")}, {})
+
+
+@pytest.mark.parametrize("result", ["frames.jsonl", "overlay.png", "summary.json"])
+def test_links_with_the_name_of_an_unfinished_result(result: str, image: Path, tmp_path: Path) -> None:
+    before, out = image.read_bytes(), tmp_path / "out"
+    (tmp_path / "images").mkdir()
+    source = image.rename(tmp_path / "images" / image.name)
+    for make in (Path.symlink_to, Path.hardlink_to):
+        out.mkdir(exist_ok=True)
+        make(out / f"{result}.partial", source)
+        assert "overwrite SOURCE" in complaint("run", source, "--out", out)
+        run = foreglow_command("run", source.parent, "--out", out, "--video")
+        assert run.exit_code == 0, run.stderr
+        assert source.read_bytes() == before
+        assert not (out / result).is_symlink()
+
+
+def test_a_folder_that_was_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with locked({"--out": out}), OutputFolder(out) as folder:
+        out.rename(tmp_path / "moved")
+        out.mkdir()
+        with pytest.raises(OSError, match="it was moved or replaced"):
+            folder.publish(REFERENCE, Tally().summary("here", [], REFERENCE, is_complete=True, dispatch=None))
+        assert not list(out.iterdir())
+
+
 def test_two_outputs_of_one_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"--save .*expected another file than that of --record"):
         check_outputs({}, {"--record": tmp_path / "a", "--save": tmp_path / "b" / ".." / "a"}, {})
@@ -85,6 +123,23 @@ def test_labels_and_configurations_are_inputs_too(image: Path, tmp_path: Path) -
     assert "--config" in complaint("run", image, "--out", tmp_path / "out", "--config", config, "--record", config)
     assert "needs_speed" in config.read_text(encoding="utf-8")
     assert "SPLIT" in complaint("evaluate", image, "--json", image)
+
+
+def test_files_that_a_configuration_names_are_inputs_too(image: Path, tmp_path: Path) -> None:
+    config, model = tmp_path / "own.toml", tmp_path / "model.onnx"
+    config.write_text(f"[classifier]\nmodel = {str(model)!r}\n", encoding="utf-8")
+    model.write_text("a model", encoding="utf-8")
+    assert "model.onnx" in complaint("evaluate", image, "--config", config, "--json", model)
+    assert model.read_text(encoding="utf-8") == "a model"
+
+
+def test_every_one_of_several_inputs_counts(tmp_path: Path) -> None:
+    scenes = [tmp_path / "out" / "scenes.jsonl", tmp_path / "other.toml"]
+    scenes[0].parent.mkdir()
+    for path in scenes:
+        path.touch()
+    given = [word for path in scenes for word in ("--scene", path)]
+    assert "--scene" in complaint("simulate", "--out", tmp_path / "out", *given)
 
 
 def test_a_folder_is_written_by_one(tmp_path: Path) -> None:

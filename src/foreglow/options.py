@@ -14,12 +14,13 @@ hello there
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import math
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,9 +111,10 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(function)
     def command(**values: Any) -> None:
         inputs, files, folders = (
-            {_label(name, infos[name][0]): path for name, path in _paths(values, roles, role)}
+            _labelled((_label(name, infos[name][0]), path) for name, path in _paths(values, roles, role))
             for role in ("input", "output file", "output folder")
         )
+        inputs |= _named_in(inputs)
         check_outputs(inputs, files, folders)
         for name, group in groups.items():
             values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
@@ -137,11 +139,47 @@ def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator
                 yield name, path
 
 
+def _labelled(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
+    """The paths by label; further ones of the same label are numbered."""
+    found: dict[str, Path] = {}
+    for label, path in paths:
+        number = sum(each.partition(" (")[0] == label for each in found)
+        found[f"{label} ({number + 1})" if number else label] = path
+    return found
+
+
+def _named_in(inputs: Mapping[str, Path]) -> dict[str, Path]:
+    """The files that TOML files among the inputs name, such as the model of a configuration; they are read, too."""
+    found: dict[str, Path] = {}
+    for label, path in inputs.items():
+        if path.suffix.lower() == ".toml" and path.is_file():
+            from foreglow.files import read_toml
+
+            with contextlib.suppress(ValueError, OSError):  # its reader will say what is wrong
+                for text in _texts(read_toml(path)):
+                    named = {f"{text!r} of {label}": Path(text), f"{text!r} beside {label}": path.parent / text}
+                    found |= {name: each for name, each in named.items() if exists(each) and each.is_file()}
+    return found
+
+
+def _texts(value: object) -> Iterator[str]:
+    """All texts in what a TOML file holds."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for part in value.values():
+            yield from _texts(part)
+    elif isinstance(value, list):
+        for part in value:
+            yield from _texts(part)
+
+
 def _label(name: str, info: Any) -> str:
     """What a parameter is called on the command line."""
     if not isinstance(info, OptionInfo):
         return str(info.metavar or name.upper())
-    return str((info.param_decls or (f"--{name.replace('_', '-')}",))[0])
+    names = (*([info.default] if isinstance(info.default, str) else []), *(info.param_decls or ()))
+    return names[0] if names else f"--{name.replace('_', '-')}"
 
 
 def _options_of(group: type) -> Iterator[inspect.Parameter]:

@@ -68,7 +68,7 @@ class FolderLock:
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
         path.mkdir(parents=True, exist_ok=True)
-        self._path = path.resolve()
+        self._given, self._path, self._stat = path, path.resolve(), path.stat()
         self._is_of_command = is_of_command
         self._descriptor: int | None = None
         if self._path in _OF_COMMAND and not is_of_command:
@@ -80,6 +80,15 @@ class FolderLock:
         self._descriptor = descriptor
         if is_of_command:
             _OF_COMMAND.add(self._path)
+
+    def check(self) -> None:
+        """Checks that the folder is still where it was.
+
+        Raises:
+            OSError: If it was moved, removed or replaced; the message names the path.
+        """
+        if not self._given.is_dir() or not os.path.samestat(self._given.stat(), self._stat):
+            raise OSError(f"{self._given}: expected the folder that the run began with, it was moved or replaced")
 
     def release(self) -> None:
         """Ends the right; may be called again."""
@@ -127,7 +136,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
-            if read.is_file() and any(_is_same(path / result, read) for result in RESULT_FILES):
+            if read.is_file() and any(
+                _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
+            ):
                 raise ValueError(f"{name} {path}: expected a folder whose results do not overwrite {other} {read}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):

@@ -62,10 +62,19 @@ class OutputFolder:
             self.discard()
 
     def partial(self, name: str) -> Path:
-        """Path of the result called `name` until it is published."""
+        """Path of the result called `name` until it is published; nothing is there the first time.
+
+        Raises:
+            OSError: If what is there cannot be removed; the message names the path.
+        """
         if name not in RESULT_NAMES:
             raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
-        return self._partials.setdefault(name, partial_path(self.path / name))
+        if name not in self._partials:
+            partial = partial_path(self.path / name)
+            with naming(self.path / name):
+                partial.unlink(missing_ok=True)  # what a killed run left, or a link to something of the user's
+            self._partials[name] = partial
+        return self._partials[name]
 
     def write_text(self, name: str, text: str) -> None:
         """Writes the whole result called `name`.
@@ -110,6 +119,7 @@ class OutputFolder:
         Raises:
             OSError: If that fails; the message names the path.
         """
+        self._lock.check()
         self.write_text("config.toml", config_to_toml(config))
         self.write_text("summary.json", json_text(summary, indent=2))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed
