@@ -90,6 +90,11 @@ class Commands(TyperGroup):
         except typer.Abort:
             typer.echo("foreglow: interrupted", err=True)
             sys.exit(INTERRUPTED)
+        except OSError as error:  # of the help or the version, which no command writes: a full disk
+            if isinstance(error, BrokenPipeError) or "--debug" in sys.argv:
+                raise
+            _complain(f"standard output: {error.strerror or error}")
+            sys.exit(2)
         sys.exit(code if isinstance(code, int) else 0)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -127,8 +132,7 @@ class Commands(TyperGroup):
                 raise
             is_interrupted = any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error))
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
-        with contextlib.suppress(OSError):  # a terminal that is gone
-            typer.echo(f"foreglow: {line}", err=True)
+        _complain(line)
         raise typer.Exit(code)
 
 
@@ -139,6 +143,11 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         seen.add(id(error))
         yield error
         error = error.__cause__ or error.__context__
+
+
+def _complain(line: str) -> None:
+    with contextlib.suppress(OSError):  # a terminal that is gone
+        typer.echo(f"foreglow: {line}", err=True)
 
 
 def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
