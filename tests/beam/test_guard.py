@@ -255,6 +255,13 @@ def test_the_mode_says_what_shines() -> None:
     assert guard.check(wanted, NOBODY, frame).mode == BeamMode.GLARE_FREE
 
 
+@pytest.mark.parametrize("speed_mps", [151.0, -151.0, 1e6])
+def test_no_speed_of_a_car_is_no_speed(speed_mps: float) -> None:
+    frame = frame_at(0, speed_mps=speed_mps)
+    command = Guard(guard_config(), LAMPS).check(full(frame, NUM_LEDS), NOBODY, frame)
+    assert_low(command, "speed_unknown")
+
+
 @pytest.mark.slow
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(_steps)

@@ -36,6 +36,9 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 
+MAX_SPEED_MPS = 150.0
+"""No car drives faster (540 km/h): such a speed is not known."""
+
 
 class Guard:
     """Checks one command after another; when in doubt, it commands low beam."""
@@ -136,12 +139,12 @@ class Guard:
 
     def _is_moving(self, frame: Frame) -> bool | None:
         """Whether the vehicle is fast enough for every image to change; None where its speed is not known."""
-        speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
+        speed_mps = _speed_mps(frame)
         return None if math.isnan(speed_mps) else speed_mps >= self._config.low_below_mps
 
     def _motion_faults(self, frame: Frame) -> list[GuardFault]:
         faults = [] if frame.camera is not None else [GuardFault.NO_CAMERA]
-        speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
+        speed_mps = _speed_mps(frame)
         if math.isnan(speed_mps):
             self._is_fast = not self._config.needs_speed
             return faults if self._is_fast else [*faults, GuardFault.NO_SPEED]
@@ -174,6 +177,12 @@ class Guard:
         if wanted.timestamp_ns != frame.timestamp_ns:
             faults.append(GuardFault.STALE_COMMAND)
         return faults
+
+
+def _speed_mps(frame: Frame) -> float:
+    """The vehicle's speed; NaN if it is unknown, or no speed of a car."""
+    speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
+    return speed_mps if abs(speed_mps) <= MAX_SPEED_MPS else math.nan
 
 
 def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) -> Floats:
