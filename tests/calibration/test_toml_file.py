@@ -59,6 +59,13 @@ def test_a_file_comes_back_as_it_is(tmp_path: Path) -> None:
     assert calibration_to_toml(camera) == TEXT
 
 
+@pytest.mark.parametrize("position_m", [[2.0, 0.0, -1.3], [2.0, 0.0, 0.0], [2.0, 0.0, 100.0], [1e6, 0.0, 1.3]])
+def test_a_mount_is_on_a_vehicle_and_above_the_road(tmp_path: Path, position_m: list[float]) -> None:
+    text = TEXT.partition("[mount]")[0] + f"[mount]\nposition_m = {position_m}\n"
+    with pytest.raises(ValueError, match=r"mount\.position_m"):
+        read_calibration(write(tmp_path, text))
+
+
 def test_angles_are_what_they_say(tmp_path: Path) -> None:
     text = TEXT.replace("yaw_deg = 0.25", "yaw_deg = 90.0").replace("-0.7", "30.0").replace("1.1", "0.0")
     forward, _, up = read_calibration(write(tmp_path, text)).vehicle_from_camera.rotation.T
@@ -113,7 +120,12 @@ def test_any_camera_comes_back(
     yaw, pitch, roll = angles_deg
     turned = rotation(*np.radians([yaw, pitch / 2.0001, roll]))
     camera = Camera(
-        7, 5, (focal, focal / 3), (number, 1 / 3), (number, 0.1, 0, 0, 0), Pose(np.array([number, 0.1, 1 / 7]), turned)
+        7,
+        5,
+        (focal, focal / 3),
+        (number, 1 / 3),
+        (number, 0.1, 0, 0, 0),
+        Pose(np.array([number / 40, 0.1, 1 / 7]), turned),
     )
     path = write(tmp_path_factory.mktemp("any"), calibration_to_toml(camera))
     back = read_calibration(path)

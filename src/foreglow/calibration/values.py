@@ -18,6 +18,16 @@ Focal: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[floa
 Side: TypeAlias = Annotated[int, Field(ge=1)]
 _Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
 
+_Position: TypeAlias = Annotated[
+    tuple[
+        Annotated[float, Field(ge=-30, le=30)],
+        Annotated[float, Field(ge=-10, le=10)],
+        Annotated[float, Field(gt=0, le=10)],
+    ],
+    Field(strict=False),
+]
+"""On a vehicle, and above the road: ranges of a camera anywhere else would be nonsense."""
+
 HALF_PIXEL_PX = 0.5
 """KITTI, ROS and OpenCV have the centre of the upper left pixel at (0, 0); here it is (0.5, 0.5)."""
 
@@ -34,7 +44,7 @@ class Mount(FrozenModel):
         roll_deg: Rotation to the right about its axis.
     """
 
-    position_m: Three
+    position_m: _Position
     yaw_deg: _Angle = 0.0
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     roll_deg: _Angle = 0.0
