@@ -136,17 +136,28 @@ def to_json(value: Any) -> Any:
         return to_json(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, str):
+        return in_unicode(value)
     if isinstance(value, list | tuple):
         return [to_json(part) for part in value]
     if isinstance(value, Mapping):
-        return {str(key): to_json(part) for key, part in value.items()}
+        return {in_unicode(str(key)): to_json(part) for key, part in value.items()}
     if isinstance(value, OwnJson):
         return to_json(value.to_json())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return fields_to_json(value)
     if isinstance(value, BaseModel):
         return to_json(value.model_dump())
-    return to_jsonable_python(value)
+    return to_json(str(value)) if isinstance(value, Path) else to_jsonable_python(value)
+
+
+def in_unicode(text: str) -> str:
+    r"""`text`, such as a file's name, with `?` for each byte that is no UTF-8: no file of text could hold it.
+
+    >>> in_unicode("night\udcff.png")
+    'night?.png'
+    """
+    return text.encode("utf-8", "replace").decode()
 
 
 def fields_to_json(value: Any, *properties: str) -> dict[str, Any]:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from foreglow.datasets import shipped_drive
+from foreglow.runs.summary import read_summary
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
@@ -19,6 +23,19 @@ pytest.importorskip("foxglove")
 def records(out: Path) -> list[dict[str, Any]]:
     """What a run says of its frames."""
     return [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
+
+
+def test_a_name_that_is_no_unicode(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"night\xff")
+    folder.mkdir()
+    for index, width_px in enumerate((96, 128)):  # the second begins a sequence, which has its name
+        cv2.imwrite(str(tmp_path / "image.png"), np.full((64, width_px), 20, np.uint8))
+        (tmp_path / "image.png").rename(folder / os.fsdecode(b"%d\xff.png" % index))
+    result = foreglow_command("run", folder, "--out", tmp_path / "out", "--record", tmp_path / "drive.mcap")
+    assert result.exit_code == 0, result.stderr
+    assert read_summary(tmp_path / "out" / "summary.json").source.endswith("night?")
+    assert foreglow_command("run", tmp_path / "drive.mcap", "--out", tmp_path / "again").exit_code == 0
+    assert [record["sequence"] for record in records(tmp_path / "again")] == ["", "1?.png"]
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from pathlib import Path
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
 from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.files import in_unicode
 from foreglow.types import Frame
 
 OTHER_IMAGES = frozenset(
@@ -117,7 +118,7 @@ def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:
     for frame in frames:
         time = _exif_time(Path(frame.path))
         if latest is not None and not (_is_alike(frame, latest) and _is_soon_after(time, latest_time)):
-            sequence = Path(frame.path).name
+            sequence = in_unicode(Path(frame.path).name)
         latest, latest_time = frame, time
         yield dataclasses.replace(frame, sequence=sequence)
 

@@ -17,7 +17,7 @@ from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets.bags import FRAME_TOPIC, FrameMessage
-from foreglow.files import fields_to_json
+from foreglow.files import fields_to_json, in_unicode
 from foreglow.outputs import partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.times_file import frame_to_times
@@ -96,7 +96,7 @@ class McapRecorder:
                 disable_seeking=True,  # a chunk is written whole
             ),
         )
-        texts = {"version": metadata.version("foreglow"), "source": source_name}
+        texts = {"version": metadata.version("foreglow"), "source": in_unicode(source_name)}
         self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
         # The image comes first: readers take the first image topic.
         self._image = typed.RawImageChannel(IMAGE_TOPIC, context=context)
