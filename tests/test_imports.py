@@ -47,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "datasets", "runs", "runtime"},
     "outputs": set(),
-    "options": {"config", "beam", "datasets", "outputs", "parallel"},
+    "options": {"config", "beam", "datasets", "files", "outputs", "parallel"},
     "lab": set(),
     "lab.simulation": VALUES | BASES | {"calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
