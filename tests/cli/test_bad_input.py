@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from foreglow.runs.folder import OutputFolder
+from foreglow.runs.json_lines import LineSink
 from tests.cli.commands import PNG, complaint, foreglow_command, names
 from tests.stand_ins import night_image
 
@@ -122,13 +124,21 @@ def test_output_that_is_a_file(tmp_path: Path, folder: Path, config: Path) -> No
     assert (tmp_path / "out").read_text() == "mine"
 
 
-def test_full_disk_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
+def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, folder: Path, config: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
+    whole = OutputFolder.line_sinks
+
+    def on_a_full_disk(results: OutputFolder) -> list[LineSink]:
+        path = results.partial("frames.jsonl")
+        path.unlink()
+        path.symlink_to("/dev/full")
+        return whole(results)
+
+    monkeypatch.setattr(OutputFolder, "line_sinks", on_a_full_disk)
     out = tmp_path / "out"
     out.mkdir()
     (out / "frames.jsonl").write_text("older")
-    (out / "frames.jsonl.partial").symlink_to("/dev/full")
     assert "frames.jsonl: No space left on device" in complaint(
         "run", folder, "--out", out, "--config", config
     ).replace(".partial", "")
