@@ -91,7 +91,7 @@ class Commands(TyperGroup):
             typer.echo("foreglow: interrupted", err=True)
             sys.exit(INTERRUPTED)
         except OSError as error:  # of the help or the version, which no command writes: a full disk
-            if isinstance(error, BrokenPipeError) or "--debug" in sys.argv:
+            if isinstance(error, BrokenPipeError) or "--debug" in (extra.get("args") or sys.argv):
                 raise
             _complain(f"standard output: {error.strerror or error}")
             sys.exit(2)
