@@ -24,6 +24,7 @@ from tests.beam.made_up import CAMERA, FRAME_NS, FakeLamps, box_around, frame_at
 # The sweep
 
 
+@pytest.mark.slow
 def test_no_counter_example_in_the_sweep() -> None:
     outcome = guard_sweep.sweep(LAMPS, guard_sweep.QUICK)
     assert outcome.num_states > 10_000

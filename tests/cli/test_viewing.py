@@ -16,6 +16,7 @@ from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.display.viewer.recordings import Recording
 
 
+@pytest.mark.slow
 def test_run_is_kept_as_a_recording(tmp_path: Path) -> None:
     for name, options in (("with", ["--save", tmp_path / "run.rrd"]), ("without", [])):
         arguments = ["run", shipped_drive(), "--out", tmp_path / name, "--limit", 4, *options]
@@ -30,6 +31,7 @@ def test_run_is_kept_as_a_recording(tmp_path: Path) -> None:
         assert ours == theirs  # to look changes nothing
 
 
+@pytest.mark.slow
 def test_beam_is_kept_as_a_recording(tmp_path: Path) -> None:
     result = foreglow_command("beam", shipped_drive(), "--out", tmp_path, "--limit", 3, "--save", tmp_path / "beam.rrd")
     assert result.exit_code == 0, result.output

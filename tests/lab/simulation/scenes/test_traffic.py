@@ -29,6 +29,7 @@ def drawn(name: str, seed: int) -> Scene:
         return scenario(name, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAFFIC)
 def test_nobody_drives_through_anybody(name: str) -> None:
     for seed in range(3):
@@ -107,6 +108,7 @@ def test_left_hand_traffic_is_where_a_mirror_shows_it() -> None:
         np.testing.assert_allclose(poses[1].rotation[:, 0], poses[0].rotation[:, 0] * [1, -1, 1], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_half_of_the_standard_minutes_are_without_vehicles_light() -> None:
     with patch.object(planning, "MAX_PLANS", 1):
         scenes = draw_scenes(24, 3, "train", "standard")

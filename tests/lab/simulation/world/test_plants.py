@@ -73,6 +73,7 @@ def test_rows_of_trees_stand_at_their_offset() -> None:
     assert 5 <= len(np.unique((s[roots] / 10).round())) <= 9
 
 
+@pytest.mark.slow
 def test_plants_keep_off_every_carriageway_and_touch_the_ground() -> None:
     terrain = ground()
     mesh = grown(woods=(wood(has_undergrowth=True, offset_m=1.5, span_m=(20, 60)),), num_bushes=15)
@@ -109,6 +110,7 @@ def test_grass_stands_on_the_verge_near_the_road() -> None:
     assert np.allclose(feet[:, 2], terrain.ground_height_m(s, t) - 0.02, atol=0.02)
 
 
+@pytest.mark.slow
 def test_budgets_hold_and_the_nearest_trees_are_the_finest() -> None:
     mesh = grown(
         woods=(wood(spacing_m=1.7, depth_m=30, leaves=1.0),), left=Verge(grass_per_m2=5000, grass_height_m=0.1)
