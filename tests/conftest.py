@@ -38,7 +38,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         try:
             prepare()
         except OSError as error:  # no LLVM for it
-            pytest.skip(str(error))
+            pytest.skip(f"the renderer has no LLVM that it can use: {error}")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -58,7 +58,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     try:
         with naming(path, in_place_of=temporary):
             with temporary.open("wb") as held:
-                _is_locked(held)
+                _try_lock(held)
                 yield temporary
             temporary.replace(path)
     except BaseException:
@@ -77,7 +77,7 @@ def _clear(folder: Path) -> None:
             found = _TEMPORARY.fullmatch(left.name)
             if found and not _is_alive(int(found[1])):
                 with left.open("rb") as file:
-                    if _is_locked(file):  # else a process on another machine writes it
+                    if _try_lock(file):  # else a process on another machine writes it
                         left.unlink()
 
 
@@ -91,7 +91,7 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def _is_locked(file: BinaryIO) -> bool:
+def _try_lock(file: BinaryIO) -> bool:
     """Locks `file` until it is closed; returns whether that succeeded."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

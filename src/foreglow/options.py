@@ -20,6 +20,7 @@ import functools
 import inspect
 import math
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
@@ -142,9 +143,10 @@ def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator
 def _labelled(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
     """The paths by label; further ones of the same label are numbered."""
     found: dict[str, Path] = {}
+    counts: Counter[str] = Counter()
     for label, path in paths:
-        number = sum(each.partition(" (")[0] == label for each in found)
-        found[f"{label} ({number + 1})" if number else label] = path
+        counts[label] += 1
+        found[label if counts[label] == 1 else f"{label} ({counts[label]})"] = path
     return found
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -168,10 +170,21 @@ def test_region_outside_the_frame(tmp_path: Path, folder: Path, config: Path) ->
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user whom file modes stop")
-def test_unreadable_image_is_one_line(tmp_path: Path, folder: Path, config: Path) -> None:
-    (folder / "000000.png").chmod(0)
-    line = complaint("run", folder / "000000.png", "--out", tmp_path / "out", "--config", config)
+def test_unreadable_image_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, folder: Path, config: Path
+) -> None:
+    image = folder / "000000.png"
+    image.chmod(0)
+    if os.geteuid() == 0:  # file modes do not stop this user
+        opened = Path.open
+
+        def as_another_user(path: Path, *arguments: Any, **options: Any) -> Any:
+            if path == image:
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return opened(path, *arguments, **options)
+
+        monkeypatch.setattr(Path, "open", as_another_user)
+    line = complaint("run", image, "--out", tmp_path / "out", "--config", config)
     assert "000000.png: cannot be read: Permission denied" in line
 
 

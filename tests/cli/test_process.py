@@ -62,7 +62,6 @@ def test_standard_streams_that_are_closed(tmp_path: Path, folder: Path, config: 
     assert names(tmp_path / "out") == RESULTS
 
 
-@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
 def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path, config: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -75,7 +74,6 @@ def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path,
     assert names(tmp_path / "out") == RESULTS
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
     images = tmp_path / "many"

@@ -57,21 +57,25 @@ class BeamPolicy(Protocol):
         return
 
 
-class LowBeam:
-    """Low beam, always."""
+class SteadyBeam:
+    """What the beams that never change have in common: they need to know how many LEDs a lamp has, and nothing else."""
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
         self._num_leds = headlamps.num_leds
-
-    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
-        """As `BeamPolicy.command`."""
-        return BeamCommand.low(frame.timestamp_ns, self._num_leds)
 
     def reset(self) -> None:
         """As `BeamPolicy.reset`."""
 
 
-class HighBeam(LowBeam):
+class LowBeam(SteadyBeam):
+    """Low beam, always."""
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        """As `BeamPolicy.command`."""
+        return BeamCommand.low(frame.timestamp_ns, self._num_leds)
+
+
+class HighBeam(SteadyBeam):
     """High beam, always."""
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002

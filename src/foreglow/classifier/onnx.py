@@ -84,10 +84,9 @@ class OnnxClassifier:
         return batches[0] if len(batches) == 1 else np.concatenate(batches)
 
     def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        inputs = dict(zip(self._names, batch, strict=True))
         try:
-            output: NDArray[np.float32] = self._session.run(self._outputs, dict(zip(self._names, batch, strict=True)))[
-                0
-            ]
+            output: NDArray[np.float32] = self._session.run(self._outputs, inputs)[0]
         except model_errors() as error:
             raise unusable(self._path, error) from error
         num_crops = len(batch[0])
