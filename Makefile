@@ -97,13 +97,12 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.scale
 
 # The standard data in data/standard: 600 drives of the mixture "standard", half of them without any vehicle's light, and a
-# data card. make data SCALE=0.05 is a small set for trials. It goes on where it was, a drive at a time.
+# data card. Frames come in pairs, .25 s apart. make data SCALE=0.05 is a small set for trials. It goes on where it was, a drive at a time.
 DATA ?= data
 SCALE ?= 1
-FIVE_CAMERAS := pvdn_day,pvdn_night,dashcam,phone,car_hdr
-CAMERAS ?= $(if $(wildcard src/foreglow/lab/simulation/camera/profiles),$(FIVE_CAMERAS))
+CAMERAS ?= pvdn_day,pvdn_night,dashcam,phone,car_hdr,town_dashcam
 scenes = $(shell awk 'BEGIN { n = int($(1) * $(SCALE) + 0.5); print (n < 2 ? 2 : n) }')
-standard = --mixture standard --seed 17 --fps 1.25 $(if $(CAMERAS),--camera $(CAMERAS))
+standard = --mixture standard --seed 17 --fps 1.25 --pairs 0.25 --camera $(CAMERAS) --shares foreglow
 data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes $(call scenes,480) $(standard)
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes $(call scenes,60) $(standard)

@@ -53,6 +53,9 @@ def simulate(
     ] = None,
     empty: Annotated[bool, flag("--empty", "Leave out all vehicles that have their lamps on.")] = False,
     fps: Annotated[float, option("HZ", "Frames per second.", min=0.1, max=1000.0)] = 18.0,
+    pair_s: Annotated[
+        float | None, option("S", "Frames come in pairs that are so far apart, half as often.", "--pairs", max=10.0)
+    ] = None,
     quality: QualityOption = "training",
 ) -> None:
     """Simulate night drives: a data set in PVDN's format with its ground truth, or a preview of one drive.
@@ -84,7 +87,7 @@ def simulate(
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
             drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, own_split, mixture)
-            scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle)
+            scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle, pair_s)
             if exposing is not None:
                 exposing.check(scenes)
         if exposing is None:
@@ -117,12 +120,14 @@ def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) ->
     return tuple(without_traffic(scene) for scene in scenes) if is_empty else scenes
 
 
-def _adapted(scenes: tuple[Scene, ...], size: str, fps: float, cycle: str) -> tuple[Scene, ...]:
+def _adapted(
+    scenes: tuple[Scene, ...], size: str, fps: float, cycle: str, pair_s: float | None = None
+) -> tuple[Scene, ...]:
     """The scenes with the image size, frame rate and exposure asked for."""
     from foreglow.lab.simulation import adapted
 
     size_px = size_from(size)
-    return tuple(adapted(scene, size_px, fps, cycle) for scene in scenes)
+    return tuple(adapted(scene, size_px, fps, cycle, pair_s) for scene in scenes)
 
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:

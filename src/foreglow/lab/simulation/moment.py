@@ -149,7 +149,7 @@ class Moments:
 
     def at(self, number: int, led_levels: Floats) -> Moment:
         """Renders a moment; moments must come in the order of time."""
-        scene, time_s = self._scene, number / self._scene.rate_hz
+        scene, time_s = self._scene, self._scene.time_s(number)
         ego = self._ego(time_s)
         view = self._view(ego)
         roads = (self._world.road, self._world.branches)

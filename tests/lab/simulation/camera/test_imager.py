@@ -135,3 +135,13 @@ def test_more_bits_lose_less() -> None:
         for kbps in (100.0, 20_000.0)
     ]
     assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.slow
+def test_images_far_apart_have_more_bits_since_less_is_predicted() -> None:
+    images = np.random.default_rng(4).integers(0, 255, (20, 72, 96), dtype=np.uint8)
+    errors = []
+    for step_s in (0.0, 0.8):
+        stream = Encoder(EncoderSpec(kbps=1000.0), 96, 72, step_s)
+        errors.append(np.mean([np.abs(stream.through(image).astype(float) - image).mean() for image in images]))
+    assert errors[1] < 0.8 * errors[0], errors

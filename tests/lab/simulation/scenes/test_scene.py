@@ -56,6 +56,14 @@ def test_number_of_frames() -> None:
     assert Scene(duration_s=0.001, rate_hz=18.0).num_frames == 1
 
 
+def test_frames_may_come_in_pairs() -> None:
+    scene = Scene(duration_s=4.0, rate_hz=1.25, pair_s=0.25)
+    times_s = [scene.time_s(number) for number in range(scene.num_frames)]
+    assert times_s == pytest.approx([0.0, 0.25, 1.6, 1.85, 3.2])
+    with pytest.raises(ValueError, match=r"pair_s: expected below 2 / rate_hz, 1.6 s, got 2"):
+        Scene(rate_hz=1.25, pair_s=2.0)
+
+
 def test_the_example_of_the_guide_is_a_scene(tmp_path: Path) -> None:
     guide = (Path(__file__).parents[4] / "docs" / "scenes.md").read_text(encoding="utf-8")
     path = tmp_path / "scene.toml"

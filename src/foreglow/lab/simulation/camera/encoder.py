@@ -16,13 +16,21 @@ PRESETS = {"h264": "superfast", "h265": "ultrafast"}
 """The encoders of cameras are simple, and these are the quickest that predict within and between frames."""
 
 
+FRAMES_PREDICTED = 4.0
+"""Frames of the camera's own rate after which an image can hardly be predicted from the last one."""
+
+MAX_MORE_BITS = 4.0
+"""Up to how many times the bits of others a frame that is not predicted gets, as encoders give them."""
+
+
 class Encoder:
     """A stream of one camera through a drive; the same images give the same bytes.
 
     There are no frames that wait for later ones, so that every image comes back at once.
     """
 
-    def __init__(self, spec: EncoderSpec, width_px: int, height_px: int) -> None:
+    def __init__(self, spec: EncoderSpec, width_px: int, height_px: int, step_s: float = 0.0) -> None:
+        """A stream of images with `step_s` seconds between them; 0 for those of the camera's own rate."""
         self._size = (width_px, height_px)
         padded = (width_px + width_px % 2, height_px + height_px % 2)
         rate = Fraction(spec.rate_hz).limit_denominator(1001)
@@ -30,12 +38,13 @@ class Encoder:
         writer.width, writer.height = padded
         writer.pix_fmt = "yuv420p"
         writer.framerate, writer.time_base = rate, 1 / rate
-        writer.bit_rate = round(spec.kbps * 1000)
+        kbps = spec.kbps * min(MAX_MORE_BITS, max(1.0, step_s * spec.rate_hz / FRAMES_PREDICTED))
+        writer.bit_rate = round(kbps * 1000)
         writer.gop_size = spec.key_every
         writer.max_b_frames = 0
         writer.thread_count = 1
         options = {"preset": PRESETS[spec.codec], "tune": "zerolatency"}
-        buffer = round(spec.kbps)  # of one second
+        buffer = round(kbps)  # of one second
         if spec.codec == "h264":
             options["x264-params"] = f"vbv-maxrate={buffer}:vbv-bufsize={buffer}:force-cfr=1:threads=1:sliced-threads=0"
         else:

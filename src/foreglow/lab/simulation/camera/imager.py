@@ -49,7 +49,8 @@ class ElectronImager:
 
     sees_colour = True
 
-    def __init__(self, profile: CameraProfile, optics: Windscreen, seed: int) -> None:
+    def __init__(self, profile: CameraProfile, optics: Windscreen, seed: int, step_s: float = 0.0) -> None:
+        """The imager of `profile` behind `optics`; `step_s` passes from image to image, 0: the camera's own rate."""
         self.optics = optics
         self.exposure_s, self.readout_s = profile.exposure.seconds, profile.exposure.readout_s
         self._imager, self._exposure = profile.imager, profile.exposure
@@ -65,7 +66,7 @@ class ElectronImager:
         self._uneven = uneven.astype(np.float32)
         self._columns_e = columns
         self._tone = Tone(profile.tone)
-        self._encoder = Encoder(profile.encoder, camera.width_px, camera.height_px) if profile.encoder else None
+        self._encoder = Encoder(profile.encoder, *self._shape[::-1], step_s) if profile.encoder else None
 
     def meter(self, luminance: Image, time_s: float) -> None:
         """Sets the amplification for the image with this light on the pixels."""

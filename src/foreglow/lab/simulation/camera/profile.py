@@ -260,7 +260,8 @@ class EncoderSpec(SpecModel):
     Attributes:
         codec: The format.
         kbps: Bit rate.
-        rate_hz: Frames a second of the camera: an image has kbps / rate_hz bits, whatever rate the drive has.
+        rate_hz: Frames a second of the camera: an image has kbps / rate_hz bits. In a drive of a lower rate, where less
+            can be predicted, it has up to four times as many.
         key_every: Frames from one that is not predicted to the next.
     """
 

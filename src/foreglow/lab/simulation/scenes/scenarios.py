@@ -86,8 +86,9 @@ MIXTURES: dict[str, dict[str, float]] = {
 """What data sets are drawn from: scenarios with their shares. In `pvdn`, most are roads that hide the other car, since
 these are what provident detection is about; `standard` has as much of other traffic and of lit streets."""
 
-HALF_EMPTY: frozenset[str] = frozenset({"standard"})
-"""Mixtures in which every second drive has no vehicle with its lamps on."""
+BALANCED: frozenset[str] = frozenset({"standard"})
+"""Mixtures in which every second drive has no vehicle with its lamps on, and half of either kind have all of our matrix
+beam on."""
 
 
 def scenario(name: str, seed: int = 0) -> Scene:
@@ -119,8 +120,10 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str
         draw = Draw(seed, 1 + SPLITS.index(split), number)
         name = draw.choice(names, weights)
         scene = SCENARIOS[name](draw, name, draw.integer(0, 2**31))
-        is_empty = mixture in HALF_EMPTY and number % 2 == 1
-        scenes.append(without_traffic(scene) if is_empty else scene)
+        if mixture in BALANCED:
+            scene = without_traffic(scene) if number % 2 else scene
+            scene = with_beam(scene, "matrix") if number // 2 % 2 else scene
+        scenes.append(scene)
     return tuple(scenes)
 
 
@@ -154,13 +157,15 @@ def without_traffic(scene: Scene) -> Scene:
     return scene.model_copy(update={"vehicles": tuple(vehicle for vehicle in scene.vehicles if vehicle.beam == "off")})
 
 
-def adapted(scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str) -> Scene:
-    """`scene` with another image size (width, height), frame rate and exposure.
+def adapted(
+    scene: Scene, size_px: tuple[int, int], rate_hz: float, exposure: str, pair_s: float | None = None
+) -> Scene:
+    """`scene` with another image size (width, height), frame rate, exposure, and time between frames of a pair.
 
     Raises:
         ValueError: If a value is out of range; the message names the field.
     """
     sized = resized(scene, *size_px).model_dump()
-    sized["rate_hz"] = rate_hz
+    sized |= {"rate_hz": rate_hz, "pair_s": pair_s}
     sized["sensor"]["exposure"] = exposure
     return validated(Scene, sized, scene.name)

@@ -326,6 +326,8 @@ class Scene(SpecModel):
         seed: Seed of everything random: plants, textures, noise, body motion.
         duration_s: Duration of the drive.
         rate_hz: Frames per second.
+        pair_s: Time between the two frames of a pair; None for frames at equal distances. Pairs show motion where
+            frames are few: `rate_hz` / 2 pairs a second.
         road: Course and surface of the road.
         surroundings: What stands beside it.
         vehicles: The other road users.
@@ -340,6 +342,7 @@ class Scene(SpecModel):
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 0
     duration_s: Annotated[float, Field(gt=0, le=3600)] = 9.0
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    pair_s: Annotated[float, Field(gt=0, le=10)] | None = None
     road: RoadSpec = RoadSpec()
     surroundings: SurroundingsSpec = SurroundingsSpec()
     vehicles: Listed[tuple[VehicleSpec, ...]] = ()
@@ -351,6 +354,8 @@ class Scene(SpecModel):
 
     @model_validator(mode="after")
     def _check(self) -> Scene:
+        if self.pair_s is not None and self.pair_s >= 2.0 / self.rate_hz:
+            raise ValueError(f"pair_s: expected below 2 / rate_hz, {2.0 / self.rate_hz:g} s, got {self.pair_s:g}")
         for index, vehicle in enumerate(self.vehicles):
             if vehicle.lane == "branch" and vehicle.branch >= len(self.road.branches):
                 num = len(self.road.branches)
@@ -366,6 +371,12 @@ class Scene(SpecModel):
     def num_frames(self) -> int:
         """Number of frames of the drive."""
         return max(1, round(self.duration_s * self.rate_hz))
+
+    def time_s(self, number: int) -> float:
+        """Time of frame `number` since the begin of the drive."""
+        if self.pair_s is None:
+            return number / self.rate_hz
+        return number // 2 * 2 / self.rate_hz + number % 2 * self.pair_s
 
 
 def read_scene(path: Path) -> Scene:

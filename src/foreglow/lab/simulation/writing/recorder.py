@@ -80,7 +80,7 @@ def _check_frame(known: DriveFrame, number: int, scene: Scene, start_ns: int, na
     where = f"{name}: drive: frame {number}"
     if number >= scene.num_frames:
         raise ValueError(f"{where}: expected {scene.num_frames} frames, got more")
-    expected_ns = start_ns + round(number * 1e9 / scene.rate_hz)
+    expected_ns = start_ns + round(1e9 * scene.time_s(number))
     if abs(known.timestamp_ns - expected_ns) > MAX_JITTER_NS:
         raise ValueError(f"{where}: timestamp_ns: expected about {expected_ns}, got {known.timestamp_ns}")
     size_px, image_px = (known.camera.width_px, known.camera.height_px), (known.frame.width_px, known.frame.height_px)
