@@ -186,3 +186,11 @@ def test_empty_folders_go_again(tmp_path: Path) -> None:
     with pytest.raises(KeyError), FolderLock(tmp_path / "a" / "b"):
         raise KeyError
     assert not list(tmp_path.iterdir())
+
+
+def test_a_word_is_no_path_even_if_a_folder_has_its_name(
+    tmp_path: Path, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "paper").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert foreglow_command("run", image, "--preset", "paper", "--out", tmp_path / "paper" / "run").exit_code == 0

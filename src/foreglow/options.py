@@ -19,6 +19,7 @@ import dataclasses
 import functools
 import inspect
 import math
+import re
 import typing
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -51,8 +52,12 @@ def argument(metavar: str, text: str) -> Any:
 
 
 def option(metavar: str, text: str, *names: str, **settings: Any) -> Any:
-    """An option with a value, and its help. A number has a least and a greatest value, `min` and `max`."""
-    return typer.Option(*names, metavar=metavar, help=text, callback=_checked, **settings)
+    """An option with a value, and its help. A number has a least and a greatest value, `min` and `max`.
+
+    A metavar such as `day|night` lists words: no value of the option is a path, even if there is a file of that name.
+    """
+    made = typer.Option(*names, metavar=metavar, help=text, callback=_checked, **settings)
+    return _with_role(made, "word") if re.fullmatch(r"[a-z0-9_]+(\|[a-z0-9_]+)+", metavar) else made
 
 
 def _checked(value: Any) -> Any:

@@ -16,8 +16,22 @@ from numpy.typing import NDArray
 import foreglow._native as _native
 from foreglow.types import Frame, Image, Proposals
 
-FEATURES = ("darkest", "brightest", "width", "height", "frame_mean", "frame_brightest", "has_earlier")
-"""Names of the features in order: of the crop, of the box, of the frame; `_features` has the units."""
+FEATURES = (
+    "darkest",
+    "brightest",
+    "width",
+    "height",
+    "frame_mean",
+    "frame_brightest",
+    "has_earlier",
+    "row",
+    "column",
+)
+"""Names of the features in order: of the crop, of the box, of the frame, and where in the frame the box is; `_features`
+has the units."""
+
+NUMS_FEATURES = (0, 7, len(FEATURES))
+"""Models read none, those without the place in the frame, or all of them."""
 
 _LOGARITHM = 255.0
 """Levels become log(1 + 255 level) / log 256: from 0 to 1, with as much room for dark greys as for bright ones."""
@@ -40,7 +54,7 @@ class InputSpec:
         size_px: Side of the square crops.
         support: A crop reaches this many widths and heights of its box to either side of its centre (paper: M = 2).
         lag_s: Age of the frame in the second channel; None for one channel.
-        num_features: Length of the feature vector: that of `FEATURES`, or 0 for none.
+        num_features: Length of the feature vector: the first so many of `FEATURES`, one of `NUMS_FEATURES`.
 
     Raises:
         ValueError: If a field is out of range.
@@ -56,8 +70,8 @@ class InputSpec:
             raise ValueError(f"InputSpec: expected size_px and support of at least 1, got {self}")
         if self.lag_s is not None and not 0 < self.lag_s <= 10:
             raise ValueError(f"InputSpec.lag_s: expected above 0 and at most 10 seconds, got {self.lag_s}")
-        if self.num_features not in (0, len(FEATURES)):
-            raise ValueError(f"InputSpec.num_features: expected 0 or {len(FEATURES)}, got {self.num_features}")
+        if self.num_features not in NUMS_FEATURES:
+            raise ValueError(f"InputSpec.num_features: expected one of {NUMS_FEATURES}, got {self.num_features}")
 
     @property
     def num_channels(self) -> int:
@@ -104,7 +118,7 @@ class InputMaker:
             crops = np.concatenate([crops, np.zeros_like(crops)], axis=1)
         features = np.zeros((len(boxes), 0), np.float32)
         if spec.num_features:
-            features = _features(image, boxes, levels, earlier is not None)
+            features = _features(image, boxes, levels, earlier is not None)[:, : spec.num_features]
         self._remember(frame)
         return ClassifierInputs(crops, features)
 
@@ -143,8 +157,12 @@ def _is_alike(frame: Frame, image: Image) -> bool:
 def _features(
     image: Image, boxes_xyxy_px: NDArray[np.int32], levels: NDArray[np.float32], has_earlier: bool
 ) -> NDArray[np.float32]:
-    """Shape (N, 7), in the order of `FEATURES`: levels and sizes as logarithms, sizes relative to the frame's width."""
-    full_scale, width_px = np.iinfo(image.dtype).max, image.shape[1]
+    """Shape (N, 9), in the order of `FEATURES`: levels and sizes as logarithms, sizes relative to the frame's width.
+
+    The place is that of the box's centre from the frame's, in quarters of the width: rows downwards, columns to either
+    side, since roads are alike where traffic keeps to the left.
+    """
+    full_scale, (height_px, width_px) = np.iinfo(image.dtype).max, image.shape
     sample = image[::_SAMPLING_PX, ::_SAMPLING_PX]
     features = np.empty((len(boxes_xyxy_px), len(FEATURES)), np.float32)
     features[:, 0:2] = _logarithmic(levels)
@@ -152,6 +170,8 @@ def _features(
     features[:, 4] = _logarithmic(np.float32(sample.mean() / full_scale))
     features[:, 5] = _logarithmic(np.float32(sample.max() / full_scale))
     features[:, 6] = has_earlier
+    features[:, 7] = (boxes_xyxy_px[:, 1] + boxes_xyxy_px[:, 3] - height_px) * (2.0 / width_px)
+    features[:, 8] = np.abs(boxes_xyxy_px[:, 0] + boxes_xyxy_px[:, 2] - width_px) * (2.0 / width_px)
     return features
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.classifier.inputs import FEATURES, ClassifierInputs, InputMaker, InputSpec
+from foreglow.classifier.inputs import NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.classifier.session import model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
@@ -127,17 +127,20 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         raise ValueError(f"{path}: input {name}: {expected}, got {channels} channels in {shape}")
     if not isinstance(height, int) or height != width or not 1 <= height <= MAX_CROP_PX:
         raise ValueError(f"{path}: input {name}: {expected}, got {shape}")
-    names = [name]
+    names, num_features = [name], 0
     for node in nodes[1:]:
         name, shape = _checked(path, node, "input")
-        if len(shape) != 2 or isinstance(shape[0], int) or shape[1] != len(FEATURES):
-            raise ValueError(f"{path}: input {name}: expected shape (N, {len(FEATURES)}) with a free N, got {shape}")
+        if len(shape) != 2 or isinstance(shape[0], int) or shape[1] not in NUMS_FEATURES[1:]:
+            raise ValueError(
+                f"{path}: input {name}: expected shape (N, F) with a free N and F of {NUMS_FEATURES[1:]}, got {shape}"
+            )
         names.append(name)
+        num_features = shape[1]
     metadata = session.get_modelmeta().custom_metadata_map
     support = wanted_support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
     lag_s = None if channels == 1 else _number(path, metadata, "lag_s", None)
     try:
-        return names, InputSpec(height, int(support), lag_s, len(FEATURES) if len(names) == 2 else 0)
+        return names, InputSpec(height, int(support), lag_s, num_features)
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {error}") from error
 

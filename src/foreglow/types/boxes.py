@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import Boxes, frozen_view
 
+KINDS = ("front_lamp", "rear_lamp", "front_light", "rear_light", "none")
+"""Kinds of light: another vehicle's front or rear lamp in sight, the light of its front or rear lamps on something,
+and everything else."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:

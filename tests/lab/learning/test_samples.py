@@ -11,6 +11,8 @@ import pytest
 from foreglow import _native
 from foreglow.datasets import PVDN, Selection
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
+from foreglow.datasets.simulated import BoxShares
+from foreglow.datasets.simulated.shares import write_shares
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light
 from foreglow.lab.learning import sample_cache
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
@@ -77,6 +79,29 @@ def test_doubtful_light_is_marked(own: PVDN) -> None:
     assert (found.labels[found.image_ids == 101] == -1).sum() == 1
     assert found.num_labelled(1) == 7
     assert found.num_labelled(0) == 16
+
+
+def test_whose_light_it_is_where_that_is_stored(own: PVDN) -> None:
+    config = SampleConfig(proposals=CONFIG, inputs=PLAIN.inputs, by_light=True)
+    by_key_points = collect_samples(own, config)
+    assert by_key_points.kinds[by_key_points.labels == 1, 4].tolist() == [0.0] * by_key_points.num_labelled(1)
+    rows = []
+    for image_id in own.frame_ids:
+        boxes = np.array(by_key_points.boxes_xyxy_px[by_key_points.image_ids == image_id])
+        shares = np.tile(np.array([0.0, 0.06, 0.05, 0.0, 0.5, 0.39], np.float32), (len(boxes), 1))
+        shares[0] = (0.0, 0.02, 0.07, 0.0, 0.0, 0.91)
+        rows += [(image_id, BoxShares("mine", boxes[:0], shares[:0])), (image_id, BoxShares("foreglow", boxes, shares))]
+    folder = own.root / "simulation" / "S00001"
+    folder.mkdir(parents=True)
+    write_shares(folder / "shares.parquet", rows)
+    found = collect_samples(own, config)
+    num_images = len(own.frame_ids)
+    assert (found.num_labelled(0), found.num_labelled(1)) == (num_images, len(found) - num_images)
+    np.testing.assert_allclose(found.kinds[found.labels == 1][0], [0.0, 0.06, 0.05, 0.0, 0.89], atol=1e-6)
+    assert collect_samples(own, PLAIN).labels.tolist() == by_key_points.labels.tolist()
+    other = config.model_copy(update={"proposals": CONFIG.model_copy(update={"kappa": 3.0})})
+    with pytest.raises(ValueError, match=r"image \d+: expected whose light is in these proposals; simulate with"):
+        collect_samples(own, other)
 
 
 def test_groups_are_kind_and_sight(data: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import expit
 
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
-from foreglow.lab.learning.scores import BoxScores, Calibrator, box_scores, fit_calibrator
+from foreglow.lab.learning.scores import BoxScores, Calibrator, box_scores, fit_calibrator, light_logits
 
 
 def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:
@@ -20,10 +20,10 @@ def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:
 @pytest.mark.parametrize("factor", [0.25, 1.0, 4.0])
 def test_temperature_undoes_what_was_multiplied(factor: float) -> None:
     logits, labels = drawn(80_000)
-    found = fit_calibrator(factor * logits, labels)
+    found = fit_calibrator(factor * logits[:, np.newaxis], labels)
     assert found.temperature == pytest.approx(factor, rel=0.05)
     assert found.shift == 0.0
-    after = found.applied(factor * logits)
+    after = found.applied(factor * logits[:, np.newaxis])[:, 0]
     assert expected_calibration_error(expit(after), labels) < 0.01
     assert log_loss(after, labels) <= log_loss(factor * logits, labels)
     assert ((after > 0) == (logits > 0)).all()
@@ -31,19 +31,34 @@ def test_temperature_undoes_what_was_multiplied(factor: float) -> None:
 
 def test_platt_also_undoes_a_shift() -> None:
     logits, labels = drawn()
-    found = fit_calibrator(3.0 * (logits + 1.5), labels, "platt")
+    found = fit_calibrator(3.0 * (logits[:, np.newaxis] + 1.5), labels, "platt")
     assert found.temperature == pytest.approx(3.0, rel=0.05)
     assert found.shift == pytest.approx(-1.5, abs=0.1)
 
 
+def test_kinds_are_calibrated_as_light_and_none() -> None:
+    """Dividing and shifting the logits of all kinds is undone; which kind is the greatest stays."""
+    logits, labels = drawn()
+    random = np.random.default_rng(1)
+    kinds = np.column_stack([random.normal(0.0, 1.0, (len(logits), 4)), np.zeros(len(logits))])
+    kinds[:, :4] += (logits - light_logits(kinds))[:, np.newaxis]
+    np.testing.assert_allclose(light_logits(kinds), logits, atol=1e-9)
+    given = 2.0 * kinds
+    given[:, :4] += 1.5
+    found = fit_calibrator(given, labels, "platt")
+    assert (found.temperature, found.shift) == (pytest.approx(2.0, rel=0.05), pytest.approx(-0.75, abs=0.05))
+    np.testing.assert_array_equal(found.applied(given)[:, :4].argmax(1), kinds[:, :4].argmax(1))
+
+
 def test_no_calibration_and_no_samples() -> None:
     logits, labels = drawn(100)
+    logits = logits[:, np.newaxis]
     assert fit_calibrator(logits, labels, "none") == Calibrator(1.0, 0.0)
     assert fit_calibrator(logits[:0], labels[:0]) == Calibrator(1.0, 0.0)
 
 
 def test_a_perfect_network_gets_a_finite_temperature() -> None:
-    found = fit_calibrator(np.array([-3.0, 3.0]), np.array([0, 1], np.int8))
+    found = fit_calibrator(np.array([[-3.0], [3.0]]), np.array([0, 1], np.int8))
     assert 0.0099 < found.temperature < 0.5
 
 

@@ -12,12 +12,13 @@ pytest.importorskip("torch")
 import torch
 
 from foreglow.lab.learning import training
-from foreglow.lab.learning.batches import epoch_indices, is_direct, sample_weights
+from foreglow.lab.learning.batches import epoch_indices, sample_weights
 from foreglow.lab.learning.recipes import Recipe, changed
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.scores import direct_accuracy
+from foreglow.lab.learning.scores import kind_accuracy
 from foreglow.lab.learning.training import TrainingResult, train
 from foreglow.lab.learning.training_progress import Epoch
+from foreglow.types import KINDS
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]
@@ -123,40 +124,50 @@ def test_validation_is_clean_whatever_the_augmentation(tmp_path: Path) -> None:
         np.testing.assert_array_equal(passed, VAL.crops.astype(np.float32) / 255)
 
 
-def with_lamps(samples: Samples) -> Samples:
-    """The samples with light that is a lamp where a feature says so."""
-    is_lamp = samples.image_ids % 2 == 0
-    groups = np.where(samples.labels == 1, np.where(is_lamp, 0, 2), -1).astype(np.int8)
-    return dataclasses.replace(samples, groups=groups, features=is_lamp[:, None].astype(np.float32))
+def with_kinds(samples: Samples) -> Samples:
+    """The samples with light of front or rear lamps, where a feature says so."""
+    is_rear = samples.image_ids % 2 == 0
+    kinds = np.zeros((len(samples), len(KINDS)), np.float32)
+    kinds[np.arange(len(samples)), np.where(samples.labels == 1, np.where(is_rear, 3, 2), 4)] = 1.0
+    return dataclasses.replace(samples, kinds=kinds, features=is_rear[:, None].astype(np.float32))
 
 
-def test_lamps_are_learnt_beside_light(tmp_path: Path) -> None:
-    lamps = {"train": with_lamps(TRAIN), "val": with_lamps(VAL)}
-    recipe = changed(RECIPE, {"epochs": 12, "direct_weight": 0.5})
-    result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 1, 2), **lamps)
-    assert result.val_logits.shape == (len(VAL), 2)
+def test_kinds_are_learnt(tmp_path: Path) -> None:
+    samples = {"train": with_kinds(TRAIN), "val": with_kinds(VAL)}
+    recipe = changed(RECIPE, {"epochs": 12, "kinds": True})
+    result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 1, 5), **samples)
+    assert result.val_logits.shape == (len(VAL), 5)
     assert result.best.f1 > 0.9
-    assert result.best.direct_accuracy > 0.9
-    truth = is_direct(lamps["val"])
-    assert direct_accuracy(result.val_logits, truth) == result.best.direct_accuracy
-    assert np.isnan(direct_accuracy(result.val_logits[:, :1], truth))
+    assert result.best.kind_accuracy > 0.9
+    assert kind_accuracy(result.val_logits, samples["val"].kinds) == result.best.kind_accuracy
+    assert np.isnan(kind_accuracy(result.val_logits[:, :1], samples["val"].kinds))
 
 
-def test_only_light_whose_group_is_known_tells_lamps() -> None:
-    groups = np.array([0, 1, 2, -1, 0, 0], np.int8)
-    samples = dataclasses.replace(TRAIN[:6], labels=np.array([1, 1, 1, 1, 0, -1], np.int8), groups=groups)
-    np.testing.assert_array_equal(is_direct(samples), [1, 1, 0, np.nan, np.nan, np.nan])
+def test_shares_are_learnt_as_probabilities(tmp_path: Path) -> None:
+    """Where every box of light holds as much of one kind as of another, so says the network."""
+    samples = {}
+    for name, plain in (("train", TRAIN), ("val", VAL)):
+        shares = np.where(plain.labels[:, np.newaxis] == 1, [0.25, 0.0, 0.75, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0])
+        samples[name] = dataclasses.replace(plain, kinds=shares.astype(np.float32))
+    recipe = changed(RECIPE, {"epochs": 12, "kinds": True})
+    result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 0, 5), **samples)
+    logits = result.val_logits[VAL.labels == 1].astype(float)
+    probabilities = np.exp(logits) / np.exp(logits).sum(1, keepdims=True)
+    assert np.median(probabilities, 0)[:3] == pytest.approx([0.25, 0.0, 0.75], abs=0.1)
 
 
-def test_both_kinds_are_needed_to_tell_them_apart(tmp_path: Path) -> None:
-    lamps = dataclasses.replace(TRAIN, groups=np.where(TRAIN.groups >= 0, 0, -1).astype(np.int8))
-    with pytest.raises(ValueError, match=r"train samples: expected lamps and light on something .* found \d+ and 0"):
-        run(tmp_path, changed(RECIPE, {"direct_weight": 0.5}), train=lamps)
+def test_the_kind_of_every_box_is_needed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="train samples: expected the kind of light of every labelled box, found NaN"):
+        run(
+            tmp_path,
+            changed(RECIPE, {"kinds": True}),
+            train=dataclasses.replace(TRAIN, kinds=np.full_like(TRAIN.kinds, np.nan)),
+        )
 
 
-def test_a_network_without_the_second_output(tmp_path: Path) -> None:
-    fields = {"network": "paper", "inputs": {"size_px": 64, "lag_s": None, "num_features": 0}, "direct_weight": 1.0}
-    with pytest.raises(ValueError, match="direct_weight: expected 0, the network paper does not say what is direct"):
+def test_a_network_that_does_not_tell_kinds(tmp_path: Path) -> None:
+    fields = {"network": "paper", "inputs": {"size_px": 64, "lag_s": None, "num_features": 0}, "kinds": True}
+    with pytest.raises(ValueError, match="kinds: expected false, the network paper does not tell kinds, got true"):
         run(tmp_path, changed(RECIPE, fields), make_network=None)
 
 

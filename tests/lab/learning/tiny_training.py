@@ -69,6 +69,7 @@ def make_samples(num_samples: int, seed: int, **changed: Any) -> Samples:
         "crops": np.clip(crops, 0, 255).astype(np.uint8),
         "features": np.zeros((num_samples, 0), np.float32),
         "labels": labels,
+        "kinds": np.zeros((num_samples, 5), np.float32),
         "groups": np.where(labels == 1, random.integers(0, 3, num_samples), -1).astype(np.int8),
         "boxes_xyxy_px": np.tile(np.array([0, 0, 4, 4], np.int32), (num_samples, 1)),
         "image_ids": np.arange(num_samples, dtype=np.int64),

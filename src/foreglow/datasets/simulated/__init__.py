@@ -5,11 +5,12 @@ of it that a car knows, too, and `lux` the light of our headlamps at other drive
 """
 
 from foreglow.datasets.simulated.files import SequenceTruth, SimulatedTruth, has_truth, read_truth
-from foreglow.datasets.simulated.shares import SOURCES, BoxShares, read_shares
+from foreglow.datasets.simulated.shares import NUM_VEHICLE_SOURCES, SOURCES, BoxShares, read_shares
 from foreglow.datasets.simulated.truth import KINDS, Artifact, FrameTruth, Kind, LampTruth, VehicleTruth
 
 __all__ = [
     "KINDS",
+    "NUM_VEHICLE_SOURCES",
     "SOURCES",
     "Artifact",
     "BoxShares",

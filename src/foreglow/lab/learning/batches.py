@@ -9,10 +9,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.evaluation.boxes.lights import LAMP, LIGHT_KINDS
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples
+from foreglow.lab.learning.samples import ARRAYS, Samples
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
@@ -43,12 +42,6 @@ def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32
     found = counts[group] ** -float(group_balance)
     weights[is_positive] = found / found.mean()
     return weights.astype(np.float32)
-
-
-def is_direct(samples: Samples) -> NDArray[np.float32]:
-    """Shape (N,): 1 for a lamp itself, 0 for light on a surface, NaN without light or where unknown."""
-    is_known = (samples.labels == POSITIVE) & (samples.groups != NO_GROUP)
-    return np.where(is_known, samples.groups // 2 == LIGHT_KINDS.index(LAMP), np.nan).astype(np.float32)
 
 
 def content_digest(samples: Samples) -> str:

@@ -20,6 +20,7 @@ from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
 from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.scores import Calibrator
+from foreglow.types import KINDS
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -30,18 +31,19 @@ MAX_DIFFERENCE = 1e-3
 
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
-    """A copy of `network` whose first logit is calibrated, by changing its last linear layer.
+    """A copy of `network` with calibrated logits, by changing its last linear layer.
 
     Raises:
-        ValueError: If the network has no such layer of one or two outputs.
+        ValueError: If the network has no such layer with a bias.
     """
     network = copy.deepcopy(network).eval()
-    last = [layer for layer in network.modules() if isinstance(layer, nn.Linear) and layer.out_features in (1, 2)]
-    if not last or last[-1].bias is None:
-        raise ValueError("network: expected a linear layer of one or two outputs, with a bias, at its end")
+    last = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    if not last or last[-1].bias is None or last[-1].out_features not in (1, len(KINDS)):
+        raise ValueError(f"network: expected a linear layer of 1 or {len(KINDS)} outputs, with a bias, at its end")
     with torch.no_grad():
-        last[-1].weight[0].div_(calibrator.temperature)
-        last[-1].bias[0].div_(calibrator.temperature).add_(calibrator.shift)
+        last[-1].weight.div_(calibrator.temperature)
+        last[-1].bias.div_(calibrator.temperature)
+        last[-1].bias[: max(1, last[-1].out_features - 1)].add_(calibrator.shift)
     return network
 
 
@@ -84,7 +86,7 @@ def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[s
     """`network` as an ONNX model, with its batch normalisation folded into the convolutions: exact up to rounding.
 
     The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N, 1)
-    or (N, 2).
+    or (N, 5).
     """
     graph = Graph()
     name = "crops"

@@ -56,7 +56,7 @@ class CompactNetwork(nn.Module):
     """Our classifier for one processor core: 1.3 million multiply-adds for each crop.
 
     Reads crops (N, C, 32, 32) in [0, 1] and features (N, F), see `classifier.inputs`; writes logits (N, 1) of being
-    light, or (N, 2) of being light and of being a lamp itself. Instead of global pooling, the last layer keeps the
+    light, or (N, 5) of the kinds of light. Instead of global pooling, the last layer keeps the
     position in the crop, since the box is always in its middle.
     """
 
@@ -107,8 +107,5 @@ def recipe_network(recipe: Recipe) -> nn.Module:
     except RuntimeError as error:
         raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
     if logits.shape[1] != recipe.num_outputs:
-        raise ValueError(
-            f"recipe: direct_weight: expected 0, the network {recipe.network} does not say what is direct, "
-            f"got {recipe.direct_weight:g}"
-        )
+        raise ValueError(f"recipe: kinds: expected false, the network {recipe.network} does not tell kinds, got true")
     return network

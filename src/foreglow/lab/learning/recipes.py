@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.lab.learning.samples import Inputs, Jitter
+from foreglow.types import KINDS
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
@@ -69,8 +70,8 @@ class Recipe(FrozenModel):
             count among the positives: with 0 each sample counts the same, with 1 each group. Weights are proportional
             to 1 / size of the group to this power, and 1 on average.
         label_smoothing: Labels are moved by this share towards 1/2.
-        direct_weight: Weight of a second loss that separates lamps from their light on surfaces, both of which count
-            the same; 0 for networks that only detect light.
+        kinds: Whether the network tells the five kinds of light in `KINDS`, learnt from whose light is in each box
+            where the data say so; otherwise it only tells whether there is light of a vehicle.
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
         augmentation: Random changes of training crops; validation samples are never changed.
@@ -100,7 +101,7 @@ class Recipe(FrozenModel):
     positive_weight: Literal["balanced", "equal"] = "balanced"
     group_balance: Share = 0.0
     label_smoothing: Share = 0.0
-    direct_weight: Annotated[float, Field(ge=0, le=10)] = 0.0
+    kinds: bool = False
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1"] = "loss"
@@ -118,8 +119,8 @@ class Recipe(FrozenModel):
 
     @property
     def num_outputs(self) -> int:
-        """Number of logits for each sample: of being light, and of being a lamp itself if that is trained."""
-        return 2 if self.direct_weight else 1
+        """Number of logits for each sample: one of being light, or one for each kind."""
+        return len(KINDS) if self.kinds else 1
 
 
 RECIPES: dict[str, Recipe] = {
@@ -149,7 +150,7 @@ RECIPES: dict[str, Recipe] = {
         ema_decay=0.998,
         max_negatives_per_positive=4.0,
         group_balance=0.25,
-        direct_weight=0.5,
+        kinds=True,
         augmentation=Augmentation(
             flip=0.5,
             rotation_deg=8.0,

@@ -19,7 +19,7 @@ from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
-FORMAT = 1
+FORMAT = 2
 """Increased whenever the samples made from the same images and configuration change."""
 
 _DONE = "samples.json"
@@ -80,6 +80,9 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
         sequence = dataset.sequence(image_id)
         add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, sequence.id, sequence.start_time_ms)
         digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
+    if config.by_light:
+        for path in sorted(dataset.root.glob("simulation/S*/shares.parquet")):
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -15,12 +15,18 @@ from pydantic import BeforeValidator, Field
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, read_lights
+from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES, BoxShares, read_shares
+from foreglow.lab.evaluation.boxes.lights import LAMP, LIGHT_KINDS, Light, read_lights
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
-from foreglow.types import Boxes, Frame, Proposals
+from foreglow.types import KINDS, Boxes, Frame, Proposals
 
 NO_GROUP = -1
+NUM_KINDS = len(KINDS)
+FRONT_LAMP, FRONT_LIGHT = KINDS.index("front_lamp"), KINDS.index("front_light")
+
+MIN_VEHICLE_SHARE = 0.1
+"""A box is light of a vehicle from this share of vehicles' light on."""
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the number of images done, and of all images."""
@@ -70,11 +76,16 @@ class Jitter(FrozenModel):
 
 
 class SampleConfig(FrozenModel):
-    """Everything that determines the samples, except the data."""
+    """Everything that determines the samples, except the data.
+
+    Attributes:
+        by_light: Whether a box is labelled by whose light is in it, where that is stored, instead of by key points.
+    """
 
     proposals: ProposalConfig = ProposalConfig()
     inputs: Inputs = InputSpec()
     jitter: Jitter = Jitter()
+    by_light: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +96,7 @@ class Samples:
         crops: Shape (N, C, S, S), uint8: 255 times the crop, rounded; a second channel is clipped to [0, 1] first.
         features: Shape (N, F), float32.
         labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not used for training.
+        kinds: Shape (N, 5), float32: shares of the kinds of light in `KINDS`, which sum to one; NaN where unknown.
         groups: Shape (N,), int8: for the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
             plus 1 if its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
@@ -99,6 +111,7 @@ class Samples:
     crops: NDArray[np.uint8]
     features: NDArray[np.float32]
     labels: NDArray[np.int8]
+    kinds: NDArray[np.float32]
     groups: NDArray[np.int8]
     boxes_xyxy_px: Boxes
     image_ids: NDArray[np.int64]
@@ -139,6 +152,7 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "crops": (np.uint8, (None, None, None)),
     "features": (np.float32, (None,)),
     "labels": (np.int8, ()),
+    "kinds": (np.float32, (NUM_KINDS,)),
     "groups": (np.int8, ()),
     "boxes_xyxy_px": (np.int32, (4,)),
     "image_ids": (np.int64, ()),
@@ -173,6 +187,7 @@ def samples_by_image(
     # One maker for the boxes and one for each set of copies, so that what they remember is not mixed.
     makers = [InputMaker(config.inputs) for _ in range(1 + config.jitter.num_copies)]
     lights = read_lights(dataset)
+    shares = _stored_shares(dataset) if config.by_light else {}
     sequence_id = -1
     for num_done, image_id in enumerate(dataset.frame_ids):
         if progress is not None:
@@ -183,14 +198,51 @@ def samples_by_image(
                 maker.reset()
         frame = dataset.read(image_id)
         boxes = proposer.propose(frame.image).boxes_xyxy_px
-        labels = label_image(dataset, image_id, boxes)
         groups = box_groups(boxes, lights[image_id])
+        labels = label_image(dataset, image_id, boxes)
+        kinds = _kinds_by_key_points(labels, groups)
+        if shares:
+            kinds = _kinds_by_light(dataset, image_id, boxes, shares)
+            labels = np.where(kinds[:, -1] <= 1.0 - MIN_VEHICLE_SHARE, POSITIVE, NEGATIVE).astype(np.int8)
         random = np.random.default_rng([config.jitter.seed, image_id])
         for number, maker in enumerate(makers):
             shown = boxes if number == 0 else jittered(boxes, frame, config.jitter, random)
-            yield _samples(maker, frame, shown, (labels, groups), sequence_id)
+            yield _samples(maker, frame, shown, (labels, kinds, groups), sequence_id)
     if progress is not None:
         progress(len(dataset.frame_ids), len(dataset.frame_ids))
+
+
+def _stored_shares(dataset: LabelledSource) -> dict[int, list[BoxShares]]:
+    """Whose light is in the proposals of each image, for every preset; empty where the data set does not say."""
+    shares: dict[int, list[BoxShares]] = {}
+    for path in sorted(dataset.root.glob("simulation/S*/shares.parquet")):
+        for image_id, found in read_shares(path):
+            shares.setdefault(image_id, []).append(found)
+    return shares
+
+
+def _kinds_by_light(
+    dataset: LabelledSource, image_id: int, boxes_xyxy_px: Boxes, shares: dict[int, list[BoxShares]]
+) -> NDArray[np.float32]:
+    """The kinds of light in each box, shape (N, 5): the stored shares of vehicles, and all other light as none."""
+    for found in shares.get(image_id, ()):
+        if np.array_equal(found.boxes_xyxy_px, boxes_xyxy_px):
+            vehicles = found.shares[:, :NUM_VEHICLE_SOURCES]
+            return np.column_stack([vehicles, 1.0 - vehicles.sum(1)]).clip(0.0, 1.0).astype(np.float32)
+    raise ValueError(
+        f"{dataset.root}: image {image_id}: expected whose light is in these proposals; simulate with --shares and "
+        f"the preset of the training, in this version"
+    )
+
+
+def _kinds_by_key_points(labels: NDArray[np.int8], groups: NDArray[np.int8]) -> NDArray[np.float32]:
+    """The kinds of light in each box, shape (N, 5), as far as key points tell: PVDN's are of oncoming vehicles."""
+    kinds = np.zeros((len(labels), NUM_KINDS), np.float32)
+    is_lamp = (groups != NO_GROUP) & (groups // 2 == LIGHT_KINDS.index(LAMP))
+    column = np.where(labels == NEGATIVE, NUM_KINDS - 1, np.where(is_lamp, FRONT_LAMP, FRONT_LIGHT))
+    kinds[np.arange(len(labels)), column] = 1.0
+    kinds[labels == IGNORED] = np.nan
+    return kinds
 
 
 def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
@@ -228,15 +280,16 @@ def _samples(
     maker: InputMaker,
     frame: Frame,
     boxes_xyxy_px: Boxes,
-    truth: tuple[NDArray[np.int8], NDArray[np.int8]],
+    truth: tuple[NDArray[np.int8], NDArray[np.float32], NDArray[np.int8]],
     sequence_id: int,
 ) -> Samples:
-    labels, groups = truth
+    labels, kinds, groups = truth
     inputs = maker.make(frame, Proposals(boxes_xyxy_px))
     return Samples(
         crops=np.round(255 * np.clip(inputs.crops, 0, 1)).astype(np.uint8),
         features=np.asarray(inputs.features, np.float32),
         labels=labels,
+        kinds=kinds,
         groups=groups,
         boxes_xyxy_px=boxes_xyxy_px,
         image_ids=np.full(len(labels), frame.frame, np.int64),

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from foreglow.lab.evaluation.boxes.directness import balanced_accuracy
 from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
 
 
@@ -47,19 +46,31 @@ def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
     )
 
 
-def direct_accuracy(logits: NDArray[np.float32], is_direct: NDArray[np.float32]) -> float:
-    """Balanced accuracy of logits, shape (N, outputs), in separating lamps from their light on surfaces.
+def light_logits(logits: NDArray[Any]) -> NDArray[Any]:
+    """Logits of being light of a vehicle, shape (N,), of logits of it alone, (N, 1), or of all kinds, (N, 5)."""
+    if logits.shape[1] == 1:
+        return logits[:, 0]
+    return np.asarray(np.logaddexp.reduce(logits[:, :-1], axis=1) - logits[:, -1])
 
-    `is_direct`, shape (N,), is 1 or 0, or NaN where neither applies. The result is NaN if there is only one output, or
-    if one of the classes is missing.
+
+def kind_accuracy(logits: NDArray[np.float32], kinds: NDArray[np.float32]) -> float:
+    """Share of the boxes with light of a vehicle whose greatest kind gets the greatest logit, each kind counted alike.
+
+    Args:
+        logits: Shape (N, 1) or (N, 5); the kinds are compared without `none`.
+        kinds: Shape (N, 5), shares of light; NaN where unknown. Boxes count with at least half of vehicles' light.
+
+    Returns:
+        NaN for a network that does not tell kinds, or without such boxes.
     """
-    is_known = ~np.isnan(is_direct)
-    if logits.shape[1] < 2 or not is_known.any():
+    is_known = np.nan_to_num(kinds[:, -1], nan=1.0) <= 0.5
+    if logits.shape[1] == 1 or not is_known.any():
         return math.nan
-    return balanced_accuracy(is_direct[is_known] == 1, logits[is_known, 1] > 0)
+    truth, found = kinds[is_known, :-1].argmax(1), logits[is_known, :-1].argmax(1)
+    return float(np.mean([(found[truth == kind] == kind).mean() for kind in np.unique(truth)]))
 
 
-Kind: TypeAlias = Literal["none", "temperature", "platt"]
+Calibration: TypeAlias = Literal["none", "temperature", "platt"]
 
 MAX_TEMPERATURE = 100.0
 """Limit of the temperature and of its inverse when a shift is fitted as well; without errors there would be none."""
@@ -67,7 +78,7 @@ MAX_TEMPERATURE = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Calibrator:
-    """Calibrated logits are `logits / temperature + shift`.
+    """Calibrated logits are `logits / temperature`, and all but that of `none` are shifted.
 
     Attributes:
         temperature: Above 1 for a network that was overconfident.
@@ -78,37 +89,40 @@ class Calibrator:
     shift: float = 0.0
 
     def applied(self, logits: NDArray[Any]) -> NDArray[Any]:
-        """The calibrated logits."""
-        return np.asarray(logits / self.temperature + self.shift)
+        """The calibrated logits, shape (N, 1) or (N, 5)."""
+        num_outputs = logits.shape[1]
+        return np.asarray(logits / self.temperature + self.shift * (np.arange(num_outputs) < max(1, num_outputs - 1)))
 
 
-def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], kind: Kind = "temperature") -> Calibrator:
-    """The calibrator with the least mean log loss over all samples.
+def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calibration = "temperature") -> Calibrator:
+    """The calibrator with the least mean log loss of being light, over all samples.
 
     Args:
-        logits: Shape (N,).
+        logits: Shape (N, 1) or (N, 5).
         labels: Shape (N,), 1 and 0.
-        kind: `temperature` keeps which scores are above 1/2; `platt` may change that; `none` is the identity.
+        method: `temperature` only divides; `platt` shifts, too; `none` is the identity.
 
     Raises:
         ValueError: If a temperature is wanted and all labels are the same.
 
     Source: Guo et al., On Calibration of Modern Neural Networks, arXiv 1706.04599, section 4.2; Platt, 1999.
 
-    >>> fit_calibrator(np.array([9.0, 9.0, 9.0, -9.0]), np.array([1, 1, 0, 0], np.int8)).temperature > 5
+    >>> fit_calibrator(np.array([[9.0], [9.0], [9.0], [-9.0]]), np.array([1, 1, 0, 0], np.int8)).temperature > 5
     True
     """
-    if kind == "none" or len(logits) == 0:
+    if method == "none" or len(logits) == 0:
         return Calibrator()
-    if kind == "temperature":
-        return Calibrator(fit_temperature(logits, labels))
     values = np.asarray(logits, np.float64)
+    if method == "temperature" and values.shape[1] == 1:
+        return Calibrator(fit_temperature(values[:, 0], labels))
 
     def loss(parameters: NDArray[np.float64]) -> float:
-        return log_loss(values * math.exp(-parameters[0]) + parameters[1], labels)
+        calibrator = Calibrator(math.exp(parameters[0]), parameters[1] if method == "platt" else 0.0)
+        return log_loss(light_logits(calibrator.applied(values)), labels)
 
-    # The loss is convex in 1 / temperature and the shift, so that any start leads to the same minimum.
+    # With a single logit the loss is convex in 1 / temperature and the shift; with more it was found to have one
+    # minimum near the start.
     limit = math.log(MAX_TEMPERATURE)
     bounds = [(-limit, limit), (-50.0, 50.0)]
     found = minimize(loss, np.zeros(2), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})
-    return Calibrator(float(np.exp(found.x[0])), float(found.x[1]))
+    return Calibrator(float(np.exp(found.x[0])), float(found.x[1]) if method == "platt" else 0.0)

@@ -30,7 +30,6 @@ from foreglow.lab.learning.batches import (
     batches,
     content_digest,
     epoch_indices,
-    is_direct,
     learning_rate,
     sample_weights,
 )
@@ -38,7 +37,7 @@ from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.scores import box_scores, direct_accuracy
+from foreglow.lab.learning.scores import box_scores, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
@@ -192,14 +191,8 @@ class _Trainer:
         balance = num_seen[NEGATIVE] / num_seen[POSITIVE]
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
-        self._is_direct = is_direct(samples)
-        num_indirect, num_direct = ((self._is_direct == value).sum() for value in (0.0, 1.0))
-        if recipe.direct_weight and not (num_direct and num_indirect):
-            raise ValueError(
-                f"train samples: expected lamps and light on something with direct_weight, found {num_direct} and "
-                f"{num_indirect}"
-            )
-        self._direct_weight = float(num_indirect / max(num_direct, 1))
+        if recipe.kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
+            raise ValueError("train samples: expected the kind of light of every labelled box, found NaN")
 
     def states(self) -> tuple[State, State, State]:
         """Copies of the states of the network, the running mean and the optimiser, on the CPU."""
@@ -233,7 +226,7 @@ class _Trainer:
             raise ValueError(f"epoch {number}: expected a finite training loss, got {total}; try a lower learning_rate")
         logits = self._validate(val)
         is_labelled = val.labels != IGNORED
-        light, labels = logits[is_labelled, 0], val.labels[is_labelled]
+        light, labels = light_logits(logits[is_labelled]), val.labels[is_labelled]
         scores = box_scores(light, labels)
         return Epoch(
             number=number,
@@ -243,7 +236,7 @@ class _Trainer:
             precision=scores.precision,
             recall=scores.recall,
             f1=scores.f1,
-            direct_accuracy=direct_accuracy(logits, is_direct(val)),
+            kind_accuracy=kind_accuracy(logits, val.kinds),
             seconds=time.perf_counter() - started,
         )
 
@@ -254,36 +247,36 @@ class _Trainer:
             group["lr"] = rate
         crops, features = _tensors(self._samples, batch, self._device)
         crops, features = augment(crops, features, recipe.augmentation, self._feature_scale, random)
-        labels = torch.from_numpy(self._samples.labels[batch].astype(np.float32)).to(self._device)
-        targets = labels * (1 - recipe.label_smoothing) + recipe.label_smoothing / 2
         self._optimiser.zero_grad(set_to_none=True)
         with _precision(recipe.precision, self._device):
             logits: Tensor = self.network(_laid_out(crops), features)
-        loss = nn.functional.binary_cross_entropy_with_logits(
-            logits[:, 0].float(),
-            targets,
-            weight=torch.from_numpy(self._weights[batch]).to(self._device),
-            pos_weight=torch.tensor(self.positive_weight, device=self._device),
-        )
-        if recipe.direct_weight:
-            loss = loss + recipe.direct_weight * self._direct_loss(logits[:, 1].float(), self._is_direct[batch])
+        weights = torch.from_numpy(self._weights[batch]).to(self._device)
+        loss = self._kinds_loss(logits.float(), batch, weights) if recipe.kinds else self._loss(logits, batch, weights)
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.max_gradient)
         self._optimiser.step()
         return float(loss.detach())
 
-    def _direct_loss(self, logits: Tensor, truth: NDArray[np.float32]) -> Tensor:
-        """Loss of separating lamps from their light on surfaces, equally weighted; 0 if the batch has neither."""
-        targets = torch.from_numpy(truth).to(self._device)
-        is_known = ~targets.isnan()
-        losses = nn.functional.binary_cross_entropy_with_logits(
-            logits[is_known],
-            targets[is_known],
-            pos_weight=torch.tensor(self._direct_weight, device=self._device),
-            reduction="sum",
+    def _loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
+        """Loss of telling light of vehicles from everything else."""
+        labels = torch.from_numpy(self._samples.labels[batch].astype(np.float32)).to(self._device)
+        targets = labels * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / 2
+        return nn.functional.binary_cross_entropy_with_logits(
+            logits[:, 0].float(),
+            targets,
+            weight=weights,
+            pos_weight=torch.tensor(self.positive_weight, device=self._device),
         )
-        return losses / is_known.sum().clamp_min(1)
+
+    def _kinds_loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
+        """Cross entropy of the shares of each kind of light; vehicles' kinds are weighted as positive labels are."""
+        shares = torch.from_numpy(self._samples.kinds[batch]).to(self._device)
+        shares = shares * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / shares.shape[1]
+        balance = torch.full_like(shares, self.positive_weight)
+        balance[:, -1] = 1.0
+        losses = -(balance * shares * torch.log_softmax(logits, dim=1)).sum(1)
+        return (weights * losses).mean()
 
     def _average(self, num_steps: int) -> None:
         """Moves the running mean towards the weights, faster at the start."""

@@ -21,8 +21,8 @@ class Epoch:
         precision: Precision of the validation boxes at a score of 0.5.
         recall: Recall of the validation boxes at a score of 0.5.
         f1: F of the validation boxes at a score of 0.5; NaN without positives.
-        direct_accuracy: Balanced accuracy in separating lamps from their light, over the validation boxes with light,
-            at a probability of 0.5; NaN if that is not trained.
+        kind_accuracy: Share of the validation boxes with light whose kind is right, each kind counted alike; NaN if
+            kinds are not trained.
         seconds: Duration, validation included.
     """
 
@@ -33,7 +33,7 @@ class Epoch:
     precision: float
     recall: float
     f1: float
-    direct_accuracy: float
+    kind_accuracy: float
     seconds: float
 
 

@@ -23,7 +23,7 @@ from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
-from foreglow.lab.learning.scores import Calibrator, box_scores, fit_calibrator
+from foreglow.lab.learning.scores import Calibrator, box_scores, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 
@@ -114,7 +114,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     from foreglow.lab.learning.training import score_samples
 
     is_labelled = val.labels != IGNORED
-    logits, labels = result.val_logits[is_labelled, 0], val.labels[is_labelled]
+    logits, labels = result.val_logits[is_labelled], val.labels[is_labelled]
     calibrator = fit_calibrator(logits, labels, recipe.calibration)
     network = calibrated(result.network, calibrator)
     made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
@@ -153,7 +153,7 @@ def _samples(
     progress: RunProgress | None,
 ) -> Samples:
     jitter = recipe.jitter if split == "train" else Jitter()
-    sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter)
+    sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.kinds)
 
     def report(num_done: int, num_images: int) -> None:
         if progress is not None:
@@ -164,12 +164,12 @@ def _samples(
 
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
     """Figures of the validation boxes before and after calibration; precision, recall and F after it."""
-    after = calibrator.applied(logits)
-    errors = [expected_calibration_error(expit(values), labels) for values in (logits, after)]
+    before, after = light_logits(logits), light_logits(calibrator.applied(logits))
+    errors = [expected_calibration_error(expit(values), labels) for values in (before, after)]
     return {
         **dataclasses.asdict(box_scores(after, labels)),
         "temperature": calibrator.temperature,
         "shift": calibrator.shift,
-        "log_loss": {"before": log_loss(logits, labels), "after": log_loss(after, labels)},
+        "log_loss": {"before": log_loss(before, labels), "after": log_loss(after, labels)},
         "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
     }
