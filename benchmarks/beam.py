@@ -23,6 +23,7 @@ from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 
 FRAME_NS = 55_555_556
 NUM_FRAMES = 400
@@ -58,7 +59,7 @@ def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
             ranges_m=ranges_m,
             sigmas_m=ranges_m / 10,
             detections=np.arange(num_lights),
-            direct_probabilities=np.full(num_lights, direct),
+            light_kinds=kinds_of_direct(np.full(num_lights, direct)),
         )
         drawn.append((tracks, frame))
     return drawn

@@ -78,6 +78,34 @@ def test_detections_refuse_unfit_scores(scores: Any, complaint: str) -> None:
         Detections(Proposals(BOXES), scores, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("light_kinds", "complaint"),
+    [
+        (np.zeros((1, 4), np.float32), r"light_kinds: expected float32 of shape \(2, 4\)"),
+        (np.full((2, 5), 0.2, np.float32), r"light_kinds: expected float32 of shape \(2, 4\)"),
+        (np.full((2, 4), 0.25), "light_kinds: expected float32 .*got float64"),
+        (np.array([[1, 0, 0, 0], [0.5, 0, 0, 0]], np.float32), r"sum 1 in each row, got \[0.5, 0.0, 0.0, 0.0\]"),
+        (np.array([[1, 0, 0, 0], [1.5, -0.5, 0, 0]], np.float32), r"sum 1 in each row, got \[1.5, -0.5"),
+        (np.array([[1, 0, 0, 0], [np.nan, 1, 0, 0]], np.float32), r"sum 1 in each row, got \[nan, 1.0"),
+    ],
+)
+def test_detections_refuse_unfit_kinds(light_kinds: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.5, light_kinds)
+
+
+def test_kinds_of_boxes() -> None:
+    light_kinds = np.array([[0.125, 0.25, 0.5, 0.125], [np.nan] * 4], np.float32)
+    detections = Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.6, light_kinds)
+    np.testing.assert_array_equal(detections.kinds, [[0.0625, 0.125, 0.25, 0.0625, 0.5], [np.nan] * 5])
+    assert detections.kinds.dtype == np.float32
+    assert detections.kind_names == ("front_light", None)
+    np.testing.assert_array_equal(detections.direct_probabilities, np.array([0.375, np.nan], np.float32))
+    silent = Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.6)
+    assert np.isnan(silent.kinds).all()
+    assert silent.kind_names == (None, None)
+
+
 def test_accepted_boxes() -> None:
     detections = Detections(Proposals(BOXES), np.array([0.2, 0.9], np.float32), 0.2)
     assert detections.is_accepted.tolist() == [True, True]  # the float32 nearest to 0.2 is above 0.2
@@ -185,6 +213,7 @@ def test_tracks_say_which_are_plausible() -> None:
     [
         ({"ids": np.array([7, 3])}, r"Tracks.ids: expected ascending numbers, got \[7, 3\]"),
         ({"ages_s": np.zeros(3)}, r"Tracks.ages_s: expected float64 of shape \(2,\)"),
+        ({"light_kinds": np.zeros((2, 4))}, "Tracks.light_kinds: expected NaN or probabilities with the sum 1"),
         ({"num_hits": np.ones(2)}, "Tracks.num_hits: expected int64"),
         ({"boxes_xyxy_px": np.zeros((2, 4))}, "Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2"),
         ({"boxes_xyxy_px": np.full((2, 4), np.nan)}, "Tracks.boxes_xyxy_px: expected finite boxes"),

@@ -14,6 +14,7 @@ from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, bright
 from foreglow.config import BeamConfig
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead, Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
 LAMPS = read_headlamps()
@@ -47,7 +48,7 @@ def tracks_at(number: int, *seen: Seen) -> Tracks:
     return dataclasses.replace(
         tracks,
         ids=np.array([track.number for track in seen], np.int64),
-        direct_probabilities=np.array([track.direct for track in seen], np.float64),
+        light_kinds=kinds_of_direct(np.array([track.direct for track in seen], np.float64)),
         confidences=np.array([track.confidence for track in seen], np.float64),
     )
 

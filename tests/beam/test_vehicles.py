@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from foreglow.beam.vehicles import group_vehicles
 from foreglow.geometry import Camera
 from foreglow.types import Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.stand_ins import tracks_of
 from tests.tracking.made_up import camera
 
@@ -69,10 +70,10 @@ def test_two_vehicles_side_by_side() -> None:
 
 
 def test_light_on_something_belongs_to_none() -> None:
-    tracks = tracks_at(*car(40.0, 3.0), direct_probabilities=np.array([0.9, 0.2]))
+    tracks = tracks_at(*car(40.0, 3.0), light_kinds=kinds_of_direct(np.array([0.9, 0.2])))
     assert grouped(tracks) == [[0]]
-    assert grouped(dataclasses.replace(tracks, direct_probabilities=np.array([nan, 0.6]))) == [[0, 1]]
-    assert grouped(dataclasses.replace(tracks, direct_probabilities=np.zeros(2))) == []
+    assert grouped(dataclasses.replace(tracks, light_kinds=kinds_of_direct(np.array([nan, 0.6])))) == [[0, 1]]
+    assert grouped(dataclasses.replace(tracks, light_kinds=kinds_of_direct(np.zeros(2)))) == []
 
 
 def test_tentative_tracks_belong_to_none() -> None:

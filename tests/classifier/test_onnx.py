@@ -13,7 +13,7 @@ import pytest
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
-from foreglow.types import Frame, Proposals
+from foreglow.types import KINDS, Frame, Proposals
 
 pytest.importorskip("onnx")
 
@@ -37,17 +37,19 @@ def write_model(
     gain: float = 8.0,
     axes: tuple[int, ...] = (1, 2, 3),
     copies: int = 1,
+    biases: tuple[float, ...] = (0.0,),
 ) -> Path:
-    """A model whose logit is gain x (mean of the crop - 1/2); NaN for a gain of NaN."""
+    """A model whose logits are gain x (mean of the crop - 1/2) + the biases; NaN for a gain of NaN."""
     constants = [
         numpy_helper.from_array(np.array(value, helper.tensor_dtype_to_np_dtype(kind)), name)
-        for name, value in (("half", 0.5), ("gain", gain))
+        for name, value in (("half", 0.5), ("gain", gain), ("biases", biases))
     ]
     nodes = [
         helper.make_node("ReduceMean", ["crops"], ["mean"], axes=axes, keepdims=0),
         helper.make_node("Sub", ["mean", "half"], ["centred"]),
         helper.make_node("Mul", ["centred", "gain"], ["once"]),
-        helper.make_node("Concat", ["once"] * copies, ["logits"], axis=0),
+        helper.make_node("Concat", ["once"] * copies, ["same"], axis=0),
+        helper.make_node("Add", ["same", "biases"], ["logits"]),
     ]
     graph = helper.make_graph(
         nodes,
@@ -108,6 +110,38 @@ def test_scores_are_float32_with_column_of_logits(tmp_path: Path) -> None:
     np.testing.assert_allclose(detections.scores, plain.classify(Frame(IMAGE, 0), proposals(5)).scores, atol=1e-6)
 
 
+def test_five_logits_are_the_softmax_of_the_kinds(tmp_path: Path) -> None:
+    """However far apart they are: neither a score near 0 nor its kinds lose their digits."""
+    for biases in ([1.0, -2.0, 0.5, 3.0, 1.5], [80.0, 81.0, 79.0, 0.0, 120.0], [-300.0, -301.0, -302.0, -303.0, 300.0]):
+        model = write_model(tmp_path / "model.onnx", output_shape=("N", 5), axes=(2, 3), gain=0.0, biases=tuple(biases))
+        found = OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(9))
+        weights = np.exp(np.array(biases) - max(biases))
+        lights = np.exp(np.array(biases[:4]) - max(biases[:4]))
+        np.testing.assert_allclose(found.kinds, np.tile(weights / weights.sum(), (9, 1)), atol=1e-6)
+        np.testing.assert_allclose(found.kinds.sum(axis=1), 1.0, atol=1e-6)
+        np.testing.assert_allclose(found.light_kinds, np.tile(lights / lights.sum(), (9, 1)), atol=1e-6)
+        np.testing.assert_allclose(found.scores, 1 - found.kinds[:, 4], atol=1e-7)
+        assert set(found.kind_names) == {KINDS[int(np.argmax(biases[:4]))]}
+        np.testing.assert_allclose(found.direct_probabilities, (lights[0] + lights[1]) / lights.sum(), atol=1e-6)
+
+
+def test_two_logits_tell_front_lamps_from_their_light(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model.onnx", output_shape=("N", 2), axes=(2, 3), gain=0.0, biases=(0.5, -1.0))
+    found = OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(9))
+    score, direct = 1 / (1 + np.exp(-0.5)), 1 / (1 + np.exp(1.0))
+    expected = [score * direct, 0.0, score * (1 - direct), 0.0, 1 - score]
+    np.testing.assert_allclose(found.kinds, np.tile(expected, (9, 1)), atol=1e-6)
+    np.testing.assert_allclose(found.direct_probabilities, direct, atol=1e-6)
+
+
+def test_one_logit_tells_no_kinds(tmp_path: Path) -> None:
+    found = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx"))).classify(
+        Frame(IMAGE, 0), proposals(9)
+    )
+    assert np.isnan(found.kinds).all()
+    assert np.isnan(found.direct_probabilities).all()
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -117,8 +151,8 @@ def test_scores_are_float32_with_column_of_logits(tmp_path: Path) -> None:
         ({"shape": (1, 1, 16, 16), "output_shape": (1,)}, "fixed batch of 1"),
         ({"shape": ("N", 16, 16), "axes": (1, 2)}, "got 3 dimensions"),
         ({"kind": TensorProto.DOUBLE}, r"expected float32, got tensor\(double\)"),
-        ({"output_shape": ("N", 16), "axes": (1, 2)}, r"output logits: expected shape \(N,\), \(N, 1\) or \(N, 2\)"),
-        ({"output_shape": ("N", 1, 16), "axes": (2,)}, r"output logits: expected shape \(N,\), \(N, 1\) or \(N, 2\)"),
+        ({"output_shape": ("N", 16), "axes": (1, 2)}, r"output logits: expected shape \(N,\), \(N, 1\), \(N, 2\) or"),
+        ({"output_shape": ("N", 1, 16), "axes": (2,)}, r"output logits: expected shape \(N,\), \(N, 1\), \(N, 2\) or"),
     ],
 )
 def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -131,7 +165,7 @@ def test_wrong_model(tmp_path: Path, changes: dict[str, Any], message: str) -> N
 
 def test_wrong_output_found_when_run(tmp_path: Path) -> None:
     model = write_model(tmp_path / "model.onnx", output_shape=("K",), copies=2)
-    with pytest.raises(ValueError, match="expected one or two logits for each of 3 crops"):
+    with pytest.raises(ValueError, match="expected 1, 2 or 5 logits for each of 3 crops"):
         OnnxClassifier(ClassifierConfig(model=model)).classify(Frame(IMAGE, 0), proposals(3))
 
 

@@ -13,6 +13,7 @@ import pytest
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.types import Frame
+from foreglow.types.kinds import kinds_of_direct
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.stand_ins import night_image, result_of, tracks_of
 
@@ -110,8 +111,8 @@ def test_direct_light_is_rated_where_a_run_says_it(tmp_path: Path, split: Path) 
         frame = Frame(night_image(image_id), image_id, frame=image_id)
         result = result_of(frame, [[5, 5, 15, 15]], [0.9])
         assert result.detections is not None
-        said = dataclasses.replace(result.detections, direct_probabilities=np.array([0.8], np.float32))
-        tracks = dataclasses.replace(tracks_of([[5, 5, 15, 15]]), direct_probabilities=np.array([0.4]))
+        said = dataclasses.replace(result.detections, light_kinds=kinds_of_direct(np.array([0.8], np.float32)))
+        tracks = dataclasses.replace(tracks_of([[5, 5, 15, 15]]), light_kinds=kinds_of_direct(np.array([0.4])))
         records.write(frame, dataclasses.replace(result, detections=said, tracks=tracks))
     records.close()
     done = foreglow_command("evaluate", split, "--predictions", tmp_path / "frames.jsonl")

@@ -27,6 +27,7 @@ from foreglow.runs.frames_file import (
 from foreglow.runs.json_lines import LineSink, read_lines
 from foreglow.runs.predictions import read_predictions
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.stand_ins import night_frames, night_image, result_of, tracks_of
 
 BOXES = [[3.0, 4.0, 9.5, 8.25], [20.0, 21.0, 40.0, 33.0]]
@@ -44,12 +45,33 @@ def write_run(path: Path, *followed: Tracks | None) -> Path:
 
 def test_tracks_come_back_as_they_were(tmp_path: Path) -> None:
     written = tracks_of(BOXES, STATES, ids=[3, 8], ranges_m=[np.nan, 81.5], detections=[0, -1])
-    written = dataclasses.replace(written, direct_probabilities=np.array([0.123456789, np.nan]))
+    written = dataclasses.replace(written, light_kinds=kinds_of_direct(np.array([0.123456789, np.nan])))
     tracks = read_tracks(write_run(tmp_path / "frames.jsonl", written, tracks_of([])))
     assert list(tracks) == [0, 2]
     assert len(tracks[2]) == 0
     for field in dataclasses.fields(Tracks):
         np.testing.assert_array_equal(getattr(tracks[0], field.name), getattr(written, field.name))
+
+
+def test_kinds_come_back_and_are_left_out_where_a_model_does_not_tell_them(tmp_path: Path) -> None:
+    frame, path = night_frames(1)[0], tmp_path / "frames.jsonl"
+    result, tracks = result_of(frame, [[3, 4, 9, 8], [20, 21, 40, 33]], [0.5, 0.1]), tracks_of(BOXES)
+    assert result.detections is not None
+    told = np.array([[0.1, 0.6, 0.1, 0.2], [math.nan] * 4])
+    direct = kinds_of_direct(np.array([0.7, math.nan]))
+    for kinds, is_written in ((told, True), (direct, False), (told * math.nan, False)):
+        detections = dataclasses.replace(result.detections, light_kinds=kinds.astype(np.float32))
+        followed = dataclasses.replace(tracks, light_kinds=kinds)
+        written = dataclasses.replace(result, detections=detections, tracks=followed)
+        path.write_text(json.dumps(frame_to_line(frame, written)) + "\n")
+        assert ("light_kinds" in path.read_text()) == is_written
+        found = read_results(path, 0.5)[0]
+        assert found.detections is not None
+        assert found.tracks is not None
+        np.testing.assert_array_equal(found.detections.light_kinds, detections.light_kinds)
+        np.testing.assert_array_equal(found.tracks.light_kinds, kinds)
+        np.testing.assert_array_equal(read_tracks(path)[0].light_kinds, kinds)
+    assert found.tracks.kind_names == (None, None)
 
 
 def test_a_run_without_a_tracker(tmp_path: Path) -> None:
@@ -191,7 +213,15 @@ def results(draw: st.DrawFn) -> FrameResult:
     made = FrameResult(draw(st.integers(0)), draw(st.integers(0, 2**62)), Proposals(boxes), None)
     if not draw(st.booleans()):
         return made
-    detections = Detections(made.proposals, column(unit, np.float32), 0.5, column(unit | st.just(math.nan), np.float32))
+
+    def kinds(dtype: type) -> NDArray[Any]:
+        """As of a model with one, two or five outputs."""
+        if draw(st.booleans()):
+            return kinds_of_direct(column(unit | st.just(math.nan), dtype))
+        rows = column(st.sampled_from([math.nan, 0.001, 1.0]), dtype)[:, None] * np.array([3, 0.1, 1, 7], dtype)
+        return rows / rows.sum(axis=1, keepdims=True)
+
+    detections = Detections(made.proposals, column(unit, np.float32), 0.5, kinds(np.float32))
     ranges_m = column(metres)
     ranges = Ranges(detections, ranges_m, np.where(np.isnan(ranges_m), np.inf, column(st.floats(0.001, 1e6))))
     track_ranges_m = column(metres)
@@ -206,7 +236,7 @@ def results(draw: st.DrawFn) -> FrameResult:
         ranges_m=track_ranges_m,
         sigmas_m=np.where(np.isnan(track_ranges_m), np.inf, column(st.floats(0.001, 1e6))),
         detections=np.where(column(st.booleans(), np.bool_), np.arange(num), -1),
-        direct_probabilities=column(unit | st.just(math.nan)),
+        light_kinds=kinds(np.float64),
     )
     gaps_rad = np.radians([[-3.0, -1.25], [0.5, 2.0]])[: draw(st.integers(0, 2))]
     levels = column(unit, size=6).reshape(2, 3)

@@ -13,6 +13,7 @@ import pytest
 from foreglow.config import OUR_TRACKER, TrackerConfig
 from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.tracking.made_up import FRAME_S, detections_of, frame_at, ranges_of
 
 CONFIRMED, COASTING, TENTATIVE = TrackState.CONFIRMED, TrackState.COASTING, TrackState.TENTATIVE
@@ -57,9 +58,21 @@ def test_lamps_are_told_from_their_light_by_a_moving_mean() -> None:
     for index, direct in enumerate([nan, 0.5, 1.0, None, nan, 0.0]):
         detections = detections_of(*([] if direct is None else [LAMP]))
         if direct is not None:
-            detections = dataclasses.replace(detections, direct_probabilities=np.array([direct], np.float32))
+            detections = dataclasses.replace(detections, light_kinds=kinds_of_direct(np.array([direct], np.float32)))
         found += tracker.update(frame_at(index * FRAME_S), detections, None).direct_probabilities.tolist()
     np.testing.assert_allclose(found, [nan, 0.5, 0.625, 0.625, 0.625, 0.46875])
+
+
+def test_kinds_are_a_moving_mean_and_the_most_probable_gives_the_name() -> None:
+    tracker = paper(alpha_confidence=0.25)
+    rear, front = [0.0, 0.75, 0.125, 0.125], [1.0, 0.0, 0.0, 0.0]
+    for index, kinds in enumerate([rear, rear, front]):
+        detections = dataclasses.replace(detections_of(LAMP), light_kinds=np.array([kinds], np.float32))
+        tracks = tracker.update(frame_at(index * FRAME_S), detections, None)
+    np.testing.assert_allclose(tracks.light_kinds, [[0.25, 0.5625, 0.09375, 0.09375]])
+    np.testing.assert_allclose(tracks.direct_probabilities, [0.8125])
+    assert tracks.kind_names == ("rear_lamp",)
+    assert tracker.update(frame_at(3 * FRAME_S), detections_of(), None).kind_names == ("rear_lamp",)
 
 
 class TestPaper:

@@ -13,7 +13,8 @@ from foreglow.classifier.inputs import NUMS_FEATURES, ClassifierInputs, InputMak
 from foreglow.classifier.session import model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
-from foreglow.types import Detections, Frame, Proposals
+from foreglow.types import KINDS, Detections, Frame, Proposals
+from foreglow.types.kinds import kinds_of_direct
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -25,14 +26,16 @@ MAX_CROP_PX = 1024
 _MAX_BATCH = 8
 _HALF = np.float32(0.5)
 _PUBLISHED_SUPPORT = 2
+_NUM_LOGITS = (1, 2, len(KINDS))
 
 
 class OnnxClassifier:
     """Scores the crops of proposals with ONNX Runtime on the CPU.
 
     The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, 7), as
-    `classifier.inputs` makes them. It writes logits of being light, shape (N,) or (N, 1), or these together with logits
-    of being a lamp itself, shape (N, 2). Its metadata may give a `support`, and must give the `lag_s` if C is 2.
+    `classifier.inputs` makes them. It writes the logits of the five `KINDS`, shape (N, 5); or logits of being light of
+    a vehicle, shape (N,) or (N, 1), or these together with logits of being a lamp itself, shape (N, 2). Its metadata
+    may give a `support`, and must give the `lag_s` if C is 2.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -64,7 +67,7 @@ class OnnxClassifier:
             proposals: Boxes in this frame.
 
         Raises:
-            ValueError: If the model cannot be run, or writes anything other than one or two finite logits per crop.
+            ValueError: If the model cannot be run, or writes anything other than 1, 2 or 5 finite logits per crop.
         """
         threshold = self.config.score_threshold
         inputs = self._maker.make(frame, proposals)
@@ -73,11 +76,11 @@ class OnnxClassifier:
         logits = self._logits(inputs)
         if not math.isfinite(np.add.reduce(logits, axis=None)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
-        scores, *direct = _sigmoid(logits).T
-        return Detections(proposals, scores, threshold, *direct)
+        scores, *light_kinds = _probabilities(logits)
+        return Detections(proposals, scores, threshold, *light_kinds)
 
     def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:
-        """Shape (N, 1) or (N, 2), batch by batch."""
+        """Shape (N, 1), (N, 2) or (N, 5), batch by batch."""
         arrays = (inputs.crops, inputs.features)[: len(self._names)]
         starts = range(0, len(inputs.crops), _MAX_BATCH)
         batches = [self._run([array[start : start + _MAX_BATCH] for array in arrays]) for start in starts]
@@ -90,12 +93,29 @@ class OnnxClassifier:
         except model_errors() as error:
             raise unusable(self._path, error) from error
         num_crops = len(batch[0])
-        if output.shape not in ((num_crops,), (num_crops, 1), (num_crops, 2)):
+        if output.shape != (num_crops,) and output.shape not in [(num_crops, size) for size in _NUM_LOGITS]:
             raise ValueError(
-                f"{self._path}: output: expected one or two logits for each of {num_crops} crops, "
+                f"{self._path}: output: expected 1, 2 or 5 logits for each of {num_crops} crops, "
                 f"got shape {output.shape}"
             )
         return output.reshape(num_crops, -1)
+
+
+def _probabilities(logits: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    """The scores, and the kinds of light if there is more than one logit.
+
+    The softmax over all kinds is that over the kinds of light, times the score: so neither loses digits near 0 or 1.
+
+    >>> [each.tolist() for each in _probabilities(np.array([[0, 0, 0, 0, np.log(4)]], np.float32))]
+    [[0.5], [[0.25, 0.25, 0.25, 0.25]]]
+    """
+    if logits.shape[1] < len(KINDS):
+        scores, *direct = _sigmoid(logits).T
+        return scores, *map(kinds_of_direct, direct)
+    greatest = logits[:, :-1].max(axis=1)
+    light_kinds = np.exp(logits[:, :-1] - greatest[:, None])
+    sums = light_kinds.sum(axis=1)
+    return _sigmoid(greatest + np.log(sums) - logits[:, -1]), light_kinds / sums[:, None]
 
 
 def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -161,8 +181,9 @@ def _checked_output(path: Path, session: InferenceSession) -> str:
     if len(nodes) != 1:
         raise ValueError(f"{path}: outputs: expected one, got {len(nodes)}")
     name, shape = _checked(path, nodes[0], "output")
-    if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] not in (1, 2)):
-        raise ValueError(f"{path}: output {name}: expected shape (N,), (N, 1) or (N, 2) with a free N, got {shape}")
+    if len(shape) not in (1, 2) or isinstance(shape[0], int) or (len(shape) == 2 and shape[1] not in _NUM_LOGITS):
+        expected = "expected shape (N,), (N, 1), (N, 2) or (N, 5) with a free N"
+        raise ValueError(f"{path}: output {name}: {expected}, got {shape}")
     return name
 
 

@@ -8,7 +8,7 @@ another way (`2e-5` instead of `2e-05`): the same run has to give the same bytes
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, TypeAlias, cast
 
@@ -22,6 +22,7 @@ from foreglow.files import bounded_lines
 from foreglow.geometry import Floats
 from foreglow.runs.json_lines import checked, read_lines
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct, tells_rear
 
 Box: TypeAlias = Annotated[list[float], Field(min_length=4, max_length=4)]
 """`[x1, y1, x2, y2]`, half-open, in full-frame pixels."""
@@ -30,6 +31,9 @@ StateName: TypeAlias = Literal["tentative", "confirmed", "coasting"]
 ModeName: TypeAlias = Literal["low", "glare_free", "full"]
 Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Count: TypeAlias = Annotated[int, Field(ge=0)]
+LightKinds: TypeAlias = Annotated[list[Probability], Field(min_length=4, max_length=4)]
+"""The probabilities of `LIGHT_KINDS`."""
+
 Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]
 
 
@@ -39,6 +43,7 @@ class TrackEntry(TypedDict):
 
     The box is rounded to 0.001 pixels, the age to a microsecond, range and sigma to a millimetre. Range, sigma and the
     probability `direct` of a lamp itself are None where unknown. `detection` is an index among the proposals, or -1.
+    `light_kinds` is left out where `direct` says all that is known of the kinds.
     """
 
     id: int
@@ -52,6 +57,7 @@ class TrackEntry(TypedDict):
     range_sigma_m: Annotated[float, Field(gt=0)] | None
     detection: Annotated[int, Field(ge=-1)]
     direct: NotRequired[Probability | None]
+    light_kinds: NotRequired[LightKinds | None]
 
 
 @checked
@@ -86,7 +92,9 @@ class FrameLine(TypedDict):
         timestamp_ns: Time of exposure in nanoseconds.
         proposals_xyxy_px: All boxes that were proposed.
         scores: Their scores, each the exact value of the float32 that was compared with the threshold.
-        direct: Probability that each box holds a lamp itself; None if the model gives none.
+        direct: Probability that each box holds a lamp itself, if it holds light of a vehicle; None where it is unknown.
+        light_kinds: Probability of each of `LIGHT_KINDS`, if it holds light of a vehicle; `direct` is the sum of the
+            first two. Left out where the model does not tell front from rear.
         detections_xyxy_px: The accepted boxes alone.
         ranges_m: Range of each box from the camera along the viewing ray, rounded to a millimetre; None where unknown.
         range_sigmas_m: Standard deviations of the ranges; None for infinity.
@@ -100,6 +108,7 @@ class FrameLine(TypedDict):
     proposals_xyxy_px: list[Box]
     scores: NotRequired[list[float] | None]
     direct: NotRequired[list[float | None] | None]
+    light_kinds: NotRequired[list[LightKinds | None] | None]
     detections_xyxy_px: NotRequired[list[Box] | None]
     ranges_m: NotRequired[list[float | None] | None]
     range_sigmas_m: NotRequired[list[float | None] | None]
@@ -116,7 +125,7 @@ _MODE_NAMES = {mode: cast(ModeName, mode.name.lower()) for mode in BeamMode}
 def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
     """The line about one frame."""
     detections, ranges, tracks = result.detections, result.ranges, result.tracks
-    return {
+    line: FrameLine = {
         "frame": result.frame,
         "sequence": frame.sequence,
         "timestamp_ns": result.timestamp_ns,
@@ -129,6 +138,9 @@ def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
         "tracks": None if tracks is None else _track_entries(tracks),
         "beam": None if result.beam is None else beam_entry(result.beam),
     }
+    if detections is not None and tells_rear(detections.light_kinds):
+        line["light_kinds"] = _rows_without_nan(detections.light_kinds)
+    return line
 
 
 def line_to_result(line: FrameLine, score_threshold: float) -> FrameResult:
@@ -149,8 +161,8 @@ def line_to_result(line: FrameLine, score_threshold: float) -> FrameResult:
     detections: Detections | None = None
     ranges: Ranges | None = None
     if scores is not None:
-        direct = np.array(line.get("direct") or (), np.float32)
-        detections = Detections(proposals, np.array(scores, np.float32), score_threshold, direct)
+        light_kinds = _light_kinds(line.get("light_kinds"), line.get("direct"), np.float32)
+        detections = Detections(proposals, np.array(scores, np.float32), score_threshold, light_kinds)
         if ranges_m is not None and sigmas_m is not None:
             ranges = Ranges(detections, _numbers(ranges_m), _numbers(sigmas_m, unknown=math.inf))
     return FrameResult(
@@ -178,7 +190,7 @@ def _track_entries(tracks: Tracks) -> list[TrackEntry]:
         tracks.detections.tolist(),
         _without_nan(tracks.direct_probabilities),
     )
-    return [
+    entries: list[TrackEntry] = [
         {
             "id": number,
             "state": _STATE_NAMES[state],
@@ -196,12 +208,18 @@ def _track_entries(tracks: Tracks) -> list[TrackEntry]:
             number, state, box, confidence, num_hits, num_misses, age_s, range_m, sigma_m, detection, direct,
         ) in zip(*columns, strict=True)
     ]  # fmt: skip
+    if tells_rear(tracks.light_kinds):
+        for entry, light_kinds in zip(entries, _rows_without_nan(tracks.light_kinds), strict=True):
+            entry["light_kinds"] = light_kinds
+    return entries
 
 
 def _tracks(entries: list[TrackEntry]) -> Tracks:
     def column(name: str, dtype: type) -> NDArray[Any]:
         return np.array([entry.get(name) for entry in entries], dtype)
 
+    direct = [entry.get("direct") for entry in entries]
+    rows = [entry.get("light_kinds") for entry in entries] if any("light_kinds" in entry for entry in entries) else None
     return Tracks(
         ids=column("id", np.int64),
         states=np.array([TrackState[entry["state"].upper()] for entry in entries], np.int64),
@@ -213,7 +231,7 @@ def _tracks(entries: list[TrackEntry]) -> Tracks:
         ranges_m=column("range_m", np.float64),
         sigmas_m=_numbers([entry["range_sigma_m"] for entry in entries], unknown=math.inf),
         detections=column("detection", np.int64),
-        direct_probabilities=column("direct", np.float64),
+        light_kinds=_light_kinds(rows, direct, np.float64),
     )
 
 
@@ -249,6 +267,19 @@ def _gaps_rad(entry: BeamEntry) -> Floats:
 
 def _without_nan(values: NDArray[np.floating]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values.tolist()]
+
+
+def _rows_without_nan(rows: NDArray[np.floating]) -> list[list[float] | None]:
+    return [None if math.isnan(row[0]) else row for row in rows.tolist()]
+
+
+def _light_kinds(
+    rows: Sequence[list[float] | None] | None, direct: Sequence[float | None] | None, dtype: type[np.floating]
+) -> NDArray[Any]:
+    """Shape (N, 4); of `direct` alone if there are no rows, as in older files; shape (0, 4) without either."""
+    if rows is None:
+        return kinds_of_direct(np.array(direct or (), dtype))
+    return np.array([[math.nan] * 4 if row is None else row for row in rows], dtype).reshape(-1, 4)
 
 
 def _to_millimetres(values_m: NDArray[np.float64]) -> list[float | None]:

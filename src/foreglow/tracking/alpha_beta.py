@@ -62,7 +62,7 @@ def correct(
 
 
 def moving_mean(means: Floats, values: Floats, weight: float) -> Floats:
-    """Exponential moving means, shape (M,), after new `values` with the given weight.
+    """Exponential moving means, shape (M,) or (M, K), after new `values` with the given weight.
 
     NaN in `values` leaves a mean unchanged; a mean that is NaN begins with its value.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foreglow.geometry import Floats
 from foreglow.tracking.association import UNASSIGNED, Assignment, centres_and_sizes
 from foreglow.tracking.states import NUM_CHANNELS, RANGE
-from foreglow.types import Detections, Ranges
+from foreglow.types import LIGHT_KINDS, Detections, Ranges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,14 +21,14 @@ class Measurements:
         values: Shape (N, NUM_CHANNELS): centre x, y, width, height, range; NaN where unknown.
         sigmas_m: Shape (N,), standard deviation of the range; infinite if it has none, NaN if the range is unknown.
         scores: Shape (N,), of the classifier.
-        direct_probabilities: Shape (N,), of being a lamp itself; NaN where unknown.
+        light_kinds: Shape (N, 4), as in `Detections`.
         detections: Shape (N,), indices in the frame's detections.
     """
 
     values: Floats
     sigmas_m: Floats
     scores: Floats
-    direct_probabilities: Floats
+    light_kinds: Floats
     detections: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -37,11 +37,12 @@ class Measurements:
     def taken(self, assigned: Assignment) -> Measurements:
         """The measurement assigned to each track; NaN and the index -1 for a track without one."""
         nothing = np.full((1, NUM_CHANNELS), np.nan)
+        unknown = np.full((1, len(LIGHT_KINDS)), np.nan)
         return Measurements(  # index -1 picks the row that is appended
             np.concatenate([self.values, nothing])[assigned],
             np.append(self.sigmas_m, np.nan)[assigned],
             np.append(self.scores, np.nan)[assigned],
-            np.append(self.direct_probabilities, np.nan)[assigned],
+            np.concatenate([self.light_kinds, unknown])[assigned],
             np.append(self.detections, UNASSIGNED)[assigned],
         )
 
@@ -56,5 +57,4 @@ def measurements(detections: Detections, ranges: Ranges | None, min_score: float
     if ranges is not None:
         values[:, RANGE] = ranges.ranges_m[kept]
         sigmas_m = np.where(np.isnan(values[:, RANGE]), np.nan, ranges.sigmas_m[kept])
-    direct_probabilities = detections.direct_probabilities[kept].astype(np.float64)
-    return Measurements(values, sigmas_m, scores[kept], direct_probabilities, kept)
+    return Measurements(values, sigmas_m, scores[kept], detections.light_kinds[kept].astype(np.float64), kept)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
+from foreglow.types import LIGHT_KINDS
 
 NUM_CHANNELS = 5
 SIZES = slice(2, 4)
@@ -31,7 +32,7 @@ class TrackStates:
         range_history: Shape (M, H), the latest measured ranges, newest first, NaN where there are fewer.
         sigma_history: Shape (M, H), their standard deviations.
         confidences: Shape (M,), the filtered score.
-        direct_probabilities: Shape (M,), filtered; NaN where unknown.
+        light_kinds: Shape (M, 4), filtered; NaN where unknown.
         num_hits: Shape (M,), detections so far.
         num_misses: Shape (M,), frames in a row without a detection.
         births_s: Shape (M,), time of the first detection.
@@ -49,7 +50,7 @@ class TrackStates:
     range_history: Floats
     sigma_history: Floats
     confidences: Floats
-    direct_probabilities: Floats
+    light_kinds: Floats
     num_hits: NDArray[np.int64]
     num_misses: NDArray[np.int64]
     births_s: Floats
@@ -86,7 +87,7 @@ def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_s
         range_history=history,
         sigma_history=history,
         confidences=np.full(count, np.nan),
-        direct_probabilities=np.full(count, np.nan),
+        light_kinds=np.full((count, len(LIGHT_KINDS)), np.nan),
         num_hits=np.zeros(count, np.int64),
         num_misses=np.zeros(count, np.int64),
         births_s=np.full(count, now_s),

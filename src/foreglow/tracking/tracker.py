@@ -159,7 +159,7 @@ class AlphaBetaTracker:
         states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
         weight = self._config.alpha_confidence
         states.confidences = moving_mean(states.confidences, taken.scores, weight)
-        states.direct_probabilities = moving_mean(states.direct_probabilities, taken.direct_probabilities, weight)
+        states.light_kinds = moving_mean(states.light_kinds, taken.light_kinds, weight)
         states.num_hits = states.num_hits + is_hit
         states.num_misses = np.where(is_hit, 0, states.num_misses + 1)
         # A single miss ends no track, however long the gap before it.
@@ -219,7 +219,7 @@ class AlphaBetaTracker:
             ranges_m=np.where(is_known, ranges_m, np.nan),
             sigmas_m=np.where(is_known, sigmas_m, np.inf),
             detections=states.detections,
-            direct_probabilities=states.direct_probabilities,
+            light_kinds=states.light_kinds,
         )
 
 

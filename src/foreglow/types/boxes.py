@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types.arrays import Boxes, frozen_view
-
-KINDS = ("front_lamp", "rear_lamp", "front_light", "rear_light", "none")
-"""Kinds of light: another vehicle's front or rear lamp in sight, the light of its front or rear lamps on something,
-and everything else."""
+from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,18 +50,17 @@ class Detections:
         proposals: The proposals that were scored.
         scores: Shape (N,), float32 in [0, 1], the classifier's probability of a light artifact in each proposal.
         score_threshold: A proposal is accepted if its score is above this.
-        direct_probabilities: Shape (N,), float32 in [0, 1]: the classifier's probability that it is a lamp itself, if
-            it is light at all, assuming that lamps and lit surfaces are equally frequent; NaN if the model does not
-            tell. An empty array becomes NaNs.
+        light_kinds: Shape (N, 4), float32, the probabilities of the kinds of `LIGHT_KINDS` if it is light of a vehicle
+            at all; they sum to 1. NaN where the model does not tell. An empty array becomes NaNs.
 
     Raises:
-        ValueError: If an array's shape or dtype is wrong, or a score is outside [0, 1] or NaN.
+        ValueError: If an array's shape or dtype is wrong, a score is outside [0, 1] or NaN, or kinds do not sum to 1.
     """
 
     proposals: Proposals
     scores: NDArray[np.float32]
     score_threshold: float
-    direct_probabilities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    light_kinds: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, len(LIGHT_KINDS)), np.float32))
 
     def __post_init__(self) -> None:
         scores, count = self.scores, len(self.proposals)
@@ -74,16 +70,9 @@ class Detections:
             )
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
-        direct = self.direct_probabilities
-        if not len(direct):
-            direct = np.full(count, np.nan, np.float32)
-        if direct.shape != (count,) or direct.dtype != np.float32:
-            raise ValueError(
-                f"Detections.direct_probabilities: expected float32 of shape ({count},), got {direct.dtype} of shape "
-                f"{direct.shape}"
-            )
+        light_kinds = checked_kinds("Detections.light_kinds", self.light_kinds, count, np.float32)
         object.__setattr__(self, "scores", frozen_view(scores))
-        object.__setattr__(self, "direct_probabilities", frozen_view(direct))
+        object.__setattr__(self, "light_kinds", light_kinds)
 
     def __len__(self) -> int:
         return len(self.proposals)
@@ -97,6 +86,22 @@ class Detections:
     def is_accepted(self) -> NDArray[np.bool_]:
         """Shape (N,): which boxes are light artifacts; compared in double precision, as in the evaluation of files."""
         return np.asarray(self.scores.astype(np.float64) > self.score_threshold)
+
+    @property
+    def kinds(self) -> NDArray[np.float32]:
+        """Shape (N, 5): the probabilities of `KINDS`, which sum to 1; NaN where the model does not tell."""
+        none = np.where(np.isnan(self.light_kinds[:, 0]), np.float32(np.nan), 1 - self.scores)
+        return np.column_stack([self.scores[:, None] * self.light_kinds, none])
+
+    @property
+    def kind_names(self) -> tuple[str | None, ...]:
+        """For each box the most probable of `LIGHT_KINDS`, whether it is accepted or not; None where it is unknown."""
+        return names_of_kinds(self.light_kinds)
+
+    @property
+    def direct_probabilities(self) -> NDArray[np.float32]:
+        """Shape (N,): probability of a lamp in sight, front or rear, if it is light of a vehicle; NaN where unknown."""
+        return direct_of_kinds(self.light_kinds)
 
     @property
     def accepted_boxes_xyxy_px(self) -> Boxes:

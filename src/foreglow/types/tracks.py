@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types.arrays import frozen_view
+from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 
 
 class TrackState(IntEnum):
@@ -39,11 +40,12 @@ class Tracks:
         ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray; NaN where unknown.
         sigmas_m: Shape (M,), float64, standard deviation of the range; infinite where unknown.
         detections: Shape (M,), int64, index of the box in this frame's `Detections`; -1 without one.
-        direct_probabilities: Shape (M,), float64 in [0, 1], filtered probability of being a lamp itself, not its light
-            on a surface; NaN where unknown. An empty array becomes NaNs.
+        light_kinds: Shape (M, 4), float64, the filtered probabilities of the kinds of `LIGHT_KINDS`, which sum to 1;
+            NaN where unknown. An empty array becomes NaNs.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, ids do not ascend, or a box is not in order or not finite.
+        ValueError: If a shape or a dtype is wrong, ids do not ascend, a box is not in order or not finite, or kinds do
+            not sum to 1.
     """
 
     ids: NDArray[np.int64]
@@ -56,12 +58,10 @@ class Tracks:
     ranges_m: NDArray[np.float64]
     sigmas_m: NDArray[np.float64]
     detections: NDArray[np.int64]
-    direct_probabilities: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    light_kinds: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, len(LIGHT_KINDS))))
 
     def __post_init__(self) -> None:
         count = len(self.ids)
-        if not len(self.direct_probabilities):
-            object.__setattr__(self, "direct_probabilities", np.full(count, np.nan))
         for name, dtype in _TRACK_DTYPES.items():
             array = getattr(self, name)
             shape = (count, 4) if name == "boxes_xyxy_px" else (count,)
@@ -71,6 +71,8 @@ class Tracks:
                     f"{array.shape}"
                 )
             object.__setattr__(self, name, frozen_view(array))
+        light_kinds = checked_kinds("Tracks.light_kinds", self.light_kinds, count, np.float64)
+        object.__setattr__(self, "light_kinds", light_kinds)
         boxes = self.boxes_xyxy_px
         if not (self.ids[1:] > self.ids[:-1]).all():
             raise ValueError(f"Tracks.ids: expected ascending numbers, got {self.ids.tolist()}")
@@ -85,6 +87,16 @@ class Tracks:
         """Shape (M,): which tracks may be acted on, confirmed or coasting."""
         return np.asarray(self.states != TrackState.TENTATIVE)
 
+    @property
+    def kind_names(self) -> tuple[str | None, ...]:
+        """For each track the most probable of `LIGHT_KINDS`; None where it is unknown."""
+        return names_of_kinds(self.light_kinds)
+
+    @property
+    def direct_probabilities(self) -> NDArray[np.float64]:
+        """Shape (M,): filtered probability of a lamp in sight, front or rear, not its light; NaN where unknown."""
+        return direct_of_kinds(self.light_kinds)
+
 
 _TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
     {
@@ -98,6 +110,5 @@ _TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
         "ranges_m": np.float64,
         "sigmas_m": np.float64,
         "detections": np.int64,
-        "direct_probabilities": np.float64,
     }
 )

@@ -134,7 +134,7 @@ def with_kinds(samples: Samples) -> Samples:
 
 def test_kinds_are_learnt(tmp_path: Path) -> None:
     samples = {"train": with_kinds(TRAIN), "val": with_kinds(VAL)}
-    recipe = changed(RECIPE, {"epochs": 12, "kinds": True})
+    recipe = changed(RECIPE, {"epochs": 30, "kinds": True})
     result = run(tmp_path, recipe, make_network=lambda _: TinyNetwork(1, 1, 5), **samples)
     assert result.val_logits.shape == (len(VAL), 5)
     assert result.best.f1 > 0.9

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 pytest.importorskip("rclpy")
 
@@ -32,6 +33,7 @@ from foreglow.runtime.ros2.results import (
     tracks_message,
 )
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks
+from foreglow.types.kinds import kinds_of_direct
 
 pytestmark = pytest.mark.ros
 
@@ -42,9 +44,14 @@ def detections_of(count: int, seed: int = 0) -> Detections:
     generator = np.random.default_rng(seed)
     corners = generator.integers(0, 500, (count, 2))
     boxes = np.concatenate([corners, corners + generator.integers(1, 50, (count, 2))], axis=1).astype(np.int32)
-    direct = generator.random(count).astype(np.float32)
-    direct[::3] = np.nan
-    return Detections(Proposals(boxes), generator.random(count).astype(np.float32), 0.24, direct)
+    kinds = kinds_of(generator, count).astype(np.float32)
+    kinds[::3] = np.nan
+    return Detections(Proposals(boxes), generator.random(count).astype(np.float32), 0.24, kinds)
+
+
+def kinds_of(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+    weights = generator.random((count, 4))
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def tracks_of(count: int, seed: int = 0) -> Tracks:
@@ -61,7 +68,7 @@ def tracks_of(count: int, seed: int = 0) -> Tracks:
         ranges_m=np.where(generator.random(count) < 0.3, np.nan, generator.random(count) * 200),
         sigmas_m=np.where(generator.random(count) < 0.3, np.inf, generator.random(count) + 0.1),
         detections=generator.integers(-1, 5, count),
-        direct_probabilities=generator.random(count),
+        light_kinds=kinds_of(generator, count),
     )
 
 
@@ -87,7 +94,7 @@ def test_boxes_and_ranges_come_back(count: int, seed: int, has_ranges: bool) -> 
     _, alone = read_detections(detections_message(HEADER, sent), "t", 0.24)
     np.testing.assert_array_equal(alone.boxes_xyxy_px, sent.boxes_xyxy_px)
     np.testing.assert_array_equal(alone.scores, sent.scores)
-    np.testing.assert_array_equal(alone.direct_probabilities, sent.direct_probabilities)
+    np.testing.assert_array_equal(alone.light_kinds, sent.light_kinds)
     assert alone.score_threshold == 0.24
 
 
@@ -97,6 +104,17 @@ def test_tracks_come_back(count: int, seed: int) -> None:
     header, back = read_tracks(tracks_message(HEADER, sent), "t")
     assert header == HEADER
     assert_equal_fields(back, sent)
+
+
+def test_tables_without_kinds_tell_lamps_from_their_light() -> None:
+    """As older versions sent them."""
+    detections, tracks = detections_message(HEADER, detections_of(3)), tracks_message(HEADER, tracks_of(3))
+    for message in (detections, tracks):
+        message.fields = [field for field in message.fields if field.name != "light_kinds"]
+    _, found = read_detections(detections, "t", 0.24)
+    np.testing.assert_array_equal(found.light_kinds, kinds_of_direct(detections_of(3).direct_probabilities))
+    _, followed = read_tracks(tracks, "t")
+    np.testing.assert_array_equal(followed.light_kinds, kinds_of_direct(tracks_of(3).direct_probabilities))
 
 
 @pytest.mark.parametrize(
@@ -136,12 +154,12 @@ def broken(message: Any, **values: Any) -> Any:
         ({"is_bigendian": True}, "is_bigendian"),
         ({"height": 2}, "height, width: expected 1 and"),
         ({"width": 2**31}, "height, width: expected 1 and at most 100000"),
-        ({"width": 3}, "row_step, data: expected 3 x 24 bytes"),
+        ({"width": 3}, "row_step, data: expected 3 x 40 bytes"),
         ({"row_step": 1}, "row_step, data"),
-        ({"data": array.array("B", bytes(47))}, "row_step, data: expected 2 x 24 bytes, got 48 and 47"),
+        ({"data": array.array("B", bytes(79))}, "row_step, data: expected 2 x 40 bytes, got 80 and 79"),
         ({"point_step": 0}, "point_step: expected 1 to"),
         ({"point_step": 2**31}, "point_step: expected 1 to"),
-        ({"point_step": 23, "row_step": 46}, "direct_probability: expected to end within 23 bytes"),
+        ({"point_step": 39, "row_step": 78}, "light_kinds: expected to end within 39 bytes"),
         ({"fields": []}, "box_xyxy_px: missing"),
     ],
 )

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.files import atomic_path
+from foreglow.types import LIGHT_KINDS
 
-SOURCES = ("front_lamp", "rear_lamp", "front_light", "rear_light", "own", "fixed")
+SOURCES = (*LIGHT_KINDS, "own", "fixed")
 """Other vehicles' front and rear lamps in sight, their light on something, our own light, and everything fixed: street
 lamps, windows, the sky. The shares of a box are in this order."""
 
-NUM_VEHICLE_SOURCES = 4
+NUM_VEHICLE_SOURCES = len(LIGHT_KINDS)
 """The first so many sources are other vehicles."""
 
 BOX = ("x1", "y1", "x2", "y2")

@@ -14,11 +14,13 @@ from sensor_msgs.msg import PointCloud2
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 
 DETECTIONS = {
     "box_xyxy_px": Field("i4", 4),
     "score": Field("f4"),
     "direct_probability": Field("f4"),
+    "light_kinds": Field("f4", 4, is_optional=True),
 }
 RANGES = DETECTIONS | {
     "range_m": Field("f8", is_optional=True),
@@ -35,9 +37,10 @@ TRACKS = {
     "range_m": Field("f8"),
     "sigma_m": Field("f8"),
     "detection": Field("i4"),
+    "light_kinds": Field("f8", 4, is_optional=True),
     "direct_probability": Field("f8"),
 }
-"""The fields of `Tracks`, in their order, in the singular."""
+"""The fields of `Tracks`, in their order, in the singular, and a property; older versions sent no `light_kinds`."""
 
 BEAM = {
     "mode": Field("u1"),
@@ -65,6 +68,7 @@ def detections_message(header: Header, detections: Detections, ranges: Ranges | 
         "box_xyxy_px": detections.boxes_xyxy_px,
         "score": detections.scores,
         "direct_probability": detections.direct_probabilities,
+        "light_kinds": detections.light_kinds,
     }
     if ranges is not None:
         columns |= {"range_m": ranges.ranges_m, "sigma_m": ranges.sigmas_m}
@@ -105,8 +109,9 @@ def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
         ValueError: If a number does not fit 32 bits.
     """
     columns = {}
-    for (name, column), attribute in zip(TRACKS.items(), dataclasses.fields(tracks), strict=True):
-        array = getattr(tracks, attribute.name)
+    attributes = [*(field.name for field in dataclasses.fields(tracks)), "direct_probabilities"]
+    for (name, column), attribute in zip(TRACKS.items(), attributes, strict=True):
+        array = getattr(tracks, attribute)
         if column.dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
             raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
         columns[name] = array.astype(column.dtype, copy=False)
@@ -122,6 +127,7 @@ def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
     header, columns = read_table(message, topic, TRACKS)
     if (columns["state"] > max(TrackState)).any():
         raise ValueError(f"{topic}: state: expected 0 to {max(TrackState)}, got {columns['state'].max()}")
+    columns.setdefault("light_kinds", kinds_of_direct(columns.pop("direct_probability")))
     wide: list[Any] = [column.astype(np.int64) if column.dtype.kind in "iu" else column for column in columns.values()]
     with _naming(topic):
         return header, Tracks(*wide)
@@ -187,7 +193,8 @@ def read_timing(message: PointCloud2, topic: str) -> tuple[Header, dict[str, flo
 def _detections(columns: Mapping[str, NDArray[Any]], topic: str, score_threshold: float) -> Detections:
     with _naming(topic):
         proposals = Proposals(columns["box_xyxy_px"])
-        return Detections(proposals, columns["score"], score_threshold, columns["direct_probability"])
+        light_kinds = columns.get("light_kinds", kinds_of_direct(columns["direct_probability"]))
+        return Detections(proposals, columns["score"], score_threshold, light_kinds)
 
 
 @contextlib.contextmanager

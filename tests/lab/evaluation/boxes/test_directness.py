@@ -12,6 +12,7 @@ from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.directness import Directness, directness, directness_of_boxes
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.lab.evaluation.scored_boxes import light, split_labels
 from tests.stand_ins import tracks_of
 from tests.tracking.made_up import camera
@@ -37,7 +38,7 @@ def predictions(*direct: float, scores: float = 0.9) -> Predictions:
 def followed(direct: list[float], states: list[TrackState] | None = None) -> dict[int, Tracks]:
     """Tracks in the boxes, 40 m away: at 1400 px a radian, 47 px are 1.34 m."""
     tracks = tracks_of(BOXES.tolist(), states, ranges_m=[40.0] * 4)
-    return dict.fromkeys(LABELS.lights, dataclasses.replace(tracks, direct_probabilities=np.array(direct)))
+    return dict.fromkeys(LABELS.lights, dataclasses.replace(tracks, light_kinds=kinds_of_direct(np.array(direct))))
 
 
 def test_boxes_by_what_they_hold() -> None:
