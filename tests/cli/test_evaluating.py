@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from foreglow.datasets.simulated import BoxShares, shares_path
+from foreglow.datasets.simulated.shares import write_shares
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.types import Frame
@@ -97,6 +99,7 @@ def test_report_on_predictions(tmp_path: Path, split: Path, predictions: Path) -
     assert results["ranking"]["average_precision"] == 0.5
     assert results["made_with"]["predictions"] == str(predictions)
     report = (out / "report.md").read_text()
+    assert "By whose light" not in report
     assert all(f"]({name})" in report for name in PLOTS)
     assert "| lamp | 2 | 0.500 | 0.500 | 0.667 |" in report
     again = tmp_path / "again"
@@ -120,6 +123,28 @@ def test_direct_light_is_rated_where_a_run_says_it(tmp_path: Path, split: Path) 
     assert "direct or indirect, accepted boxes: balanced accuracy – (1.000 of 2 direct, – of 0" in done.stdout
     assert "direct or indirect, plausible tracks: balanced accuracy – (0.000 of 2 direct, – of 0" in done.stdout
     assert "pairs of tracks" not in done.stdout
+
+
+def test_whose_light_is_in_the_boxes(tmp_path: Path, split: Path, predictions: Path) -> None:
+    pytest.importorskip("pyarrow")
+    path = shares_path(split, 1)
+    path.parent.mkdir(parents=True)
+    boxes = np.array([[5, 5, 15, 15], [30, 30, 40, 40]], np.int32)
+    shares = np.array([[0.5, 0, 0, 0, 0.5, 0], [0, 0, 0, 0, 1, 0]], np.float32)
+    write_shares(path, [(2, BoxShares("foreglow", boxes, shares))])
+    results = tmp_path / "results.json"
+    command = ("evaluate", split, "--predictions", predictions, "--threshold", 0.2, "--json", results)
+    done = foreglow_command(*command)
+    assert done.exit_code == 0, done.output
+    assert "by whose light, false below 0.1 of vehicle light: precision 0.500, average precision 1.000" in done.stdout
+    assert "by whose light, false boxes a frame: 0.500 in all 2 images, – in the 0 without vehicles" in done.stdout
+    found = json.loads(results.read_text())
+    assert (found["tp"], found["whose_light"]["precision"]) == (1, 0.5)
+    write_shares(path, [(2, BoxShares("foreglow", boxes + 1, shares))])
+    done = foreglow_command(*command)
+    assert done.exit_code == 0, done.output
+    assert "by whose light: no figures, 2 of 2 boxes are not among the proposals stored" in done.stdout
+    assert "average precision 1.000" not in done.stdout
 
 
 def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:

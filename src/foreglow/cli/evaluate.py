@@ -45,7 +45,10 @@ def evaluate(
         option("SCORE", "Count boxes with a score above this (default: that of the run).", min=0.0, max=1.0),
     ] = None,
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
-    json_file: Annotated[Path | None, output_file("Also write the paper's metrics as JSON.", "--json")] = None,
+    json_file: Annotated[
+        Path | None,
+        output_file("Also write the figures of the table, and those by whose light, as JSON.", "--json"),
+    ] = None,
     robustness: Annotated[
         bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,
@@ -57,7 +60,7 @@ def evaluate(
 
     import rich
 
-    from foreglow.files import write_json_results
+    from foreglow.files import to_json, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
 
     workers = work.workers()
@@ -71,7 +74,9 @@ def evaluate(
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     if json_file is not None:
-        write_json_results(json_file, examination.quality, indent=2)
+        found = examination.whose_light
+        by_light = {} if found is None else {"whose_light": found}
+        write_json_results(json_file, to_json(examination.quality) | by_light, indent=2)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if out is not None:
@@ -115,7 +120,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     from foreglow.runs.frames_file import has_tracks, read_tracks
 
     dataset = open_labelled(split)
-    found, labels = read_predictions(predictions), read_split_labels(dataset)
+    found, labels = read_predictions(predictions), read_split_labels(dataset, with_shares=True)
     examination = examine(labels, found, threshold, str(predictions))
     if not has_tracks(predictions):
         return examination
@@ -134,7 +139,7 @@ def _examined_model(
     from foreglow.runtime import Opening
 
     dataset = open_labelled(split)
-    labels = read_split_labels(dataset)
+    labels = read_split_labels(dataset, with_shares=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
         summary = run_in_parallel(Opening(open_labelled, (split,)), str(split), folder, configuration, workers)

@@ -4,7 +4,7 @@
 of it that a car knows, too, and `lux` the light of our headlamps at other drivers' eyes.
 """
 
-from foreglow.datasets.simulated.files import SequenceTruth, SimulatedTruth, has_truth, read_truth
+from foreglow.datasets.simulated.files import SequenceTruth, SimulatedTruth, has_truth, read_truth, shares_path
 from foreglow.datasets.simulated.shares import NUM_VEHICLE_SOURCES, SOURCES, BoxShares, read_shares
 from foreglow.datasets.simulated.truth import KINDS, Artifact, FrameTruth, Kind, LampTruth, VehicleTruth
 
@@ -23,4 +23,5 @@ __all__ = [
     "has_truth",
     "read_shares",
     "read_truth",
+    "shares_path",
 ]

@@ -269,6 +269,11 @@ def sequence_folder(root: Path, sequence_id: int) -> Path:
     return root / "simulation" / sequence_name(sequence_id)
 
 
+def shares_path(root: Path, sequence_id: int) -> Path:
+    """The file that says whose light is in the proposals of a sequence; only some data sets have it."""
+    return sequence_folder(root, sequence_id) / "shares.parquet"
+
+
 def finished_sequences(root: Path) -> tuple[int, ...]:
     """Numbers of the sequences whose truth is complete, in order."""
     folders = (root / "simulation").glob("S[0-9]*")

@@ -4,6 +4,7 @@ from foreglow.lab.evaluation.boxes.box_quality import BoxQuality, annotation_qua
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, SplitLabels, break_down, match_lights, read_split_labels
 from foreglow.lab.evaluation.boxes.examination import Examination, examine
 from foreglow.lab.evaluation.boxes.split_run import SplitRun, run_split
+from foreglow.lab.evaluation.boxes.whose_light import WhoseLight
 from foreglow.runs.predictions import Predictions, read_predictions
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Predictions",
     "SplitLabels",
     "SplitRun",
+    "WhoseLight",
     "annotation_quality",
     "break_down",
     "evaluate_boxes",

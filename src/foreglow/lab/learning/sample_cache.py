@@ -17,6 +17,7 @@ import foreglow.classifier as classifier
 import foreglow.proposals as proposals
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
+from foreglow.datasets.simulated import shares_path
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
 FORMAT = 2
@@ -81,8 +82,9 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
         add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, sequence.id, sequence.start_time_ms)
         digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
     if config.by_light:
-        for path in sorted(dataset.root.glob("simulation/S*/shares.parquet")):
-            digest.update(path.read_bytes())
+        for sequence in dataset.sequences:
+            path = shares_path(dataset.root, sequence.id)
+            digest.update(path.read_bytes() if path.is_file() else b"")
     return digest.hexdigest()
 
 

@@ -15,8 +15,15 @@ from pydantic import BeforeValidator, Field
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES, BoxShares, read_shares
-from foreglow.lab.evaluation.boxes.lights import LAMP, LIGHT_KINDS, Light, read_lights
+from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES
+from foreglow.lab.evaluation.boxes.lights import (
+    LAMP,
+    LIGHT_KINDS,
+    Light,
+    SplitShares,
+    read_lights,
+    read_split_shares,
+)
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
 from foreglow.types import KINDS, Boxes, Frame, Proposals
@@ -187,7 +194,7 @@ def samples_by_image(
     # One maker for the boxes and one for each set of copies, so that what they remember is not mixed.
     makers = [InputMaker(config.inputs) for _ in range(1 + config.jitter.num_copies)]
     lights = read_lights(dataset)
-    shares = _stored_shares(dataset) if config.by_light else {}
+    shares = read_split_shares(dataset) if config.by_light else {}
     sequence_id = -1
     for num_done, image_id in enumerate(dataset.frame_ids):
         if progress is not None:
@@ -212,23 +219,17 @@ def samples_by_image(
         progress(len(dataset.frame_ids), len(dataset.frame_ids))
 
 
-def _stored_shares(dataset: LabelledSource) -> dict[int, list[BoxShares]]:
-    """Whose light is in the proposals of each image, for every preset; empty where the data set does not say."""
-    shares: dict[int, list[BoxShares]] = {}
-    for path in sorted(dataset.root.glob("simulation/S*/shares.parquet")):
-        for image_id, found in read_shares(path):
-            shares.setdefault(image_id, []).append(found)
-    return shares
-
-
 def _kinds_by_light(
-    dataset: LabelledSource, image_id: int, boxes_xyxy_px: Boxes, shares: dict[int, list[BoxShares]]
+    dataset: LabelledSource, image_id: int, boxes_xyxy_px: Boxes, shares: SplitShares
 ) -> NDArray[np.float32]:
     """The kinds of light in each box, shape (N, 5): the stored shares of vehicles, and all other light as none."""
-    for found in shares.get(image_id, ()):
-        if np.array_equal(found.boxes_xyxy_px, boxes_xyxy_px):
+    for images in shares.values():
+        found = images.get(image_id)
+        if found is not None and np.array_equal(found.boxes_xyxy_px, boxes_xyxy_px):
             vehicles = found.shares[:, :NUM_VEHICLE_SOURCES]
             return np.column_stack([vehicles, 1.0 - vehicles.sum(1)]).clip(0.0, 1.0).astype(np.float32)
+    if not len(boxes_xyxy_px):
+        return np.zeros((0, NUM_KINDS), np.float32)
     raise ValueError(
         f"{dataset.root}: image {image_id}: expected whose light is in these proposals; simulate with --shares and "
         f"the preset of the training, in this version"

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup
+from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup, OperatingPoint
 from foreglow.lab.evaluation.boxes.directness import Directness
-from foreglow.lab.evaluation.boxes.examination import Examination, OperatingPoint, Ranking
+from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration
+from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE, WhoseLight
 from foreglow.lab.evaluation.vehicles import FirstFound, share_found_ahead
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, PALE, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, number
@@ -141,6 +142,8 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
     if examination.ranking is not None:
         _add_ranking(page, examination.ranking, examination.breakdown)
     _add_breakdown(page, examination.breakdown)
+    if examination.whose_light is not None:
+        _add_whose_light(page, examination.whose_light)
     _add_vehicles(page, examination.vehicles, examination.rate_hz)
     if examination.run_time_ms:
         page.section("Run-time")
@@ -164,23 +167,16 @@ def examination_lines(examination: Examination) -> list[str]:
             f"hidden vehicles: {_number(hidden.recall)} of {hidden.num} lights in an accepted box, "
             f"{_number(hidden.ceiling)} in any box"
         )
-    everywhere, empty = breakdown.false_boxes, breakdown.false_boxes_empty
-    lines.append(
-        f"false boxes a frame: {_number(everywhere.per_frame)} in all {everywhere.num_images} images, "
-        f"{_number(empty.per_frame)} in the {empty.num_images} without vehicles"
-    )
+    lines.append(_false_boxes_line(breakdown.false_boxes, breakdown.false_boxes_empty))
     if examination.ranking is not None:
         ranking = examination.ranking
         lines.append(
             f"best F {_number(ranking.best_f1)} at threshold {_number(ranking.best_threshold)}; "
             f"average precision {_number(ranking.average_precision)}"
         )
-        lines += [
-            f"at {point.limit:g} false boxes a frame without vehicles (threshold {_number(point.threshold)}): "
-            f"{_number(point.recall_hidden)} of the hidden vehicles' lights"
-            for point in ranking.operating_points
-            if point.limit == 0.2
-        ]
+        lines += [_hidden_line(point) for point in ranking.operating_points if point.limit == 0.2]
+    if examination.whose_light is not None:
+        lines += _whose_light_lines(examination.whose_light)
     lines += list(_directness_lines(examination.directness))
     if "total" in examination.run_time_ms:
         total = examination.run_time_ms["total"]
@@ -188,6 +184,38 @@ def examination_lines(examination: Examination) -> list[str]:
             f"{number(total['median'])} ms a frame (median), {number(total['p99'])} ms (p99), without decoding"
         )
     return lines
+
+
+def _false_boxes_line(everywhere: FalseBoxes, empty: FalseBoxes) -> str:
+    return (
+        f"false boxes a frame: {_number(everywhere.per_frame)} in all {everywhere.num_images} images, "
+        f"{_number(empty.per_frame)} in the {empty.num_images} without vehicles"
+    )
+
+
+def _hidden_line(point: OperatingPoint) -> str:
+    return (
+        f"at {point.limit:g} false boxes a frame without vehicles (threshold {_number(point.threshold)}): "
+        f"{_number(point.recall_hidden)} of the hidden vehicles' lights"
+    )
+
+
+def _whose_light_lines(found: WhoseLight) -> Iterator[str]:
+    """The figures by whose light is in the boxes, or why there are none."""
+    if found.false_boxes is None or found.false_boxes_empty is None:
+        yield (
+            f"by whose light: no figures, {found.num_unmatched} of {found.num_boxes} boxes are not among the proposals "
+            f"stored with the data set (preset {found.preset}): expected the same preset and parameters"
+        )
+        return
+    yield (
+        f"by whose light, false below {MIN_VEHICLE_SHARE:g} of vehicle light: precision {_number(found.precision)}, "
+        f"average precision {_number(found.average_precision)}"
+    )
+    yield f"by whose light, {_false_boxes_line(found.false_boxes, found.false_boxes_empty)}"
+    for point in found.operating_points:
+        if point.limit in (0.05, 0.2, 0.5):
+            yield f"by whose light, {_hidden_line(point)}"
 
 
 def _directness_lines(directness: Directness) -> Iterator[str]:
@@ -225,15 +253,7 @@ def _add_ranking(page: Page, ranking: Ranking, breakdown: Breakdown) -> None:
     )
     page.section("Hidden vehicles against false boxes")
     page.figure(Figure(hidden_plot(ranking, breakdown), "Hidden vehicles against false boxes", "hidden.png"))
-    columns: dict[str, Callable[[OperatingPoint], str]] = {
-        "false boxes a frame without vehicles, at most": lambda point: f"{point.limit:g}",
-        "threshold": lambda point: _number(point.threshold),
-        "recall hidden": lambda point: _number(point.recall_hidden),
-        "P": lambda point: _number(point.precision),
-        "R": lambda point: _number(point.recall),
-        "F": lambda point: _number(point.f1),
-    }
-    page.table(Table.of(columns, ranking.operating_points))
+    page.table(Table.of(POINT_COLUMNS, ranking.operating_points))
     calibration = ranking.calibration
     if calibration is not None:
         page.section("Are scores probabilities?")
@@ -260,12 +280,38 @@ def _add_breakdown(page: Page, breakdown: Breakdown) -> None:
         rows += [[group.name, group.num, *map(_number, (group.recall, group.ceiling, group.f1))] for group in groups]
     page.table(Table(["lights", "number", "recall", "ceiling", "F"], rows))
     page.section("False boxes")
-    named = {"all": breakdown.false_boxes, "without vehicles": breakdown.false_boxes_empty}
-    page.table(Table.of(FALSE_COLUMNS, named.items()))
+    page.table(_false_boxes_table(breakdown.false_boxes, breakdown.false_boxes_empty))
     page.text("A minute has 18 x 60 images, whatever the rate of the data set.")
     page.section("By weather")
     page.table(Table.of(WEATHER_COLUMNS, breakdown.weathers))
 
+
+def _add_whose_light(page: Page, found: WhoseLight) -> None:
+    page.section("By whose light")
+    if found.false_boxes is None or found.false_boxes_empty is None:
+        page.items(_whose_light_lines(found))
+        return
+    page.text(
+        f"A box is false if other vehicles make less than {MIN_VEHICLE_SHARE:g} of its light, as stored with the data "
+        f"set for the proposals of `{found.preset}`. Of the accepted boxes {_number(found.precision)} are not false; "
+        f"average precision {_number(found.average_precision)}. Recall is that of key points."
+    )
+    page.table(_false_boxes_table(found.false_boxes, found.false_boxes_empty))
+    page.table(Table.of(POINT_COLUMNS, found.operating_points))
+
+
+def _false_boxes_table(everywhere: FalseBoxes, empty: FalseBoxes) -> Table:
+    return Table.of(FALSE_COLUMNS, {"all": everywhere, "without vehicles": empty}.items())
+
+
+POINT_COLUMNS: Mapping[str, Callable[[OperatingPoint], str]] = {
+    "false boxes a frame without vehicles, at most": lambda point: f"{point.limit:g}",
+    "threshold": lambda point: _number(point.threshold),
+    "recall hidden": lambda point: _number(point.recall_hidden),
+    "P": lambda point: _number(point.precision),
+    "R": lambda point: _number(point.recall),
+    "F": lambda point: _number(point.f1),
+}
 
 FALSE_COLUMNS: Mapping[str, Callable[[tuple[str, FalseBoxes]], object]] = {
     "images": lambda named: named[0],

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN
+from foreglow.lab.reports.page import DASH
 from foreglow.lab.studies.detector.models import DetectorPlan
 from foreglow.lab.studies.detector.page import (
     FOUND_BGR,
@@ -22,6 +23,7 @@ from foreglow.lab.studies.detector.page import (
     kind_table,
     main_table,
     pictures,
+    whose_light_table,
     write_report,
 )
 from foreglow.lab.studies.detector.run import RowResult, run_experiment
@@ -106,6 +108,28 @@ def test_numbers_and_their_ceilings() -> None:
         *("Paper", "942 k", "195 M", "1.4 G", "1.23 ± 0.50", "1.00", "250"),
         *(".500 (1.00)", "– (.500)", ".500 (.500)", ".500 (–)", ".500 ± .250 (.500)", ".500 ± .000 (.500)", "2.50"),
     ]
+
+
+def test_figures_by_whose_light() -> None:
+    points = [{"limit": 0.05, "recall_hidden": 0.25}]
+    known = {
+        "precision": 0.75, "average_precision": 0.5, "false_boxes": {"per_frame": 0.125},
+        "false_boxes_empty": {"per_frame": None}, "operating_points": points,
+    }  # fmt: skip
+    unmatched = {"precision": None, "average_precision": None, "false_boxes": None, "operating_points": []}
+    made = [
+        RowResult(name=name, title=name, examination={"whose_light": found})
+        for name, found in (("a", known), ("b", unmatched))
+    ]
+    kept = RowResult(name="c", title="c")  # measured before there were such figures
+    table = whose_light_table([*made, kept, RowResult(name="d", title="d", reason="none given")])
+    assert table.head[-1] == "hidden at most 0.05"
+    assert [[str(cell) for cell in row] for row in table.rows[:3]] == [
+        ["a", ".750", ".500", ".125", DASH, ".250"],
+        ["b", *[DASH] * 5],
+        ["c", *[DASH] * 5],
+    ]
+    assert len(table.rows[3]) == 2
 
 
 def test_marks_of_lights() -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -14,13 +15,24 @@ from foreglow.datasets import Instance, LabelledSource
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
-from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, NUM_STRONGEST, Light, empty_images, read_lights
+from foreglow.lab.evaluation.boxes.lights import (
+    LIGHT_KINDS,
+    NUM_STRONGEST,
+    Light,
+    SplitShares,
+    empty_images,
+    read_lights,
+    read_split_shares,
+)
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
 
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
 """Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
+
+FALSE_BOX_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""False boxes a frame in images without any vehicle's light, at which hidden vehicles' recall is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +127,22 @@ class Breakdown:
         return next((group for group in self.groups[aspect] if group.name == name), None)
 
 
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """What a limit on the false boxes in images without any vehicle's light leaves.
+
+    Attributes:
+        threshold: The lowest one that keeps to it.
+    """
+
+    limit: float
+    threshold: float
+    recall_hidden: float
+    recall: float
+    precision: float
+    f1: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SplitLabels:
     """What the labels of a split say, read once for any number of predictions.
@@ -128,6 +156,7 @@ class SplitLabels:
         weather_of: By image id, its sequence's weather, such as `dry`.
         sequence_of: By image id, its sequence's id.
         time_s: By image id, from the first image of its sequence, seconds.
+        shares: Whose light is in the proposals; empty where that is not stored, or was not read.
     """
 
     name: str
@@ -138,6 +167,7 @@ class SplitLabels:
     weather_of: Mapping[int, str]
     sequence_of: Mapping[int, int]
     time_s: Mapping[int, float]
+    shares: SplitShares = field(default_factory=dict)
 
     @property
     def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
@@ -152,6 +182,7 @@ class LightMatches:
     Attributes:
         lights: All lights, P of them.
         best_scores: Shape (P,), the highest score of the boxes around each; -inf without any.
+        is_false: Shape (B,): whether a box is false if it is accepted: it holds no light.
         has_doubtful: Shape (B,): whether a box holds doubtful light.
         is_in_empty: Shape (B,): whether a box lies in an image without any vehicle's light.
     """
@@ -159,6 +190,7 @@ class LightMatches:
     lights: tuple[Light, ...]
     matches: Matches
     best_scores: NDArray[np.float64]
+    is_false: NDArray[np.bool_]
     has_doubtful: NDArray[np.bool_]
     is_in_empty: NDArray[np.bool_]
     num_empty_images: int
@@ -169,12 +201,13 @@ class LightMatches:
         return np.array([light.is_hidden for light in self.lights], np.bool_)
 
 
-def read_split_labels(dataset: LabelledSource) -> SplitLabels:
-    """The labels of the selected images of `dataset`.
+def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> SplitLabels:
+    """The labels of the selected images of `dataset`; if wanted, with the shares of light that are stored beside them.
 
     Raises:
         FileNotFoundError: If a label file is missing.
-        ValueError: If one is broken.
+        ModuleNotFoundError: If there are shares to read, and the extra `parquet` is not installed.
+        ValueError: If a file is broken.
     """
     ids = dataset.frame_ids
     return SplitLabels(
@@ -186,6 +219,7 @@ def read_split_labels(dataset: LabelledSource) -> SplitLabels:
         weather_of={image_id: dataset.sequence(image_id).weather.name.lower() for image_id in ids},
         sequence_of={image_id: dataset.sequence(image_id).id for image_id in ids},
         time_s={image_id: dataset.time_s(image_id) for image_id in ids},
+        shares=read_split_shares(dataset) if with_shares else {},
     )
 
 
@@ -198,6 +232,7 @@ def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
         lights=tuple(light for lights in labels.lights.values() for light in lights),
         matches=matches,
         best_scores=matches.best_scores(),
+        is_false=~matches.has_point,
         has_doubtful=match_boxes(doubtful_px, predictions).has_point,
         is_in_empty=is_empty[matches.image_of_box],
         num_empty_images=int(is_empty.sum()),
@@ -208,7 +243,7 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
     """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted."""
     matches = matched.matches
     is_found = matched.best_scores > threshold
-    is_false = (matches.scores > threshold) & ~matches.has_point
+    is_false = (matches.scores > threshold) & matched.is_false
     precision = ratio(is_found.sum(), is_found.sum() + is_false.sum())
 
     def group(name: str, members: NDArray[np.bool_], precision: float = precision) -> LightGroup:
@@ -238,9 +273,8 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
 
 def hidden_curve(matched: LightMatches) -> RecallCurve:
     """Recall of hidden vehicles' light over false boxes a frame in images without any vehicle's light."""
-    return recall_curve(
-        matched.best_scores[matched.is_hidden], matched.matches.scores[matched.is_in_empty], matched.num_empty_images
-    )
+    false_scores = matched.matches.scores[matched.is_in_empty & matched.is_false]
+    return recall_curve(matched.best_scores[matched.is_hidden], false_scores, matched.num_empty_images)
 
 
 def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
@@ -251,7 +285,21 @@ def threshold_for_empty_images(matched: LightMatches, limit: float) -> float:
     """
     if not matched.matches.is_scored:
         raise ValueError("threshold_for_empty_images: expected boxes with scores, got boxes without")
-    return threshold_at_false_boxes(matched.matches.scores[matched.is_in_empty], matched.num_empty_images, limit)
+    false_scores = matched.matches.scores[matched.is_in_empty & matched.is_false]
+    return threshold_at_false_boxes(false_scores, matched.num_empty_images, limit)
+
+
+def operating_points(matched: LightMatches) -> tuple[OperatingPoint, ...]:
+    """At each of `FALSE_BOX_LIMITS`; none without scores, or without images in which there is no vehicle's light."""
+    points = []
+    for limit in FALSE_BOX_LIMITS if matched.num_empty_images and matched.matches.is_scored else ():
+        threshold = threshold_for_empty_images(matched, limit)
+        at_limit = break_down(matched, threshold)
+        hidden = at_limit.group("sight", "hidden")
+        recall_hidden = math.nan if hidden is None else hidden.recall
+        whole = at_limit.whole
+        points.append(OperatingPoint(limit, threshold, recall_hidden, whole.recall, at_limit.precision, whole.f1))
+    return tuple(points)
 
 
 def range_bins(ranges_m: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -13,16 +12,18 @@ from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.box_quality import BoxQuality, evaluate_boxes
 from foreglow.lab.evaluation.boxes.breakdown import (
     Breakdown,
+    OperatingPoint,
     SplitLabels,
     break_down,
     hidden_curve,
     match_lights,
-    threshold_for_empty_images,
+    operating_points,
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
+from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light
 from foreglow.lab.evaluation.vehicles import FirstFound, first_found, share_found_ahead
 from foreglow.runs.predictions import Predictions
 
@@ -30,24 +31,6 @@ RunTime: TypeAlias = Mapping[str, float | None]
 """`median`, `p95` and `p99` of one stage, milliseconds."""
 
 CURVE_THRESHOLDS = np.round(np.arange(0.0, 1.0, 0.01), 2)
-FALSE_BOX_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
-"""False boxes a frame in images without any vehicle's light, at which hidden vehicles' recall is given."""
-
-
-@dataclass(frozen=True, slots=True)
-class OperatingPoint:
-    """What a limit on the false boxes in images without any vehicle's light leaves.
-
-    Attributes:
-        threshold: The lowest one that keeps to it.
-    """
-
-    limit: float
-    threshold: float
-    recall_hidden: float
-    recall: float
-    precision: float
-    f1: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +65,7 @@ class Examination:
         run_time_ms: By stage and `total`, median, p95 and p99; empty for predictions from a file.
         robustness: Figures under disturbances; empty where not asked for.
         directness: How well direct and indirect light are distinguished, and lamps grouped into vehicles.
+        whose_light: Figures by whose light is in the boxes; None where the split does not store that.
     """
 
     name: str
@@ -94,6 +78,7 @@ class Examination:
     run_time_ms: Mapping[str, RunTime]
     robustness: tuple[RobustnessRow, ...] = ()
     directness: Directness = field(default_factory=Directness)
+    whose_light: WhoseLight | None = None
 
     @property
     def share_found_ahead(self) -> float:
@@ -118,21 +103,13 @@ def rank(labels: SplitLabels, predictions: Predictions) -> Ranking:
     is_true = matches.has_point
     is_certain = is_true | ~matched.has_doubtful
     has_both = 0 < is_true[is_certain].sum() < is_certain.sum()
-    points = []
-    for limit in FALSE_BOX_LIMITS if matched.num_empty_images else ():
-        threshold = threshold_for_empty_images(matched, limit)
-        at_limit = break_down(matched, threshold)
-        hidden = at_limit.group("sight", "hidden")
-        recall_hidden = math.nan if hidden is None else hidden.recall
-        whole = at_limit.whole
-        points.append(OperatingPoint(limit, threshold, recall_hidden, whole.recall, at_limit.precision, whole.f1))
     return Ranking(
         average_precision=every.average_precision,
         best_threshold=best_threshold,
         best_f1=best_f1,
         curve=quality_curve(matches, CURVE_THRESHOLDS),
         hidden=hidden_curve(matched).corners(),
-        operating_points=tuple(points),
+        operating_points=operating_points(matched),
         calibration=calibration(matches.scores[is_certain], is_true[is_certain]) if has_both else None,
     )
 
@@ -156,4 +133,5 @@ def examine(
         ranking=rank(labels, predictions) if matched.matches.is_scored else None,
         run_time_ms=run_time_ms or {},
         directness=Directness(directness_of_boxes(labels, predictions, threshold)),
+        whose_light=whose_light(labels, predictions, matched, threshold),
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from foreglow.datasets import LabelledSource, Vehicle
-from foreglow.datasets.simulated import KINDS, has_truth, read_truth
+from foreglow.datasets.simulated import KINDS, BoxShares, has_truth, read_shares, read_truth, shares_path
 
 LAMP, INDIRECT = "lamp", "indirect"
 """The kinds in the labels themselves; the truth of simulated sets says what indirect light is seen on."""
@@ -21,6 +21,9 @@ NUM_STRONGEST = 3
 """Indirect lights of an image that count as its strongest."""
 
 DIRECT_RANK = -1
+
+SplitShares: TypeAlias = Mapping[str, Mapping[int, BoxShares]]
+"""Whose light is in the proposals of a split: by preset, by image id. Images without proposals have no entry."""
 
 _Known: TypeAlias = Mapping[tuple[int, int, int], tuple[float, str, float]]
 
@@ -74,6 +77,23 @@ def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
             if image_id in selected:
                 lights[image_id] = tuple(_ranked(_lights(image_id, sequence.id, vehicles, seen, known)))
     return {image_id: lights[image_id] for image_id in dataset.frame_ids}
+
+
+def read_split_shares(dataset: LabelledSource) -> SplitShares:
+    """The shares of light that are stored for the selected images of `dataset`; empty without any.
+
+    Raises:
+        ModuleNotFoundError: If there are some, and the extra `parquet` is not installed.
+        ValueError: If a file is broken; the message names it.
+    """
+    selected = set(dataset.frame_ids)
+    shares: dict[str, dict[int, BoxShares]] = {}
+    for sequence in dataset.sequences:
+        path = shares_path(dataset.root, sequence.id)
+        for image_id, found in read_shares(path) if path.is_file() else ():
+            if image_id in selected:
+                shares.setdefault(found.preset, {})[image_id] = found
+    return shares
 
 
 def empty_images(dataset: LabelledSource) -> tuple[int, ...]:

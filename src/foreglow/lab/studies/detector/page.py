@@ -189,6 +189,9 @@ def _page(results: DetectorResults) -> Page:
         "vehicles whose light comes before their lamps that are found before.",
     )
     page.table(hidden_table(results.rows))
+    if any(_whose_light(row) for row in results.rows):
+        page.section("By whose light", "A box is false if other vehicles make less than a tenth of its light.")
+        page.table(whose_light_table(results.rows))
     page.section("Differences of F")
     page.items(_comparison_lines(results))
     page.section("How each was made")
@@ -227,6 +230,21 @@ def hidden_table(rows: Sequence[RowResult]) -> Table:
         hidden = [by_limit.get(limit) for limit in limits]
         ranked = [ranking.get(name) for name in ("average_precision", "best_f1")]
         return [_rate(value) for value in (*ranked, *hidden, false, row.examination["share_found_ahead"])]
+
+    return _table(head, rows, cells)
+
+
+def whose_light_table(rows: Sequence[RowResult]) -> Table:
+    """The figures by whose light is in the boxes; dashes where the data set does not store that for a row's boxes."""
+    limits = sorted({point["limit"] for row in rows for point in _whose_light(row).get("operating_points", ())})
+    head = ["P", "AP", "false boxes a frame", "without vehicles", *(f"hidden at most {limit:g}" for limit in limits)]
+
+    def cells(row: RowResult) -> Cells:
+        found = _whose_light(row)
+        by_limit = {point["limit"]: point["recall_hidden"] for point in found.get("operating_points", ())}
+        false = [(found.get(name) or {}).get("per_frame") for name in ("false_boxes", "false_boxes_empty")]
+        values = (found.get("precision"), found.get("average_precision"), *false, *map(by_limit.get, limits))
+        return [_rate(value) for value in values]
 
     return _table(head, rows, cells)
 
@@ -270,6 +288,10 @@ def _points(row: RowResult) -> list[dict[str, Any]]:
     ranking = None if row.reason else row.examination["ranking"]
     points: list[dict[str, Any]] = [] if ranking is None else ranking["operating_points"]
     return points
+
+
+def _whose_light(row: RowResult) -> dict[str, Any]:
+    return row.examination.get("whose_light") or {}
 
 
 def _rate(value: float | None) -> str:

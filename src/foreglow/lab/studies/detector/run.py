@@ -130,7 +130,7 @@ def run_experiment(
     """
     workspace = Workspace(data, out, plan, progress, training)
     dataset = open_labelled(split_folder(data, plan.split))
-    labels = read_split_labels(dataset)
+    labels = read_split_labels(dataset, with_shares=True)
     for name in ("rows", "predictions"):
         (out / name).mkdir(parents=True, exist_ok=True)
     rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
