@@ -35,21 +35,25 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 class OpenCvProposer:
-    """The published proposals of uint8 frames of one size, reduced by two, in OpenCV."""
+    """The published proposals of uint8 frames of one size, reduced by two or four, in OpenCV."""
 
     def __init__(self, config: ProposalConfig, width_px: int = 1280, height_px: int = 960) -> None:
         """Makes the buffers.
 
         Raises:
-            ValueError: If the frame is not reduced by two, or is not even-sized.
+            ValueError: If the frame is not reduced by two or four, or its size is no multiple of that.
         """
         self.config = config
         self.sizes = working_sizes(config, width_px)
-        if self.sizes.reduction != 2 or width_px % 2 or height_px % 2:
-            raise ValueError(f"frame: expected an even size that is reduced by two, got {width_px}x{height_px}")
-        rows, columns = self.shape = height_px // 2, width_px // 2
+        factor = self.sizes.reduction
+        if factor not in (2, 4) or width_px % factor or height_px % factor:
+            raise ValueError(
+                f"frame: expected a size that is reduced by two or four, got {width_px}x{height_px} by {factor}"
+            )
+        rows, columns = self.shape = height_px // factor, width_px // factor
         h, d = self.sizes.half_window_px, self.sizes.gap_px
-        self._sums = np.empty(self.shape, np.uint16)
+        self._halves = np.empty((height_px // 2, width_px // 2), np.uint16)
+        self._sums = self._halves if factor == 2 else np.empty(self.shape, np.uint16)
         self._normalised = np.empty(self.shape, np.float32)
         padded = np.zeros((rows + 2 * h - 1, columns + 2 * h - 1), np.float32)  # zeros where a window leaves the frame
         self._padded, self._blurred = padded, padded[h - 1 : h - 1 + rows, h - 1 : h - 1 + columns]
@@ -59,7 +63,7 @@ class OpenCvProposer:
         self._square = np.ones((d, d), np.uint8)
         self._fill = [_fill_factors(length, h) for length in self.shape]
         across = (STRIP_ROWS, columns)
-        self._even, self._odd = (np.empty((2 * STRIP_ROWS, columns), np.uint16) for _ in range(2))
+        self._even, self._odd = (np.empty((2 * STRIP_ROWS, width_px // 2), np.uint16) for _ in range(2))
         self._tall = np.empty((STRIP_ROWS, columns + 2 * h), np.float32)
         self._mean, self._threshold = np.empty(across, np.float32), np.empty(across, np.float32)
         self._one_eps = np.full(across, 1.0 + config.eps, np.float32)
@@ -75,15 +79,18 @@ class OpenCvProposer:
         return Proposals(self._boxes())
 
     def _reduce(self, image: Image) -> None:
-        """Sums of 2x2 blocks, exact; the bytes of each pair are split by a mask and a shift."""
+        """Sums of blocks, exact; the bytes of each pair are split by a mask and a shift."""
         pairs = image.view(np.uint16)
-        for top in range(0, self.shape[0], STRIP_ROWS):
+        for top in range(0, len(self._halves), STRIP_ROWS):
             strip = pairs[2 * top : 2 * (top + STRIP_ROWS)]
             even, odd = self._even[: len(strip)], self._odd[: len(strip)]
             np.bitwise_and(strip, 255, out=even)
             np.right_shift(strip, 8, out=odd)
             np.add(even, odd, out=even)
-            np.add(even[::2], even[1::2], out=self._sums[top : top + STRIP_ROWS])
+            np.add(even[::2], even[1::2], out=self._halves[top : top + STRIP_ROWS])
+        if self._sums is not self._halves:
+            across = self._halves[:, ::2] + self._halves[:, 1::2]
+            np.add(across[::2], across[1::2], out=self._sums)
 
     def _integrate(self) -> None:
         """Integral image of the blurred image without its row 0 and column 0, which no published window reads."""

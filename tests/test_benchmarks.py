@@ -11,10 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import beam, camera_looks, distance, guard_sweep, ros2, scale, simulator, tracking
+from benchmarks import (
+    beam,
+    camera_looks,
+    distance,
+    guard_sweep,
+    lamps_in_proposals,
+    ros2,
+    scale,
+    simulator,
+    tracking,
+)
 from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from foreglow.config import PRESETS, ProposalConfig
+from foreglow.datasets import shipped_drive
 from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
 from tests.shared_data import SHARED
@@ -53,7 +64,7 @@ def test_opencv_chain_at_the_borders(size_px: tuple[int, int]) -> None:
 
 
 def test_opencv_chain_refuses_other_reductions() -> None:
-    with pytest.raises(ValueError, match="reduced by two, got 640x480"):
+    with pytest.raises(ValueError, match="reduced by two or four, got 640x480 by 1"):
         OpenCvProposer(ProposalConfig(), 640, 480)
 
 
@@ -183,3 +194,14 @@ def test_figures_tell_noise_and_blocks() -> None:
     assert camera_looks.figures(noisy)["noise"] > 2.0 > plain["noise"]
     assert camera_looks.figures(blocky)["blocks"] > 100 * plain["blocks"]
     assert plain["percentile 50"] == pytest.approx(100.0)
+
+
+def test_lamps_in_proposals_are_counted(tmp_path: Path) -> None:
+    lamps_in_proposals.main([str(shipped_drive()), "--preset", "foreglow", "--out", str(tmp_path / "lamps.json")])
+    (row,) = json.loads((tmp_path / "lamps.json").read_text())
+    assert row["number of lamps"] > 0
+    assert row["front lamps"] >= 0.9
+    boxes = np.array([[10, 10, 20, 20]], np.int32)
+    assert lamps_in_proposals.holds(boxes, (21.0, 15.0), 2.0)
+    assert not lamps_in_proposals.holds(boxes, (21.0, 15.0), 0.0)
+    assert not lamps_in_proposals.holds(boxes[:0], (15.0, 15.0), 2.0)

@@ -41,6 +41,32 @@ def test_second_channel_is_the_same_place_earlier() -> None:
     assert second.features[0, FEATURES.index("has_earlier")] == 1.0
 
 
+def test_the_last_channel_shows_the_surroundings() -> None:
+    spec = InputSpec(16, 2, lag_s=0.25, num_features=len(FEATURES), context=5)
+    maker = InputMaker(spec)
+    first = maker.make(frame(0, 0.0), BOX)
+    second = maker.make(frame(1, 0.25), BOX)
+    assert spec.num_channels == 3
+    plain = InputMaker(LAG)
+    plain.make(frame(0, 0.0), BOX)
+    np.testing.assert_array_equal(second.crops[:, :2], plain.make(frame(1, 0.25), BOX).crops)
+    assert not first.crops[:, 1].any()
+    for number, inputs in enumerate((first, second)):
+        wide = InputMaker(InputSpec(16, 5)).make(frame(number, 0.0), BOX).crops
+        np.testing.assert_array_equal(inputs.crops[:, 2:], wide)
+
+
+def test_the_place_in_the_frame_is_known_alike_on_both_sides() -> None:
+    boxes = Proposals(np.array([[0, 0, 16, 12], [144, 0, 160, 12], [72, 54, 88, 66]], np.int32))
+    dark = Frame(np.zeros((120, 160), np.uint8), 0)
+    features = InputMaker(InputSpec(16, 2, None, len(FEATURES))).make(dark, boxes).features
+    names = {name: index for index, name in enumerate(FEATURES)}
+    np.testing.assert_allclose(features[:, names["column"]], [1.8, 1.8, 0.0])
+    np.testing.assert_allclose(features[:, names["row"]], [-1.35, -1.35, 0.0])
+    fewer = InputMaker(InputSpec(16, 2, None, 7)).make(dark, boxes).features
+    np.testing.assert_array_equal(fewer, features[:, :7])
+
+
 def test_what_brightened_was_darker_in_the_crops_own_range() -> None:
     maker = InputMaker(LAG)
     dark = (image(0) // 2).astype(np.uint8)

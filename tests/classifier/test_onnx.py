@@ -145,7 +145,8 @@ def test_one_logit_tells_no_kinds(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"shape": ("N", 3, 16, 16)}, "got 3 channels"),
+        ({"shape": ("N", 4, 16, 16)}, "got 4 channels"),
+        ({"shape": ("N", 3, 16, 16)}, "expected one channel, one more for lag_s and one for context"),
         ({"shape": ("N", 1, 16, 24)}, r"expected shape \(N, C, S, S\)"),
         ({"shape": ("N", 1, "H", "W")}, r"expected shape \(N, C, S, S\)"),
         ({"shape": (1, 1, 16, 16), "output_shape": (1,)}, "fixed batch of 1"),

@@ -2,7 +2,7 @@
 
 The contrast of a crop is stretched to its own minimum and maximum, so its absolute brightness goes into the features.
 If the model wants it, a second channel shows the same region of an earlier frame, in which everything that has
-brightened or moved stands out, without any tracking.
+brightened or moved stands out, without any tracking; and a last one shows a larger region around the box.
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ class InputSpec:
         support: A crop reaches this many widths and heights of its box to either side of its centre (paper: M = 2).
         lag_s: Age of the frame in the second channel; None for one channel.
         num_features: Length of the feature vector: the first so many of `FEATURES`, one of `NUMS_FEATURES`.
+        context: The last channel shows the box's surroundings: this many widths and heights to either side; None for
+            no such channel.
 
     Raises:
         ValueError: If a field is out of range.
@@ -64,19 +66,22 @@ class InputSpec:
     support: int = 2
     lag_s: float | None = None
     num_features: int = 0
+    context: int | None = None
 
     def __post_init__(self) -> None:
         if self.size_px < 1 or self.support < 1:
             raise ValueError(f"InputSpec: expected size_px and support of at least 1, got {self}")
         if self.lag_s is not None and not 0 < self.lag_s <= 10:
             raise ValueError(f"InputSpec.lag_s: expected above 0 and at most 10 seconds, got {self.lag_s}")
+        if self.context is not None and self.context < 1:
+            raise ValueError(f"InputSpec.context: expected at least 1, got {self.context}")
         if self.num_features not in NUMS_FEATURES:
             raise ValueError(f"InputSpec.num_features: expected one of {NUMS_FEATURES}, got {self.num_features}")
 
     @property
     def num_channels(self) -> int:
-        """1, or 2 with a channel for an earlier frame."""
-        return 1 if self.lag_s is None else 2
+        """1, and one each for an earlier frame and for the surroundings."""
+        return 1 + (self.lag_s is not None) + (self.context is not None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,8 +89,9 @@ class ClassifierInputs:
     """The inputs of one frame's proposals.
 
     Attributes:
-        crops: Shape (N, C, S, S), float32 in [0, 1]. The second channel is stretched by the range of the first, clipped
-            to [0, 1], and all 0 without an earlier frame.
+        crops: Shape (N, C, S, S), float32 in [0, 1]. The channel of the earlier frame is stretched by the range of the
+            first, clipped to [0, 1], and all 0 without an earlier frame. That of the surroundings is stretched by its
+            own range.
         features: Shape (N, F), float32.
     """
 
@@ -114,8 +120,11 @@ class InputMaker:
             crops = np.zeros((0, spec.num_channels, spec.size_px, spec.size_px), np.float32)
             return ClassifierInputs(crops, np.zeros((0, spec.num_features), np.float32))
         crops, levels = _native.extract_crops(image, boxes, spec.support, spec.size_px, earlier)
-        if earlier is None and spec.num_channels == 2:
+        if earlier is None and spec.lag_s is not None:
             crops = np.concatenate([crops, np.zeros_like(crops)], axis=1)
+        if spec.context is not None:
+            surroundings, _ = _native.extract_crops(image, boxes, spec.context, spec.size_px, None)
+            crops = np.concatenate([crops, surroundings], axis=1)
         features = np.zeros((len(boxes), 0), np.float32)
         if spec.num_features:
             features = _features(image, boxes, levels, earlier is not None)[:, : spec.num_features]

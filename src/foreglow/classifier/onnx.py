@@ -32,10 +32,11 @@ _NUM_LOGITS = (1, 2, len(KINDS))
 class OnnxClassifier:
     """Scores the crops of proposals with ONNX Runtime on the CPU.
 
-    The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, 7), as
+    The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, F), as
     `classifier.inputs` makes them. It writes the logits of the five `KINDS`, shape (N, 5); or logits of being light of
     a vehicle, shape (N,) or (N, 1), or these together with logits of being a lamp itself, shape (N, 2). Its metadata
-    may give a `support`, and must give the `lag_s` if C is 2.
+    may give a `support`, and must give the `lag_s` for a channel of an earlier frame, and the `context` for
+    one of the surroundings.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -137,13 +138,13 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
     if len(nodes) not in (1, 2):
         raise ValueError(f"{path}: inputs: expected crops, or crops and features, got {len(nodes)}")
     name, shape = _checked(path, nodes[0], "input")
-    expected = "expected shape (N, C, S, S) with a free N, C of 1 or 2, and a fixed S"
+    expected = "expected shape (N, C, S, S) with a free N, C of 1 to 3, and a fixed S"
     if len(shape) != 4:
         raise ValueError(f"{path}: input {name}: {expected}, got {len(shape)} dimensions {shape}")
     batch, channels, height, width = shape
     if isinstance(batch, int):
         raise ValueError(f"{path}: input {name}: {expected}, got a fixed batch of {batch} in {shape}")
-    if channels not in (1, 2):
+    if channels not in (1, 2, 3):
         raise ValueError(f"{path}: input {name}: {expected}, got {channels} channels in {shape}")
     if not isinstance(height, int) or height != width or not 1 <= height <= MAX_CROP_PX:
         raise ValueError(f"{path}: input {name}: {expected}, got {shape}")
@@ -158,9 +159,15 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         num_features = shape[1]
     metadata = session.get_modelmeta().custom_metadata_map
     support = wanted_support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
-    lag_s = None if channels == 1 else _number(path, metadata, "lag_s", None)
+    context = int(_number(path, metadata, "context", None)) if "context" in metadata else None
+    num_earlier = channels - 1 - (context is not None)
+    if num_earlier not in (0, 1):
+        raise ValueError(
+            f"{path}: input {name}: expected one channel, one more for lag_s and one for context, got {shape}"
+        )
+    lag_s = _number(path, metadata, "lag_s", None) if num_earlier else None
     try:
-        return names, InputSpec(height, int(support), lag_s, num_features)
+        return names, InputSpec(height, int(support), lag_s, num_features, context)
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {error}") from error
 

@@ -167,3 +167,14 @@ def test_the_published_augmentation_draws_by_its_generator_alone() -> None:
     for one in found:
         assert one.min() >= 0
         assert one.max() <= 1
+
+
+def test_the_surroundings_keep_their_own_range_and_are_no_earlier_image() -> None:
+    near, wide = torch.full((4, 2, 8, 8), 0.25), torch.full((4, 1, 8, 8), 0.5)
+    near[:, 0, 2:6], wide[:, 0, 2:6] = 0.5, 0.6
+    fields = Augmentation(normalise=True, history_dropout=1.0)
+    random = torch.Generator().manual_seed(0)
+    found, _ = augment(torch.cat([near, wide], 1), torch.zeros(4, 0), fields, torch.ones(0), random, has_context=True)
+    assert (found[:, 0].amin(), found[:, 0].amax()) == (0.0, 1.0)
+    assert not found[:, 1].any()
+    assert (found[:, 2].amin(), found[:, 2].amax()) == (0.0, 1.0)

@@ -18,7 +18,13 @@ _MIN_RANGE = 1e-4
 
 
 def augment(
-    crops: Tensor, features: Tensor, augmentation: Augmentation, feature_scale: Tensor, random: torch.Generator
+    crops: Tensor,
+    features: Tensor,
+    augmentation: Augmentation,
+    feature_scale: Tensor,
+    random: torch.Generator,
+    *,
+    has_context: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Altered copies of `crops` and `features`, drawn from `random` for each sample.
 
@@ -31,8 +37,10 @@ def augment(
         augmentation: What to do.
         feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
         random: A generator on the CPU, so that the same seed draws the same on every device.
+        has_context: Whether the last channel shows the surroundings, and not an earlier image.
     """
-    has_earlier = crops[:, 1:].amax(dim=(2, 3), keepdim=True) > 0
+    num_near = crops.shape[1] - has_context
+    has_earlier = crops[:, 1:num_near].amax(dim=(2, 3), keepdim=True) > 0
     crops = _moved(crops, augmentation, random)
     if augmentation.gamma:
         gamma = _uniform(len(crops), 1 - augmentation.gamma, 1 + augmentation.gamma, random)
@@ -41,15 +49,19 @@ def augment(
         strength = _uniform(len(crops), 0, augmentation.noise, random).to(crops.device)
         noise = torch.empty(crops.shape).normal_(generator=random).to(crops.device)
         crops = (crops + strength[:, None, None, None] * noise).clamp(0, 1)
+    near, context = crops[:, :num_near], crops[:, num_near:]
     if augmentation.normalise:
-        crops = stretched(crops)
-    crops = torch.cat([crops[:, :1], crops[:, 1:] * has_earlier], dim=1) if crops.shape[1] > 1 else crops
-    if augmentation.history_dropout and crops.shape[1] > 1:
-        is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
-        crops = torch.cat([crops[:, :1], crops[:, 1:] * is_kept[:, None, None, None]], dim=1)
-        if features.shape[1]:  # one of the features says whether there is an earlier image
-            features = features.clone()
-            features[:, HAS_EARLIER] *= is_kept
+        near, context = stretched(near), stretched(context) if has_context else context
+    if num_near > 1:
+        earlier = near[:, 1:] * has_earlier
+        if augmentation.history_dropout:
+            is_kept = (_uniform(len(crops), 0, 1, random) >= augmentation.history_dropout).to(crops.device)
+            earlier = earlier * is_kept[:, None, None, None]
+            if features.shape[1]:  # one of the features says whether there is an earlier image
+                features = features.clone()
+                features[:, HAS_EARLIER] *= is_kept
+        near = torch.cat([near[:, :1], earlier], dim=1)
+    crops = torch.cat([near, context], dim=1)
     if augmentation.feature_noise and features.shape[1]:
         noise = torch.empty(features.shape).normal_(generator=random).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise

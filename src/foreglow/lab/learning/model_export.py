@@ -112,6 +112,8 @@ def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[s
     about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
     if spec.lag_s is not None:
         about["lag_s"] = repr(spec.lag_s)
+    if spec.context is not None:
+        about["context"] = str(spec.context)
     inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
     return graph.model(inputs, {"logits": (network.last.out_features,)}, about | dict(metadata))
 

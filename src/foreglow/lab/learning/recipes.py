@@ -70,8 +70,10 @@ class Recipe(FrozenModel):
             count among the positives: with 0 each sample counts the same, with 1 each group. Weights are proportional
             to 1 / size of the group to this power, and 1 on average.
         label_smoothing: Labels are moved by this share towards 1/2.
-        kinds: Whether the network tells the five kinds of light in `KINDS`, learnt from whose light is in each box
-            where the data say so; otherwise it only tells whether there is light of a vehicle.
+        kinds: Whether the network tells the five kinds of light in `KINDS`; otherwise it only tells whether there is
+            light of a vehicle.
+        by_light: Whether boxes are labelled by whose light is in them, where the data set stores that for the boxes of
+            the preset, instead of by key points.
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
         augmentation: Random changes of training crops; validation samples are never changed.
@@ -102,6 +104,7 @@ class Recipe(FrozenModel):
     group_balance: Share = 0.0
     label_smoothing: Share = 0.0
     kinds: bool = False
+    by_light: bool = False
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1"] = "loss"
@@ -137,8 +140,8 @@ RECIPES: dict[str, Recipe] = {
     ),
     "foreglow": Recipe(
         network="compact",
-        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES)),
-        jitter=Jitter(num_copies=2),
+        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6),
+        jitter=Jitter(num_copies=1),
         epochs=36,
         batch_size=256,
         optimiser="adamw",
@@ -203,8 +206,8 @@ def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Rec
 def read_recipe(path: Path, base: Recipe) -> Recipe:
     """The recipe in the TOML file `path`; what it does not mention comes from `base`.
 
-    TOML has no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive` and
-    `inputs.lag_s`.
+    TOML has no None: "none" stands for it in `patience`, `max_gradient`, `max_negatives_per_positive`,
+    `inputs.lag_s` and `inputs.context`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -223,6 +226,6 @@ def _mapped(fields: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, A
     """`fields` with the values that may be None changed."""
     inputs = fields.get("inputs")
     optional = {name: change(value) for name, value in fields.items() if name in _OPTIONAL}
-    if isinstance(inputs, dict) and "lag_s" in inputs:
-        optional["inputs"] = inputs | {"lag_s": change(inputs["lag_s"])}
+    if isinstance(inputs, dict):
+        optional["inputs"] = inputs | {name: change(inputs[name]) for name in ("lag_s", "context") if name in inputs}
     return fields | optional

@@ -16,21 +16,13 @@ from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES
-from foreglow.lab.evaluation.boxes.lights import (
-    LAMP,
-    LIGHT_KINDS,
-    Light,
-    SplitShares,
-    read_lights,
-    read_split_shares,
-)
+from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, SplitShares, read_lights, read_split_shares
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
 from foreglow.types import KINDS, Boxes, Frame, Proposals
 
 NO_GROUP = -1
 NUM_KINDS = len(KINDS)
-FRONT_LAMP, FRONT_LIGHT = KINDS.index("front_lamp"), KINDS.index("front_light")
 
 MIN_VEHICLE_SHARE = 0.1
 """A box is light of a vehicle from this share of vehicles' light on."""
@@ -54,7 +46,9 @@ def input_spec(fields: Any) -> Any:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if name == "lag_s" and not (value is None or is_number):
             raise ValueError(f"{name}: expected a number or none, got {value!r}")
-        if name != "lag_s" and type(value) is not int:
+        if name == "context" and not (value is None or type(value) is int):
+            raise ValueError(f"{name}: expected a whole number or none, got {value!r}")
+        if name in ("size_px", "support", "num_features") and type(value) is not int:
             raise ValueError(f"{name}: expected a whole number, got {value!r}")
     return InputSpec(**fields)
 
@@ -207,7 +201,7 @@ def samples_by_image(
         boxes = proposer.propose(frame.image).boxes_xyxy_px
         groups = box_groups(boxes, lights[image_id])
         labels = label_image(dataset, image_id, boxes)
-        kinds = _kinds_by_key_points(labels, groups)
+        kinds = _kinds_by_key_points(labels, box_kinds(boxes, lights[image_id]))
         if shares:
             kinds = _kinds_by_light(dataset, image_id, boxes, shares)
             labels = np.where(kinds[:, -1] <= 1.0 - MIN_VEHICLE_SHARE, POSITIVE, NEGATIVE).astype(np.int8)
@@ -236,13 +230,20 @@ def _kinds_by_light(
     )
 
 
-def _kinds_by_key_points(labels: NDArray[np.int8], groups: NDArray[np.int8]) -> NDArray[np.float32]:
-    """The kinds of light in each box, shape (N, 5), as far as key points tell: PVDN's are of oncoming vehicles."""
+def _kinds_by_key_points(labels: NDArray[np.int8], kinds_of_boxes: NDArray[np.int8]) -> NDArray[np.float32]:
+    """The kinds of light in each box, shape (N, 5): that of its strongest key point; NaN if it does not count."""
     kinds = np.zeros((len(labels), NUM_KINDS), np.float32)
-    is_lamp = (groups != NO_GROUP) & (groups // 2 == LIGHT_KINDS.index(LAMP))
-    column = np.where(labels == NEGATIVE, NUM_KINDS - 1, np.where(is_lamp, FRONT_LAMP, FRONT_LIGHT))
-    kinds[np.arange(len(labels)), column] = 1.0
+    kinds[np.arange(len(labels)), kinds_of_boxes] = 1.0
     kinds[labels == IGNORED] = np.nan
+    return kinds
+
+
+def box_kinds(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
+    """The index in `KINDS` of the strongest light in each box, shape (N,); PVDN's are of oncoming vehicles alone."""
+    kinds = np.full(len(boxes_xyxy_px), KINDS.index("none"), np.int8)
+    for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, so that it overwrites the others
+        name = f"{'rear' if light.is_rear else 'front'}_{'lamp' if light.is_direct else 'light'}"
+        kinds[label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE] = KINDS.index(name)
     return kinds
 
 

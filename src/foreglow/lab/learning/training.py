@@ -246,7 +246,14 @@ class _Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         crops, features = _tensors(self._samples, batch, self._device)
-        crops, features = augment(crops, features, recipe.augmentation, self._feature_scale, random)
+        crops, features = augment(
+            crops,
+            features,
+            recipe.augmentation,
+            self._feature_scale,
+            random,
+            has_context=recipe.inputs.context is not None,
+        )
         self._optimiser.zero_grad(set_to_none=True)
         with _precision(recipe.precision, self._device):
             logits: Tensor = self.network(_laid_out(crops), features)

@@ -153,7 +153,9 @@ def _samples(
     progress: RunProgress | None,
 ) -> Samples:
     jitter = recipe.jitter if split == "train" else Jitter()
-    sample_config = SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.kinds)
+    sample_config = SampleConfig(
+        proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light
+    )
 
     def report(num_done: int, num_images: int) -> None:
         if progress is not None:
