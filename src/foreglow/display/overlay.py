@@ -256,9 +256,8 @@ def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
         num_accepted = int(result.detections.is_accepted.sum())
         kinds = told_kinds(result.detections.light_kinds[result.detections.is_accepted])
         if any(kinds):
-            words += [
-                (f"{text}: {kinds.count(kind)}", KIND_BGR[kind]) for kind, text in KIND_WORDS.items() if kind in kinds
-            ]
+            counts = {kind: kinds.count(kind) for kind in KIND_WORDS if kind in kinds}
+            words += [(f"{KIND_WORDS[kind]}: {num}", KIND_BGR[kind]) for kind, num in counts.items()]
         else:
             words.append((f"{num_accepted} light artifact{'' if num_accepted == 1 else 's'}", ACCEPTED_BGR))
         words.append((f"{count - num_accepted} rejected", REJECTED_BGR))

@@ -30,7 +30,7 @@ def full_frame(index: int, sequence: str = "S00001", time_ns: int | None = None)
 
 
 def full_result(frame: Frame, *faults: str) -> FrameResult:
-    """Two boxes, one accepted, two tracks, one with a range, of each the first of a known kind, and a gap or a fault."""
+    """Two boxes, one accepted, two tracks, one with a range, both first ones of a known kind, a gap or a fault."""
     base = result_of(frame, [[10, 20, 20, 30], [40, 50, 60, 70]], [0.9, 0.2])
     tracks = tracks_of(
         [[10.5, 20, 20, 30], [40, 50, 60, 70]],
