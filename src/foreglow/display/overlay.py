@@ -49,6 +49,9 @@ CAPTION_BGR = (215, 215, 215)
 CAPTION_GROUND_BGR = (26, 22, 20)
 LABEL_GROUND_BGR = (18, 15, 14)
 
+SMALLEST_CAPTION = 0.5
+"""A caption that is too long is not made smaller than this share of its size."""
+
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -273,7 +276,8 @@ def _draw_caption(picture: Picture, words: Sequence[tuple[str, Colour]], measure
     """Writes `words` from left to right into the strip below row `top_px`, smaller where they are too many."""
     x_px, scale = measures.caption_px // 3, measures.caption_scale
     texts_px = sum(cv2.getTextSize(text, _FONT, scale, measures.thin_px)[0][0] for text, _ in words)
-    scale *= min(1.0, (picture.shape[1] - len(words) * measures.caption_px) / max(texts_px, 1))
+    free_px = picture.shape[1] - len(words) * measures.caption_px
+    scale *= min(1.0, max(SMALLEST_CAPTION, free_px / max(texts_px, 1)))
     for text, colour_bgr in words:
         (width_px, height_px), _ = cv2.getTextSize(text, _FONT, scale, measures.thin_px)
         origin = (x_px, top_px + (measures.caption_px + height_px) // 2)

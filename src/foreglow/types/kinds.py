@@ -57,7 +57,7 @@ def direct_of_kinds(light_kinds: NDArray[np.floating]) -> NDArray[Any]:
     >>> direct_of_kinds(np.array([[0.5, 0.25, 0.125, 0.125]])).tolist()
     [0.75]
     """
-    return np.minimum(light_kinds[:, 0] + light_kinds[:, 1], 1)
+    return np.asarray(np.minimum(light_kinds[:, 0] + light_kinds[:, 1], 1))
 
 
 def tells_rear(light_kinds: NDArray[np.floating]) -> bool:
