@@ -107,6 +107,16 @@ def test_what_may_be_a_lamp_has_a_gap(direct: float) -> None:
     assert holding(policy().gaps(frame(0), tracks_at(0, LAMP._replace(direct=direct))), LAMP.azimuth_rad)
 
 
+def test_rear_lamps_are_protected_as_front_lamps_are() -> None:
+    """Their light on something as well, and a lamp of which it is unclear whose it is."""
+    for kinds, direct in (([0.05, 0.9, 0.0, 0.05], 0.95), ([0.3, 0.3, 0.4, 0.0], 0.6), ([0.0, 0.05, 0.05, 0.9], 0.05)):
+        tracks = dataclasses.replace(tracks_at(0, LAMP), light_kinds=np.array([kinds]))
+        gaps = policy().gaps(frame(0), tracks)
+        assert gaps == policy().gaps(frame(0), tracks_at(0, LAMP._replace(direct=direct)))
+        assert bool(holding(gaps, LAMP.azimuth_rad)) == (direct > CONFIG.min_direct)
+        assert len(gaps) == 1
+
+
 def test_nearer_vehicles_have_wider_gaps_and_unknown_ranges_are_taken_as_near() -> None:
     widths = []
     for range_m in (200.0, 100.0, math.nan, 20.0):

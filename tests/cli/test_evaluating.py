@@ -147,6 +147,27 @@ def test_whose_light_is_in_the_boxes(tmp_path: Path, split: Path, predictions: P
     assert "average precision 1.000" not in done.stdout
 
 
+def test_kinds_are_compared_with_the_stored_shares(tmp_path: Path, split: Path) -> None:
+    pytest.importorskip("pyarrow")
+    shares = BoxShares("foreglow", np.array([[5, 5, 15, 15]], np.int32), np.eye(6, dtype=np.float32)[1:2])
+    path = shares_path(split, 1)
+    path.parent.mkdir(parents=True)
+    write_shares(path, [(2, shares), (4, shares)])
+    records = LineSink(tmp_path / "frames.jsonl", frame_to_line)
+    for image_id, kinds in ((2, [0.1, 0.7, 0.1, 0.1]), (4, [0.7, 0.1, 0.1, 0.1])):
+        frame = Frame(night_image(image_id), image_id, frame=image_id)
+        result = result_of(frame, [[5, 5, 15, 15]], [0.9])
+        assert result.detections is not None
+        told = dataclasses.replace(result.detections, light_kinds=np.array([kinds], np.float32))
+        records.write(frame, dataclasses.replace(result, detections=told))
+    records.close()
+    json_file = tmp_path / "figures.json"
+    done = foreglow_command("evaluate", split, "--predictions", tmp_path / "frames.jsonl", "--json", json_file)
+    assert done.exit_code == 0, done.output
+    assert json.loads(json_file.read_text())["kinds"]["counts"][1] == [1, 1, 0, 0, 0]
+    assert "0.500 are of the kind that they are called" in " ".join(done.stdout.split())
+
+
 def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:
     pytest.importorskip("matplotlib")
     plain = tmp_path / "plain.json"

@@ -7,9 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR, REJECTED_BGR, TRACK_BGR, Measures, annotate
+from foreglow.display.overlay import (
+    ACCEPTED_BGR,
+    CAPTION_GROUND_BGR,
+    KIND_BGR,
+    PROPOSAL_BGR,
+    REJECTED_BGR,
+    TRACK_BGR,
+    Measures,
+    annotate,
+    track_text,
+)
 from foreglow.display.tone import Tone
-from foreglow.types import Frame, TrackState
+from foreglow.types import LIGHT_KINDS, Frame, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.stand_ins import night_image, result_of, tracks_of
 
 SIZES = [(64, 64), (640, 360), (1280, 960), (2872, 1622), (65, 4001), (1001, 67), (1, 1)]
@@ -56,6 +67,45 @@ def test_accepted_and_rejected_boxes_differ_and_cover_nothing_inside() -> None:
     plain = annotate(frame, result_of(frame, []))
     for x1, y1, x2, y2 in boxes:
         assert (picture[y1:y2, x1:x2] == plain[y1:y2, x1:x2]).all()
+
+
+def test_accepted_boxes_have_the_colour_of_their_kind_and_the_caption_names_it() -> None:
+    frame = frame_of(1280, 960)
+    boxes = [[400, 300, 440, 330], [700, 500, 800, 600], [900, 200, 940, 240]]
+    result = result_of(frame, boxes, [0.9, 0.8, 0.2])
+    assert result.detections is not None
+    kinds = np.array([[0.1, 0.7, 0.1, 0.1], [0.1, 0.1, 0.7, 0.1], [0.7, 0.1, 0.1, 0.1]], np.float32)
+    told = dataclasses.replace(result, detections=dataclasses.replace(result.detections, light_kinds=kinds))
+    picture = annotate(frame, told)
+    assert has_colour(picture[280:350, 380:460], KIND_BGR["rear_lamp"])
+    assert has_colour(picture[480:620, 680:820], KIND_BGR["front_light"])
+    assert has_colour(picture[960:], KIND_BGR["rear_lamp"])
+    assert has_colour(picture[960:], KIND_BGR["front_light"])
+    assert not has_colour(picture, KIND_BGR["front_lamp"])  # rejected
+    assert len(set(KIND_BGR.values())) == len(LIGHT_KINDS)
+
+
+def test_a_model_that_does_not_tell_front_from_rear_shows_no_kinds() -> None:
+    frame = frame_of(1280, 960)
+    result = result_of(frame, [[400, 300, 440, 330]], [0.9])
+    assert result.detections is not None
+    kinds = kinds_of_direct(np.ones(1, np.float32))
+    told = dataclasses.replace(result, detections=dataclasses.replace(result.detections, light_kinds=kinds))
+    assert (annotate(frame, told) == annotate(frame, result)).all()
+
+
+@pytest.mark.parametrize("width_px", [64, 640, 1280, 2872])
+def test_a_long_caption_fits(width_px: int) -> None:
+    frame = dataclasses.replace(frame_of(width_px, 400), sequence="S00001", frame=123456)
+    boxes = [[4 + 9 * k, 30, 10 + 9 * k, 40] for k in range(4)]
+    result = result_of(frame, boxes, [0.9] * 4)
+    assert result.detections is not None
+    kinds = (0.1 + 0.6 * np.eye(4)).astype(np.float32)
+    detections = dataclasses.replace(result.detections, light_kinds=kinds)
+    picture = annotate(frame, dataclasses.replace(result, detections=detections, tracks=tracks_of(boxes)))
+    caption = picture[400 * Measures.of(width_px, 400).enlargement :]
+    assert (caption[:, -Measures.of(width_px, 400).thin_px - 1 :] == CAPTION_GROUND_BGR).all()
+    assert all(has_colour(caption, KIND_BGR[kind]) for kind in LIGHT_KINDS) or width_px < 640
 
 
 def test_boxes_at_the_edges_and_crowded_boxes_are_drawn() -> None:
@@ -114,3 +164,11 @@ def test_tracks_lie_around_their_boxes() -> None:
     assert (picture[160:280, 860:980] == plain[160:280, 860:980]).all()
     for x1, y1, x2, y2 in boxes:
         assert (picture[y1:y2, x1:x2] == plain[y1:y2, x1:x2]).all()
+
+
+def test_words_of_a_track() -> None:
+    kinds = np.array([[0.1, 0.2, 0.3, 0.4], [np.nan] * 4])
+    tracks = tracks_of([[0, 0, 9, 9], [20, 0, 29, 9]], ids=[3, 12], ranges_m=[85.0, np.nan])
+    assert track_text(tracks, 0) == "#3 85+-8 m"
+    told = dataclasses.replace(tracks, light_kinds=kinds)
+    assert [track_text(told, index) for index in (0, 1)] == ["#3 85+-8 m, light of a rear lamp", "#12"]

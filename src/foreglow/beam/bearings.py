@@ -36,7 +36,7 @@ class Bearing:
         half_width_rad: Half the width of the box.
         rate_radps: Filtered rate of the azimuth.
         range_m: Range; NaN where unknown.
-        direct: Probability that it is a lamp itself; NaN where unknown.
+        direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
         confidence: The greatest confidence that the track ever had.
         is_plausible: Whether the track may be acted on.
     """

@@ -140,9 +140,11 @@ class PaperPolicy:
 class ForeglowPolicy:
     """Our policy: a gap for every tracked lamp, and one where a vehicle is expected that shows only by its light.
 
-    * The gap of a lamp leads it by the latency, and covers the whole vehicle.
-    * Light on the road or the roadside needs no protection, but its vehicle does, which is further along the road: the
-      gap covers most of the probability of where it will appear (`occurrence`). Without a road, it is at the light.
+    * The gap of a lamp leads it by the latency, and covers the whole vehicle. Rear lamps count as front lamps: mirrors
+      dazzle, too.
+    * Light on the road or the roadside, of front or rear lamps, needs no protection, but its vehicle does, which is
+      further along the road: the gap covers most of the probability of where it will appear (`occurrence`). Without a
+      road, it is at the light.
     * While a lamp is in sight, any other light is attributed to it, and gets no gap.
     * While a gap is open, lamps get gaps before their tracks are confirmed. A vehicle that comes into sight needs a
       few frames to be confirmed, and its gap must not close in the meantime.

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from foreglow.config import PipelineConfig
     from foreglow.lab.evaluation import BoxQuality, Examination
+    from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion
     from foreglow.parallel import Workers
 
 
@@ -74,11 +75,13 @@ def evaluate(
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     if json_file is not None:
-        found = examination.whose_light
-        by_light = {} if found is None else {"whose_light": found}
-        write_json_results(json_file, to_json(examination.quality) | by_light, indent=2)
+        by_light = {"whose_light": examination.whose_light, "kinds": examination.kinds}
+        told = {name: found for name, found in by_light.items() if found is not None}
+        write_json_results(json_file, to_json(examination.quality) | told, indent=2)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
+    if examination.kinds is not None:
+        rich.print(_kinds_table(examination.kinds))
     if out is not None:
         paths = {"split": split, "predictions": predictions, "model": pipeline.model}
         options = paths | {"preset": pipeline.preset, "config": pipeline.config}
@@ -180,4 +183,19 @@ def _table(quality: BoxQuality, title: str) -> Table:
     table.add_row("TP (key points in a box)", str(quality.tp))
     table.add_row("FN (key points in none)", str(quality.fn))
     table.add_row("FP (boxes without key point)", str(quality.fp))
+    return table
+
+
+def _kinds_table(confusion: KindConfusion) -> Table:
+    """What boxes are, in the rows, against what they are called, in the columns."""
+    from rich.table import Table
+
+    from foreglow.lab.reports.evaluation_page import kinds_rows, kinds_words
+
+    head, *rows = kinds_rows(confusion)
+    table = Table(title="kinds of light", caption=kinds_words(confusion), title_justify="left", caption_justify="left")
+    for index, name in enumerate(head):
+        table.add_column(name, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*row)
     return table

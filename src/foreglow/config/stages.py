@@ -248,7 +248,7 @@ class BeamConfig(FrozenModel):
         margin_deg: Margin of a gap to either side, also for lamps that are aimed badly.
         led_limit_lx: Largest illuminance by a single LED at the eyes that a gap protects.
         coverage: The gap for a hidden vehicle covers this share of the probability of where it will appear.
-        min_direct: A track is taken for a lamp itself if its probability of that is above this.
+        min_direct: A track is taken for a lamp in sight, front or rear, if its probability of that is above this.
         min_confidence: A gap for a lamp opens when its track has this confidence.
         min_hidden_confidence: A gap for a hidden vehicle opens when the track of its light has this confidence.
         hold_s: A gap stays so long after its track was last seen, and an LED stays dark so long after its gap has gone.

@@ -15,7 +15,7 @@ from foreglow.display.overlay import (
     Rectangle,
     overlap_px,
     place_label,
-    range_text,
+    track_text,
 )
 from foreglow.display.pen import Pen
 from foreglow.display.road_light import AHEAD_M, ASIDE_M, TICKS_LX, RoadLight, colours, place_on_scale
@@ -168,7 +168,7 @@ class BeamView:
         for index, (x1, y1, x2, y2) in zip(plausible, rectangles, strict=True):
             width = 2.2 if tracks.states[index] == TrackState.CONFIRMED else 1.0
             self._pen.line(picture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)], TRACK_BGR, width)
-            text = f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}"
+            text = track_text(tracks, index)
             height_px, width_px = picture.shape[:2]
             label = place_label((x1, y1, x2, y2), self._label_px(text), taken, (width_px, height_px))
             self._label(picture, text, label, TRACK_BGR, taken)

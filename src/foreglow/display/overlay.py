@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TypeAlias
 
 import cv2
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
 from foreglow.types import Frame, FrameResult, Tracks, TrackState
+from foreglow.types.kinds import KIND_WORDS, told_kinds
 
 Picture: TypeAlias = NDArray[np.uint8]
 """A colour picture, shape (height, width, 3), uint8, blue green red."""
@@ -29,12 +31,26 @@ LARGEST_HEIGHT_PX = 2160
 """No frame is enlarged beyond this height."""
 
 ACCEPTED_BGR = (120, 235, 90)
+KIND_BGR: Mapping[str | None, Colour] = MappingProxyType(
+    {
+        "front_lamp": (90, 240, 255),
+        "rear_lamp": (95, 85, 255),
+        "front_light": ACCEPTED_BGR,
+        "rear_light": (255, 120, 235),
+        None: ACCEPTED_BGR,
+    }
+)
+"""Of accepted boxes: lamps yellow and red as they are, light of front lamps green, of rear lamps pink."""
+
 REJECTED_BGR = (180, 160, 145)
 PROPOSAL_BGR = (70, 190, 250)
 TRACK_BGR = (255, 190, 90)
 CAPTION_BGR = (215, 215, 215)
 CAPTION_GROUND_BGR = (26, 22, 20)
 LABEL_GROUND_BGR = (18, 15, 14)
+
+SMALLEST_CAPTION = 0.5
+"""A caption that is too long is not made smaller than this share of its size."""
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -95,9 +111,10 @@ class _Mark:
 def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Picture:
     """The picture of `frame` with what the pipeline made of it; width and height are even.
 
-    Without a classifier every proposal has a thin amber box. With one, accepted boxes are bold and green, rejected
-    ones thin and grey, each with its score. Around them plausible tracks are blue, with number, range and standard
-    deviation: bold where they are confirmed, thin where they coast. Boxes are drawn just outside their edges.
+    Without a classifier every proposal has a thin amber box. With one, accepted boxes are bold and green, or in the
+    colour of their kind, which the caption names, rejected ones thin and grey, each with its score. Around them
+    plausible tracks are blue, with number, range, standard deviation and kind: bold where they are confirmed, thin
+    where they coast. Boxes are drawn just outside their edges.
 
     Args:
         frame: The frame.
@@ -134,13 +151,13 @@ def _marks(result: FrameResult, measures: Measures, size_px: tuple[int, int]) ->
         boxes = result.proposals.boxes_xyxy_px.tolist()
         return [_Mark(_around(box, measures, size_px), PROPOSAL_BGR, measures.thin_px, "") for box in boxes]
     marks = []
-    accepted = detections.is_accepted
+    accepted, kinds = detections.is_accepted, told_kinds(detections.light_kinds)
     for index in np.argsort(accepted, kind="stable").tolist():
         is_accepted = bool(accepted[index])
         marks.append(
             _Mark(
                 _around(detections.boxes_xyxy_px[index].tolist(), measures, size_px),
-                ACCEPTED_BGR if is_accepted else REJECTED_BGR,
+                KIND_BGR[kinds[index]] if is_accepted else REJECTED_BGR,
                 measures.bold_px if is_accepted else measures.thin_px,
                 f"{detections.scores[index]:.2f}",
             )
@@ -155,10 +172,17 @@ def _track_marks(tracks: Tracks, measures: Measures, size_px: tuple[int, int]) -
             _around(np.rint(tracks.boxes_xyxy_px[index]).astype(int).tolist(), measures, size_px, num_margins=2),
             TRACK_BGR,
             measures.bold_px if tracks.states[index] == TrackState.CONFIRMED else measures.thin_px,
-            f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}",
+            track_text(tracks, index),
         )
-        for index in np.flatnonzero(tracks.is_plausible)
+        for index in np.flatnonzero(tracks.is_plausible).tolist()
     ]
+
+
+def track_text(tracks: Tracks, index: int) -> str:
+    """Number, range and standard deviation, and kind, as far as they are known, such as `#3 85+-12 m, rear lamp`."""
+    text = f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}"
+    kind = told_kinds(tracks.light_kinds)[index]
+    return text if kind is None else f"{text}, {KIND_WORDS[kind]}"
 
 
 def range_text(range_m: float, sigma_m: float) -> str:
@@ -233,7 +257,12 @@ def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
         words.append((f"{count} proposal{'' if count == 1 else 's'}, not classified", PROPOSAL_BGR))
     else:
         num_accepted = int(result.detections.is_accepted.sum())
-        words.append((f"{num_accepted} light artifact{'' if num_accepted == 1 else 's'}", ACCEPTED_BGR))
+        kinds = told_kinds(result.detections.light_kinds[result.detections.is_accepted])
+        if any(kinds):
+            counts = {kind: kinds.count(kind) for kind in KIND_WORDS if kind in kinds}
+            words += [(f"{KIND_WORDS[kind]}: {num}", KIND_BGR[kind]) for kind, num in counts.items()]
+        else:
+            words.append((f"{num_accepted} light artifact{'' if num_accepted == 1 else 's'}", ACCEPTED_BGR))
         words.append((f"{count - num_accepted} rejected", REJECTED_BGR))
     if result.tracks is not None:
         num_tracks = int(result.tracks.is_plausible.sum())
@@ -244,8 +273,11 @@ def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:
 
 
 def _draw_caption(picture: Picture, words: Sequence[tuple[str, Colour]], measures: Measures, top_px: int) -> None:
-    """Writes `words` from left to right into the strip below row `top_px`."""
+    """Writes `words` from left to right into the strip below row `top_px`, smaller where they are too many."""
     x_px, scale = measures.caption_px // 3, measures.caption_scale
+    texts_px = sum(cv2.getTextSize(text, _FONT, scale, measures.thin_px)[0][0] for text, _ in words)
+    free_px = picture.shape[1] - len(words) * measures.caption_px
+    scale *= min(1.0, max(SMALLEST_CAPTION, free_px / max(texts_px, 1)))
     for text, colour_bgr in words:
         (width_px, height_px), _ = cv2.getTextSize(text, _FONT, scale, measures.thin_px)
         origin = (x_px, top_px + (measures.caption_px + height_px) // 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,10 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 
 from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
+from foreglow.geometry import Floats
 from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
 from foreglow.runs.json_lines import checked, read_lines
+from foreglow.types import LIGHT_KINDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,12 +32,14 @@ class Predictions:
         is_scored: False if the boxes came without scores: then all of them count, whatever the threshold.
         direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown;
             images for which nothing is known are left out.
+        light_kinds: By image id, shape (N, 4), float64, as in `Detections`, of images for which they are known.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
     scores: Mapping[int, NDArray[np.float64]]
     is_scored: bool = True
     direct_probabilities: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    light_kinds: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.boxes_xyxy_px.keys() != self.scores.keys():
@@ -77,9 +82,9 @@ def read_predictions(path: Path | str) -> Predictions:
     """The predictions in the file at `path`.
 
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
-    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, and `direct` in any line. Any
-    other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as the
-    published code writes.
+    `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, `direct` and `light_kinds` in any.
+    Any other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as
+    the published code writes.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -94,9 +99,10 @@ def read_predictions(path: Path | str) -> Predictions:
 def _from_lines(path: Path) -> Predictions:
     is_scored: bool | None = None
 
-    def convert(line: FrameLine) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+    def convert(line: FrameLine) -> tuple[Floats, Floats, Floats | None, Floats | None]:
         nonlocal is_scored
-        scores, direct, num_boxes = line.get("scores"), line.get("direct"), len(line["proposals_xyxy_px"])
+        scores, direct, kinds = line.get("scores"), line.get("direct"), line.get("light_kinds")
+        num_boxes = len(line["proposals_xyxy_px"])
         if is_scored is None:
             is_scored = scores is not None
         elif is_scored != (scores is not None):
@@ -105,14 +111,16 @@ def _from_lines(path: Path) -> Predictions:
             _as_boxes(line["proposals_xyxy_px"]),
             _as_scores(scores, num_boxes),
             None if direct is None else _as_scores(direct, num_boxes, "direct"),
+            None if kinds is None else _as_kinds(kinds, num_boxes),
         )
 
     lines = read_lines(path, FrameLineModel, convert)
     return Predictions(
-        {image_id: boxes for image_id, (boxes, _, _) in lines.items()},
-        {image_id: scores for image_id, (_, scores, _) in lines.items()},
+        {image_id: boxes for image_id, (boxes, *_) in lines.items()},
+        {image_id: scores for image_id, (_, scores, *_) in lines.items()},
         is_scored is not False,
-        {image_id: direct for image_id, (_, _, direct) in lines.items() if direct is not None},
+        {image_id: direct for image_id, (_, _, direct, _) in lines.items() if direct is not None},
+        {image_id: kinds for image_id, (*_, kinds) in lines.items() if kinds is not None},
     )
 
 
@@ -150,6 +158,14 @@ def _as_scores(values: Sequence[float | None] | None, num_boxes: int, name: str 
     if len(values) != num_boxes:
         raise ValueError(f"{name}: expected {num_boxes}, one a box, got {len(values)}")
     return np.array(values, np.float64)
+
+
+def _as_kinds(rows: Sequence[Sequence[float] | None], num_boxes: int) -> NDArray[np.float64]:
+    """Shape (N, 4), with NaN instead of None."""
+    if len(rows) != num_boxes:
+        raise ValueError(f"light_kinds: expected {num_boxes}, one a box, got {len(rows)}")
+    unknown = [math.nan] * len(LIGHT_KINDS)
+    return np.array([unknown if row is None else row for row in rows]).reshape(-1, len(LIGHT_KINDS))
 
 
 def write_predictions(path: Path, predictions: Predictions) -> None:

@@ -6,6 +6,7 @@ of four kinds is if it is such light. Both together are the probabilities of all
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,16 @@ and none of these; of other vehicles. Arrays of kinds are in this order."""
 
 LIGHT_KINDS = KINDS[:4]
 """The kinds that are light of a vehicle."""
+
+KIND_WORDS = MappingProxyType(
+    {
+        "front_lamp": "front lamp",
+        "rear_lamp": "rear lamp",
+        "front_light": "light of a front lamp",
+        "rear_light": "light of a rear lamp",
+    }
+)
+"""What people read."""
 
 _REAR = slice(1, None, 2)
 _TOLERANCE = 1e-3
@@ -46,7 +57,7 @@ def direct_of_kinds(light_kinds: NDArray[np.floating]) -> NDArray[Any]:
     >>> direct_of_kinds(np.array([[0.5, 0.25, 0.125, 0.125]])).tolist()
     [0.75]
     """
-    return np.minimum(light_kinds[:, 0] + light_kinds[:, 1], 1)
+    return np.asarray(np.minimum(light_kinds[:, 0] + light_kinds[:, 1], 1))
 
 
 def tells_rear(light_kinds: NDArray[np.floating]) -> bool:
@@ -63,6 +74,15 @@ def names_of_kinds(light_kinds: NDArray[np.floating]) -> tuple[str | None, ...]:
     is_unknown = np.isnan(light_kinds[:, 0]).tolist()
     greatest = light_kinds.argmax(axis=1).tolist()
     return tuple(None if gone else LIGHT_KINDS[index] for gone, index in zip(is_unknown, greatest, strict=True))
+
+
+def told_kinds(light_kinds: NDArray[np.floating]) -> tuple[str | None, ...]:
+    """As `names_of_kinds`, but None throughout if the model does not tell front from rear: what is shown to people.
+
+    >>> told_kinds(np.array([[0.75, 0.0, 0.25, 0.0]])), told_kinds(np.array([[0.75, 0.1, 0.1, 0.05]]))
+    ((None,), ('front_lamp',))
+    """
+    return names_of_kinds(light_kinds) if tells_rear(light_kinds) else (None,) * len(light_kinds)
 
 
 def checked_kinds(field: str, light_kinds: NDArray[Any], count: int, dtype: type[np.floating]) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -12,14 +13,16 @@ pytest.importorskip("rerun")
 
 import rerun as rr
 
+from foreglow.display.overlay import KIND_BGR
 from foreglow.display.viewer import RerunSink, RrdFile
 from foreglow.display.viewer.blueprint import PLOTS, blueprint
-from foreglow.display.viewer.entities import led_picture, track_words
+from foreglow.display.viewer.entities import box_entities, led_picture, track_words, word_entity
 from foreglow.display.viewer.sink import NUM_SCORES, Slots, highest
 from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.health import Health
 from foreglow.runtime.time_axis import PAUSE_NS
 from foreglow.types import BeamMode, Frame, TrackState
+from foreglow.types.kinds import kinds_of_direct
 from tests.display.viewer.recordings import Recording, frame_at, full_result
 from tests.stand_ins import night_image, result_of, tracks_of
 
@@ -149,6 +152,26 @@ def test_words_of_a_track() -> None:
     states = [TrackState.CONFIRMED, TrackState.COASTING]
     tracks = tracks_of([(0, 0, 9, 9), (20, 0, 29, 9)], states, [3, 12], [85.0, np.nan])
     assert [track_words(tracks, place) for place in (0, 1)] == ["#3 85+-8 m", "#12, coasting"]
+    direct = dataclasses.replace(tracks, light_kinds=kinds_of_direct(np.array([0.9, 0.2])))
+    assert [track_words(direct, index) for index in (0, 1)] == ["#3 85+-8 m, direct", "#12, indirect, coasting"]
+    told = dataclasses.replace(tracks, light_kinds=np.array([[0.1, 0.6, 0.2, 0.1], [0.1, 0.2, 0.3, 0.4]]))
+    words = ["#3 85+-8 m, rear lamp", "#12, light of a rear lamp, coasting"]
+    assert [track_words(told, index) for index in (0, 1)] == words
+
+
+def test_boxes_have_the_colours_and_words_of_their_kinds() -> None:
+    frame = frame_at(0)
+    result = result_of(frame, [[3, 4, 9, 8], [20, 21, 40, 33], [50, 21, 60, 33]], [0.9, 0.8, 0.1])
+    assert result.detections is not None
+    kinds = np.array([[0.1, 0.6, 0.2, 0.1], [0.1, 0.2, 0.3, 0.4], [1.0, 0.0, 0.0, 0.0]], np.float32)
+    detections = dataclasses.replace(result.detections, light_kinds=kinds)
+    _, (_, boxes) = box_entities(result.proposals, detections)
+    colours = [KIND_BGR[kind][::-1] for kind in ("rear_lamp", "rear_light")]
+    assert boxes.colors.as_arrow_array().to_pylist() == [
+        (red << 24) + (green << 16) + (blue << 8) + 255 for red, green, blue in colours
+    ]
+    _, words = word_entity(frame, detections, None)
+    assert words.labels.as_arrow_array().to_pylist() == ["0.90 rear lamp", "0.80 light of a rear lamp"]
 
 
 def test_lamps_as_the_driver_sees_them() -> None:

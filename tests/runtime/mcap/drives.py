@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from foreglow.geometry import Camera, Pose
@@ -28,7 +30,7 @@ def full_frame(index: int, sequence: str = "S00001", time_ns: int | None = None)
 
 
 def full_result(frame: Frame, *faults: str) -> FrameResult:
-    """Two boxes, one of them accepted, two tracks, one of them with a range, and a gap or a fault."""
+    """Two boxes, one accepted, two tracks, one with a range, both first ones of a known kind, a gap or a fault."""
     base = result_of(frame, [[10, 20, 20, 30], [40, 50, 60, 70]], [0.9, 0.2])
     tracks = tracks_of(
         [[10.5, 20, 20, 30], [40, 50, 60, 70]],
@@ -36,12 +38,16 @@ def full_result(frame: Frame, *faults: str) -> FrameResult:
         ids=[3, 8],
         ranges_m=[55.0, float("nan")],
     )
+    kinds = np.array([[0.125, 0.625, 0.125, 0.125], [np.nan] * 4])
+    tracks = dataclasses.replace(tracks, light_kinds=kinds)
+    assert base.detections is not None
+    detections = dataclasses.replace(base.detections, light_kinds=kinds.astype(np.float32))
     levels = np.full((2, NUM_LEDS), 0.5)
     beam = BeamCommand(frame.timestamp_ns, BeamMode.GLARE_FREE, levels, np.array([[-0.1, 0.05]]), np.array([77.0]))
     if faults:
         beam = BeamCommand.low(frame.timestamp_ns, NUM_LEDS, *faults)
     return FrameResult(
-        frame.frame, frame.timestamp_ns, base.proposals, base.detections, {"proposals": 0.25}, None, tracks, beam
+        frame.frame, frame.timestamp_ns, base.proposals, detections, {"proposals": 0.25}, None, tracks, beam
     )
 
 

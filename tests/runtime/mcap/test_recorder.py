@@ -128,7 +128,7 @@ def test_messages_of_foxglove_say_what_was_found(tmp_path: Path) -> None:
     proposals, detection, *tracks = boxes.points
     assert (len(proposals.points), len(detection.points), len(tracks)) == (16, 8, 2)
     assert {(point.x, point.y) for point in detection.points} == {(10, 20), (20, 20), (20, 30), (10, 30)}
-    assert [text.text for text in boxes.texts] == ["3: 0.75, 55 m ± 6", "8: 0.75"]
+    assert [text.text for text in boxes.texts] == ["3: 0.75, rear lamp, 55 m ± 6", "8: 0.75"]
     transform = decoded["/tf"]
     assert (transform.parent_frame_id, transform.child_frame_id) == ("vehicle", "camera")
     assert (transform.translation.x, transform.translation.y, transform.translation.z) == (1.9, 0.0, 1.3)
@@ -140,7 +140,7 @@ def test_messages_of_foxglove_say_what_was_found(tmp_path: Path) -> None:
     # box centre 49 px left of and 23 px above the axis, 55 m away
     ray = np.array([130.0, 48.75, 23.0])
     np.testing.assert_allclose([at.x, at.y, at.z], [1.9, 0, 1.3] + 55.0 * ray / np.linalg.norm(ray), rtol=1e-9)
-    assert [text.text for text in tracks_3d.texts] == ["3: 0.75, 55 m ± 6"]
+    assert [text.text for text in tracks_3d.texts] == ["3: 0.75, rear lamp, 55 m ± 6"]
     right, centre, left = road.lines
     assert [point.y for point in (right.points[0], centre.points[0], left.points[0])] == pytest.approx([-1.6, 1.6, 4.8])
     assert left.points[2].z == pytest.approx(0.2 + 0.02 * 3.2)

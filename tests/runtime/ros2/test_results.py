@@ -177,7 +177,7 @@ def test_broken_tables_are_refused(values: dict[str, Any], expected: str) -> Non
         ({"datatype": 0}, "box_xyxy_px: expected i4, got datatype 0"),
         ({"count": 2}, "box_xyxy_px: expected 4 numbers a row, got 2"),
         ({"count": 0}, "box_xyxy_px: expected 4 numbers a row, got 0"),
-        ({"offset": 2**32 - 1}, "box_xyxy_px: expected to end within 24 bytes"),
+        ({"offset": 2**32 - 1}, "box_xyxy_px: expected to end within 40 bytes"),
     ],
 )
 def test_broken_fields_are_refused(values: dict[str, Any], expected: str) -> None:

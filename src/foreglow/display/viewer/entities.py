@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -20,15 +21,15 @@ from foreglow.display.beam_view import (
     gap_outline_px,
 )
 from foreglow.display.overlay import (
-    ACCEPTED_BGR,
     CAPTION_BGR,
+    KIND_BGR,
     PROPOSAL_BGR,
     REJECTED_BGR,
     TRACK_BGR,
     Colour,
     Rectangle,
     place_label,
-    range_text,
+    track_text,
 )
 from foreglow.display.tone import Tone
 from foreglow.display.viewer.birds_eye import (
@@ -46,6 +47,7 @@ from foreglow.display.viewer.outputs import Entities
 from foreglow.geometry import Floats
 from foreglow.rays import RayCaster
 from foreglow.types import BeamCommand, Detections, Frame, Proposals, Tracks, TrackState
+from foreglow.types.kinds import KIND_WORDS, tells_rear, told_kinds
 
 Entity = tuple[str, Any]
 
@@ -100,13 +102,17 @@ def image_entity(frame: Frame, tone: Tone, jpeg_quality: int | None) -> Entity:
 
 
 def box_entities(proposals: Proposals, detections: Detections | None) -> Entities:
-    """Proposals thin, amber where nothing classified them and grey where they were rejected; detections bold, green."""
+    """Proposals thin, amber where nothing classified them and grey where they were rejected; detections bold.
+
+    Detections have the colour of their kind, green where that is unknown.
+    """
     if detections is None:
-        return [("camera/proposals", _boxes(proposals.boxes_xyxy_px, PROPOSAL_BGR, THIN_PX))]
+        return [("camera/proposals", _boxes(proposals.boxes_xyxy_px, [PROPOSAL_BGR], THIN_PX))]
     accepted = detections.is_accepted
+    colours = [KIND_BGR[kind] for kind in told_kinds(detections.light_kinds[accepted])]
     return [
-        ("camera/proposals", _boxes(detections.boxes_xyxy_px[~accepted], REJECTED_BGR, THIN_PX)),
-        ("camera/detections", _boxes(detections.boxes_xyxy_px[accepted], ACCEPTED_BGR, BOLD_PX)),
+        ("camera/proposals", _boxes(detections.boxes_xyxy_px[~accepted], [REJECTED_BGR], THIN_PX)),
+        ("camera/detections", _boxes(detections.boxes_xyxy_px[accepted], colours, BOLD_PX)),
     ]
 
 
@@ -131,7 +137,9 @@ def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | No
     if detections is not None:
         boxes = _grown(detections.accepted_boxes_xyxy_px, MARGIN_PX)
         scores = detections.scores[detections.is_accepted].tolist()
-        named += [(box, f"{score:.2f}", ACCEPTED_BGR) for box, score in zip(boxes, scores, strict=True)]
+        kinds = told_kinds(detections.light_kinds[detections.is_accepted])
+        for box, score, kind in zip(boxes, scores, kinds, strict=True):
+            named.append((box, f"{score:.2f}" if kind is None else f"{score:.2f} {KIND_WORDS[kind]}", KIND_BGR[kind]))
     letter_px, line_px = (share * frame.width_px for share in LETTER_SHARES)
     rectangles: list[Rectangle] = []
     for box, _, _ in named:
@@ -154,13 +162,13 @@ def word_entity(frame: Frame, detections: Detections | None, tracks: Tracks | No
 
 
 def track_words(tracks: Tracks, index: int) -> str:
-    """Number, range and standard deviation, whether it is a lamp itself, and its state unless it is confirmed.
+    """Number, range and standard deviation, its kind, and its state unless it is confirmed.
 
-    Such as `#3 85+-12 m, indirect, coasting`.
+    Such as `#3 85+-12 m, rear lamp, coasting`; `direct` or `indirect` where a lamp is only told from its light.
     """
-    words = [f"#{tracks.ids[index]}{range_text(tracks.ranges_m[index], tracks.sigmas_m[index])}"]
+    words = [track_text(tracks, index)]
     direct = float(tracks.direct_probabilities[index])
-    if not np.isnan(direct):
+    if not (np.isnan(direct) or tells_rear(tracks.light_kinds)):
         words.append("direct" if direct > 0.5 else "indirect")
     if tracks.states[index] != TrackState.CONFIRMED:
         words.append(TrackState(tracks.states[index]).name.lower())
@@ -250,9 +258,14 @@ def _grown(boxes: NDArray[Any], margin_px: float) -> Floats:
     return np.asarray(boxes, np.float64) + margin_px * np.array([-1.0, -1.0, 1.0, 1.0])
 
 
-def _boxes(boxes: NDArray[Any], colour: Colour, radius: float) -> Any:
-    box_format = rr.Box2DFormat.XYXY
-    return rr.Boxes2D(array=_grown(boxes, MARGIN_PX), array_format=box_format, colors=_rgb(colour), radii=radius)
+def _boxes(boxes: NDArray[Any], colours: Sequence[Colour], radius: float) -> Any:
+    """Boxes of a colour each, or all of the same."""
+    return rr.Boxes2D(
+        array=_grown(boxes, MARGIN_PX),
+        array_format=rr.Box2DFormat.XYXY,
+        colors=[_rgb(colour) for colour in colours],
+        radii=radius,
+    )
 
 
 def _track_colours(tracks: Tracks) -> list[Colour]:

@@ -13,6 +13,7 @@ import numpy as np
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup, OperatingPoint
 from foreglow.lab.evaluation.boxes.directness import Directness
 from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
+from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration
 from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE, WhoseLight
@@ -20,6 +21,7 @@ from foreglow.lab.evaluation.vehicles import FirstFound, share_found_ahead
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, PALE, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, number
 from foreglow.provenance import processor_name
+from foreglow.types.kinds import KIND_WORDS
 
 FEWEST_FALSE_BOXES = 0.01
 """Left end of the axis of false boxes a frame."""
@@ -144,6 +146,10 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
     _add_breakdown(page, examination.breakdown)
     if examination.whose_light is not None:
         _add_whose_light(page, examination.whose_light)
+    if examination.kinds is not None:
+        page.section("Kinds of light", kinds_words(examination.kinds))
+        head, *rows = kinds_rows(examination.kinds)
+        page.table(Table(head, rows))
     _add_vehicles(page, examination.vehicles, examination.rate_hz)
     if examination.run_time_ms:
         page.section("Run-time")
@@ -233,6 +239,24 @@ def _directness_lines(directness: Directness) -> Iterator[str]:
             f"pairs of tracks as vehicles: precision {_number(vehicles.precision)} of {vehicles.num_pairs}, "
             f"recall {_number(vehicles.recall)} of {vehicles.num_vehicles} with two lamps in tracks of their own"
         )
+
+
+def kinds_rows(confusion: KindConfusion) -> list[list[str]]:
+    """The table with its head: a row for each true kind, a column for each called one, and the share that is right."""
+    names = [KIND_WORDS.get(kind, kind) for kind in confusion.kinds]
+    rows = zip(names, confusion.counts.tolist(), confusion.recalls, strict=True)
+    return [
+        ["is, called", *names, "right"],
+        *([name, *map(str, counts), _number(share)] for name, counts, share in rows),
+    ]
+
+
+def kinds_words(confusion: KindConfusion) -> str:
+    """What the table leaves out."""
+    return (
+        f"Of the accepted boxes, {_number(confusion.right)} are of the kind that they are called. "
+        f"{confusion.num_unknown} boxes without known kinds are not counted."
+    )
 
 
 def _add_quality(page: Page, examination: Examination) -> None:

@@ -31,6 +31,7 @@ from scipy.spatial.transform import Rotation
 from foreglow.geometry import Camera, Floats
 from foreglow.runtime.mcap.channels import CAMERA_FRAME, VEHICLE_FRAME
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, RoadAhead, Tracks, TrackState
+from foreglow.types.kinds import KIND_WORDS, told_kinds
 
 HALF_PIXEL_PX = 0.5
 """In Foxglove the centre of the upper left pixel is (0, 0); here it is (0.5, 0.5)."""
@@ -83,7 +84,7 @@ def transform_message(camera: Camera, stamp: Timestamp) -> FrameTransform:
 
 
 def boxes_message(result: FrameResult, stamp: Timestamp) -> ImageAnnotations:
-    """Proposals in thin grey, detections coloured by score, tracks with id, range and confidence."""
+    """Proposals in thin grey, detections coloured by score, tracks with id, confidence, kind and range."""
     points = [_box_lines(result.proposals.boxes_xyxy_px, PROPOSAL_COLOUR, 1.0, stamp)]
     texts: list[TextAnnotation] = []
     if result.detections is not None:
@@ -140,7 +141,9 @@ def _box_lines(boxes: np.ndarray, colour: Color, thickness: float, stamp: Timest
 
 def _track_label(tracks: Tracks, index: int) -> str:
     range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
-    label = f"{tracks.ids[index]}: {tracks.confidences[index]:.2f}"
+    label, kind = f"{tracks.ids[index]}: {tracks.confidences[index]:.2f}", told_kinds(tracks.light_kinds)[index]
+    if kind is not None:
+        label = f"{label}, {KIND_WORDS[kind]}"
     if math.isnan(range_m):
         return label
     return f"{label}, {range_m:.0f} m" + (f" ± {sigma_m:.0f}" if math.isfinite(sigma_m) else "")

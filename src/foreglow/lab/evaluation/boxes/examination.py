@@ -21,6 +21,7 @@ from foreglow.lab.evaluation.boxes.breakdown import (
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
+from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion, kind_confusion
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
 from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light
@@ -66,6 +67,7 @@ class Examination:
         robustness: Figures under disturbances; empty where not asked for.
         directness: How well direct and indirect light are distinguished, and lamps grouped into vehicles.
         whose_light: Figures by whose light is in the boxes; None where the split does not store that.
+        kinds: Which kinds are taken for which; None where a run tells none or the data set stores no shares.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Examination:
     robustness: tuple[RobustnessRow, ...] = ()
     directness: Directness = field(default_factory=Directness)
     whose_light: WhoseLight | None = None
+    kinds: KindConfusion | None = None
 
     @property
     def share_found_ahead(self) -> float:
@@ -134,4 +137,5 @@ def examine(
         run_time_ms=run_time_ms or {},
         directness=Directness(directness_of_boxes(labels, predictions, threshold)),
         whose_light=whose_light(labels, predictions, matched, threshold),
+        kinds=kind_confusion(labels, predictions, threshold),
     )
