@@ -142,7 +142,7 @@ RECIPES: dict[str, Recipe] = {
         network="compact",
         inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6),
         jitter=Jitter(num_copies=1),
-        epochs=36,
+        epochs=30,
         batch_size=256,
         optimiser="adamw",
         learning_rate=2e-3,
@@ -152,6 +152,7 @@ RECIPES: dict[str, Recipe] = {
         max_gradient=5.0,
         ema_decay=0.998,
         max_negatives_per_positive=4.0,
+        positive_weight="equal",
         group_balance=0.25,
         kinds=True,
         augmentation=Augmentation(
