@@ -17,6 +17,7 @@ from foreglow.config.stages import (
     GuardConfig,
     LiveConfig,
     ProposalConfig,
+    StandingConfig,
     TrackerConfig,
 )
 from foreglow.files import read_toml
@@ -26,6 +27,7 @@ class PipelineConfig(FrozenModel):
     """The configuration of the whole pipeline: a section for each stage, for the guard and for the live loop."""
 
     proposals: ProposalConfig = ProposalConfig()
+    standing: StandingConfig = StandingConfig()
     classifier: ClassifierConfig = ClassifierConfig()
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()

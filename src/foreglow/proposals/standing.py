@@ -1,0 +1,219 @@
+"""What stands still in the image while we drive: reflections of our own car, dirt, stickers and logos are left out.
+
+A light outside cannot keep its place: our car pitches and sways by many times the tolerance, even behind a vehicle
+that we follow at a constant distance. So a region is learnt only if its patch keeps its place to a fraction of a pixel,
+and its look, through a long time of driving; and it hides a box only in a frame in which its patch is still the same.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.config import StandingConfig
+from foreglow.types import Frame, Image, Proposals
+
+MAX_REGIONS = 16
+"""Regions that are learnt or may be, together: bounds the memory and the time of a frame."""
+
+MAX_SAMPLES = 24
+"""Samples of a patch along each axis; larger patches are sampled with a stride."""
+
+CHECK_S = 0.25
+"""Time between two checks of a region that is not learnt yet."""
+
+RIM_SHARE = 0.25
+"""A region is a box with a rim of this share of its shorter side, so that edges of its light lie within."""
+
+MIN_RIM_PX = 2
+GAIN_LIMITS = 0.5, 2.0
+"""A patch is the same if its contrast is so many times that of the first one: what lights it may change."""
+
+MOTION_S = 5.0
+"""Time constant of the share of failed checks, by which we are driving where nobody knows our speed."""
+
+MIN_FAILED = 0.6
+"""Without a known speed we are driving if at least this share of the checks fails: most of the image flows."""
+
+
+@dataclass(slots=True, eq=False)
+class _Region:
+    """A patch that may stand still.
+
+    Attributes:
+        edges_px: x1, y1, x2, y2 of the patch, half-open.
+        stride_px: From one sample to the next.
+        basis: Shape (n, 3), of the first patch: its samples less their mean, and its derivatives by x and y.
+        solver: Shape (3, n), the pseudo-inverse of `basis`.
+        born_driven_s: How long we had driven when it was made.
+        checked_ns: Time of its last check.
+        same_ns: Time of the last check in which it was the same.
+    """
+
+    edges_px: tuple[int, int, int, int]
+    stride_px: int
+    basis: NDArray[np.float32]
+    solver: NDArray[np.float32]
+    born_driven_s: float
+    checked_ns: int
+    same_ns: int
+
+    @property
+    def area_px(self) -> int:
+        x1, y1, x2, y2 = self.edges_px
+        return (x2 - x1) * (y2 - y1)
+
+    def samples(self, image: Image) -> NDArray[np.float32]:
+        x1, y1, x2, y2 = self.edges_px
+        samples = image[y1 : y2 : self.stride_px, x1 : x2 : self.stride_px].astype(np.float32).ravel()
+        samples -= samples.mean()
+        return samples
+
+
+class StandingLight:
+    """Learns which regions of the image stand still while we drive, and leaves out the boxes in them."""
+
+    def __init__(self, config: StandingConfig) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything, as at the start of a sequence."""
+        self._waiting: deque[_Region] = deque()  # the one that was checked longest ago is first
+        self._learnt: list[_Region] = []
+        self._driven_s = 0.0
+        self._failed = 0.0
+        self._num_frames = 0
+        self._last_ns: int | None = None
+        self._shape: tuple[int, ...] = ()
+
+    @property
+    def regions_xyxy_px(self) -> NDArray[np.int32]:
+        """The learnt regions, shape (R, 4), half-open."""
+        return np.array([region.edges_px for region in self._learnt], np.int32).reshape(-1, 4)
+
+    def leave_out(self, frame: Frame, proposals: Proposals) -> Proposals:
+        """The proposals without those in a region that stands still.
+
+        Args:
+            frame: The frame; frames must come in order.
+            proposals: Boxes in this frame.
+        """
+        now_ns = frame.timestamp_ns
+        if not self._continues(frame):
+            self.reset()
+            self._shape = frame.image.shape
+        elapsed_s = 0.0 if self._last_ns is None else (now_ns - self._last_ns) * 1e-9
+        self._last_ns = now_ns
+        self._num_frames += 1
+        if self._is_driving(frame):
+            self._driven_s += elapsed_s
+        self._check_next(frame, elapsed_s)
+        self._begin(frame, proposals)
+        return self._without_standing(frame, proposals)
+
+    def _continues(self, frame: Frame) -> bool:
+        """Whether the frame is soon after the last one, and of the same size."""
+        if self._last_ns is None or frame.image.shape != self._shape:
+            return False
+        return 0 <= frame.timestamp_ns - self._last_ns <= self.config.forget_s * 1e9
+
+    def _is_driving(self, frame: Frame) -> bool:
+        if frame.motion is not None:
+            return frame.motion.speed_mps >= self.config.min_speed_mps
+        return self._failed >= MIN_FAILED
+
+    def _check_next(self, frame: Frame, elapsed_s: float) -> None:
+        """Checks the region that waits longest: it stays, is learnt, or is dropped."""
+        now_ns = frame.timestamp_ns
+        if not self._waiting or now_ns - self._waiting[0].checked_ns < CHECK_S * 1e9:
+            return
+        region = self._waiting.popleft()
+        is_same = self._is_same(region, frame)
+        self._failed += (float(not is_same) - self._failed) * min(1.0, elapsed_s / MOTION_S)
+        if not is_same:
+            return
+        if self._driven_s - region.born_driven_s >= self.config.learn_s and self._has_room(region):
+            self._learnt.append(region)
+        else:
+            self._waiting.append(region)
+
+    def _has_room(self, region: _Region) -> bool:
+        learnt_px = sum(learnt.area_px for learnt in self._learnt)
+        return learnt_px + region.area_px <= self.config.max_area * self._shape[0] * self._shape[1]
+
+    def _is_same(self, region: _Region, frame: Frame) -> bool:
+        """Whether the patch is where it was, and looks as it did, up to its contrast.
+
+        With the first patch T, a patch that has moved by d and changed its contrast by the factor a is, to first order,
+        a T - a d · grad T: a linear fit gives both.
+        """
+        region.checked_ns = frame.timestamp_ns
+        samples = region.samples(frame.image)
+        gain, *moved = (region.solver @ samples).tolist()
+        if not GAIN_LIMITS[0] <= gain <= GAIN_LIMITS[1]:
+            return False
+        if max(map(abs, moved)) > self.config.max_shift_px * gain:
+            return False
+        left = samples - region.basis @ np.array((gain, *moved), np.float32)
+        if left @ left > self.config.max_change * (samples @ samples):
+            return False
+        region.same_ns = frame.timestamp_ns
+        return True
+
+    def _begin(self, frame: Frame, proposals: Proposals) -> None:
+        """Makes a region of one of the boxes, a different one in each frame, if there is room and none holds it yet."""
+        if not len(proposals) or len(self._waiting) + len(self._learnt) >= MAX_REGIONS:
+            return
+        box = proposals.boxes_xyxy_px[self._num_frames % len(proposals)].tolist()
+        if any(_holds(region, box) for region in (*self._waiting, *self._learnt)):
+            return
+        region = _region(frame, box, self._driven_s)
+        if region is not None and region.area_px <= self.config.max_area * frame.image.size:
+            self._waiting.append(region)
+
+    def _without_standing(self, frame: Frame, proposals: Proposals) -> Proposals:
+        if not self._learnt:
+            return proposals
+        boxes = proposals.boxes_xyxy_px
+        is_left = np.ones(len(boxes), np.bool_)
+        forget_ns = frame.timestamp_ns - self.config.forget_s * 1e9
+        kept = []
+        for region in self._learnt:
+            if self._is_same(region, frame):
+                x1, y1, x2, y2 = region.edges_px
+                is_left &= (boxes < (x1, y1, 0, 0)).any(1) | (boxes[:, 2:] > (x2, y2)).any(1)
+            if region.same_ns >= forget_ns:
+                kept.append(region)
+        self._learnt = kept
+        return proposals if is_left.all() else Proposals(boxes[is_left])
+
+
+def _holds(region: _Region, box: list[int]) -> bool:
+    x1, y1, x2, y2 = region.edges_px
+    return x1 <= box[0] and y1 <= box[1] and box[2] <= x2 and box[3] <= y2
+
+
+def _region(frame: Frame, box: list[int], driven_s: float) -> _Region | None:
+    """The region of a box, cut to where the image has derivatives; None if its place cannot be told in both axes."""
+    height, width = frame.image.shape
+    x1, y1, x2, y2 = box
+    rim = max(MIN_RIM_PX, round(RIM_SHARE * min(x2 - x1, y2 - y1)))
+    x1, y1, x2, y2 = max(1, x1 - rim), max(1, y1 - rim), min(width - 1, x2 + rim), min(height - 1, y2 + rim)
+    if x2 - x1 < 3 or y2 - y1 < 3:
+        return None
+    stride = -(-max(x2 - x1, y2 - y1) // MAX_SAMPLES)
+    around = frame.image[y1 - 1 : y2 + 1, x1 - 1 : x2 + 1].astype(np.float32)
+    patch, by_x, by_y = around[1:-1, 1:-1], around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
+    basis = np.stack([part[::stride, ::stride].ravel() for part in (patch, -0.5 * by_x, -0.5 * by_y)], 1)
+    basis -= basis.mean(0)
+    normal = basis.T.astype(np.float64) @ basis
+    moving = normal[1:, 1:]
+    if np.linalg.det(moving) <= 0.01 * moving.trace() ** 2 or normal[0, 0] <= len(basis):
+        return None
+    solver = np.linalg.solve(normal, basis.T).astype(np.float32)
+    now_ns = frame.timestamp_ns
+    return _Region((x1, y1, x2, y2), stride, basis, solver, driven_s, now_ns, now_ns)
