@@ -25,6 +25,9 @@ MAX_SAMPLES = 24
 CHECK_S = 0.25
 """Time between two checks of a region that is not learnt yet."""
 
+MIN_CHECKS = 10
+"""Checks that a region must pass to be learnt, also where frames are rare."""
+
 RIM_SHARE = 0.25
 """A region is a box with a rim of this share of its shorter side, so that edges of its light lie within."""
 
@@ -51,6 +54,7 @@ class _Region:
         born_driven_s: How long we had driven when it was made.
         checked_ns: Time of its last check.
         same_ns: Time of the last check in which it was the same.
+        num_same: Checks in which it was the same.
     """
 
     edges_px: tuple[int, int, int, int]
@@ -60,6 +64,7 @@ class _Region:
     born_driven_s: float
     checked_ns: int
     same_ns: int
+    num_same: int = 0
 
     @property
     def area_px(self) -> int:
@@ -136,7 +141,8 @@ class StandingLight:
         self._failed += (float(not is_same) - self._failed) * min(1.0, elapsed_s / MOTION_S)
         if not is_same:
             return
-        if self._driven_s - region.born_driven_s >= self.config.learn_s and self._has_room(region):
+        is_proven = self._driven_s - region.born_driven_s >= self.config.learn_s and region.num_same >= MIN_CHECKS
+        if is_proven and self._has_room(region):
             self._learnt.append(region)
         else:
             self._waiting.append(region)
@@ -162,6 +168,7 @@ class StandingLight:
         if left @ left > self.config.max_change * (samples @ samples):
             return False
         region.same_ns = frame.timestamp_ns
+        region.num_same += 1
         return True
 
     def _begin(self, frame: Frame, proposals: Proposals) -> None:
