@@ -35,11 +35,14 @@ MIN_RIM_PX = 2
 GAIN_LIMITS = 0.5, 2.0
 """A patch is the same if its contrast is so many times that of the first one: what lights it may change."""
 
-MOTION_S = 5.0
-"""Time constant of the share of failed checks, by which we are driving where nobody knows our speed."""
+FLOW_S = 5.0
+"""Time constant of the share of boxes that flow, by which we are driving where nobody knows our speed."""
 
-MIN_FAILED = 0.6
-"""Without a known speed we are driving if at least this share of the checks fails: most of the image flows."""
+MIN_FLOW = 0.6
+"""Without a known speed we are driving if at least this share of the boxes is in no region that stood for a second."""
+
+MIN_STOOD = 4
+"""So many checks are a second."""
 
 
 @dataclass(slots=True, eq=False)
@@ -90,9 +93,10 @@ class StandingLight:
         self._waiting: deque[_Region] = deque()  # the one that was checked longest ago is first
         self._learnt: list[_Region] = []
         self._driven_s = 0.0
-        self._failed = 0.0
+        self._flow = 0.0
         self._num_frames = 0
         self._last_ns: int | None = None
+        self._looked_ns = 0
         self._shape: tuple[int, ...] = ()
 
     @property
@@ -110,14 +114,14 @@ class StandingLight:
         now_ns = frame.timestamp_ns
         if not self._continues(frame):
             self.reset()
-            self._shape = frame.image.shape
+            self._shape, self._looked_ns = frame.image.shape, now_ns
         elapsed_s = 0.0 if self._last_ns is None else (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
         self._num_frames += 1
         if self._is_driving(frame):
             self._driven_s += elapsed_s
-        self._check_next(frame, elapsed_s)
-        self._begin(frame, proposals)
+        if not self._check_next(frame) and len(proposals):
+            self._look_at(frame, proposals.boxes_xyxy_px[self._num_frames % len(proposals)].tolist())
         return self._without_standing(frame, proposals)
 
     def _continues(self, frame: Frame) -> bool:
@@ -129,23 +133,22 @@ class StandingLight:
     def _is_driving(self, frame: Frame) -> bool:
         if frame.motion is not None:
             return frame.motion.speed_mps >= self.config.min_speed_mps
-        return self._failed >= MIN_FAILED
+        return self._flow >= MIN_FLOW
 
-    def _check_next(self, frame: Frame, elapsed_s: float) -> None:
-        """Checks the region that waits longest: it stays, is learnt, or is dropped."""
+    def _check_next(self, frame: Frame) -> bool:
+        """Checks the region that waits longest, if it is time: it stays, is learnt, or is dropped."""
         now_ns = frame.timestamp_ns
         if not self._waiting or now_ns - self._waiting[0].checked_ns < CHECK_S * 1e9:
-            return
+            return False
         region = self._waiting.popleft()
-        is_same = self._is_same(region, frame)
-        self._failed += (float(not is_same) - self._failed) * min(1.0, elapsed_s / MOTION_S)
-        if not is_same:
-            return
+        if not self._is_same(region, frame):
+            return True
         is_proven = self._driven_s - region.born_driven_s >= self.config.learn_s and region.num_same >= MIN_CHECKS
         if is_proven and self._has_room(region):
             self._learnt.append(region)
         else:
             self._waiting.append(region)
+        return True
 
     def _has_room(self, region: _Region) -> bool:
         learnt_px = sum(learnt.area_px for learnt in self._learnt)
@@ -171,12 +174,15 @@ class StandingLight:
         region.num_same += 1
         return True
 
-    def _begin(self, frame: Frame, proposals: Proposals) -> None:
-        """Makes a region of one of the boxes, a different one in each frame, if there is room and none holds it yet."""
-        if not len(proposals) or len(self._waiting) + len(self._learnt) >= MAX_REGIONS:
-            return
-        box = proposals.boxes_xyxy_px[self._num_frames % len(proposals)].tolist()
-        if any(_holds(region, box) for region in (*self._waiting, *self._learnt)):
+    def _look_at(self, frame: Frame, box: list[int]) -> None:
+        """Notes whether a box, a different one in each frame, flows; makes a region of it if it is in none yet."""
+        regions = [*self._waiting, *self._learnt]
+        holding = [region for region in regions if _holds(region, box)]
+        is_flowing = all(region.num_same < MIN_STOOD for region in holding)
+        seconds = (frame.timestamp_ns - self._looked_ns) * 1e-9
+        self._flow += (is_flowing - self._flow) * min(1.0, seconds / FLOW_S)
+        self._looked_ns = frame.timestamp_ns
+        if holding or len(regions) >= MAX_REGIONS:
             return
         region = _region(frame, box, self._driven_s)
         if region is not None and region.area_px <= self.config.max_area * frame.image.size:
