@@ -24,16 +24,16 @@ from foreglow.files import read_toml
 
 
 class PipelineConfig(FrozenModel):
-    """The configuration of the whole pipeline: a section for each stage, for the guard and for the live loop."""
+    """The configuration of the whole pipeline: a section for each stage, and for what is around them."""
 
     proposals: ProposalConfig = ProposalConfig()
-    standing: StandingConfig = StandingConfig()
     classifier: ClassifierConfig = ClassifierConfig()
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()
     beam: BeamConfig = BeamConfig()
     guard: GuardConfig = GuardConfig()
     live: LiveConfig = LiveConfig()
+    standing: StandingConfig = StandingConfig()
 
     @property
     def detector_only(self) -> PipelineConfig:

@@ -44,6 +44,11 @@ MIN_FLOW = 0.6
 MIN_STOOD = 4
 """So many checks are a second."""
 
+MIN_CORNER = 0.01
+"""Least determinant of the structure tensor over its squared trace: that is 1/4 for a round light, 0 for an edge."""
+
+_SIGNS = np.array([1, 1, -1, -1], np.int32)
+
 
 @dataclass(slots=True, eq=False)
 class _Region:
@@ -52,8 +57,8 @@ class _Region:
     Attributes:
         edges_px: x1, y1, x2, y2 of the patch, half-open.
         stride_px: From one sample to the next.
-        basis: Shape (n, 3), of the first patch: its samples less their mean, and its derivatives by x and y.
-        solver: Shape (3, n), the pseudo-inverse of `basis`.
+        normal: Shape (3, 3), B^T B for the basis B: the first patch less its mean, and its derivatives by x and y.
+        solver: Shape (3, n), the pseudo-inverse of B.
         born_driven_s: How long we had driven when it was made.
         checked_ns: Time of its last check.
         same_ns: Time of the last check in which it was the same.
@@ -62,7 +67,7 @@ class _Region:
 
     edges_px: tuple[int, int, int, int]
     stride_px: int
-    basis: NDArray[np.float32]
+    normal: NDArray[np.float32]
     solver: NDArray[np.float32]
     born_driven_s: float
     checked_ns: int
@@ -77,7 +82,7 @@ class _Region:
     def samples(self, image: Image) -> NDArray[np.float32]:
         x1, y1, x2, y2 = self.edges_px
         samples = image[y1 : y2 : self.stride_px, x1 : x2 : self.stride_px].astype(np.float32).ravel()
-        samples -= samples.mean()
+        samples -= np.add.reduce(samples) / np.float32(samples.size)
         return samples
 
 
@@ -162,13 +167,13 @@ class StandingLight:
         """
         region.checked_ns = frame.timestamp_ns
         samples = region.samples(frame.image)
-        gain, *moved = (region.solver @ samples).tolist()
+        fit = region.solver @ samples
+        gain, *moved = fit.tolist()
         if not GAIN_LIMITS[0] <= gain <= GAIN_LIMITS[1]:
             return False
         if max(map(abs, moved)) > self.config.max_shift_px * gain:
             return False
-        left = samples - region.basis @ np.array((gain, *moved), np.float32)
-        if left @ left > self.config.max_change * (samples @ samples):
+        if fit @ region.normal @ fit < (1.0 - self.config.max_change) * (samples @ samples):
             return False
         region.same_ns = frame.timestamp_ns
         region.num_same += 1
@@ -191,18 +196,15 @@ class StandingLight:
     def _without_standing(self, frame: Frame, proposals: Proposals) -> Proposals:
         if not self._learnt:
             return proposals
-        boxes = proposals.boxes_xyxy_px
-        is_left = np.ones(len(boxes), np.bool_)
         forget_ns = frame.timestamp_ns - self.config.forget_s * 1e9
-        kept = []
-        for region in self._learnt:
-            if self._is_same(region, frame):
-                x1, y1, x2, y2 = region.edges_px
-                is_left &= (boxes < (x1, y1, 0, 0)).any(1) | (boxes[:, 2:] > (x2, y2)).any(1)
-            if region.same_ns >= forget_ns:
-                kept.append(region)
-        self._learnt = kept
-        return proposals if is_left.all() else Proposals(boxes[is_left])
+        same = [region.edges_px for region in self._learnt if self._is_same(region, frame)]
+        self._learnt = [region for region in self._learnt if region.same_ns >= forget_ns]
+        if not same:
+            return proposals
+        # A box lies in a region if its first two edges are not below, and its last two not above.
+        boxes = proposals.boxes_xyxy_px
+        is_out = (boxes[:, np.newaxis] * _SIGNS < np.array(same, np.int32) * _SIGNS).any(2).all(1)
+        return proposals if is_out.all() else Proposals(boxes[is_out])
 
 
 def _holds(region: _Region, box: list[int]) -> bool:
@@ -219,14 +221,18 @@ def _region(frame: Frame, box: list[int], driven_s: float) -> _Region | None:
     if x2 - x1 < 3 or y2 - y1 < 3:
         return None
     stride = -(-max(x2 - x1, y2 - y1) // MAX_SAMPLES)
-    around = frame.image[y1 - 1 : y2 + 1, x1 - 1 : x2 + 1].astype(np.float32)
-    patch, by_x, by_y = around[1:-1, 1:-1], around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
-    basis = np.stack([part[::stride, ::stride].ravel() for part in (patch, -0.5 * by_x, -0.5 * by_y)], 1)
+
+    def samples(down: int, across: int) -> NDArray[np.float32]:
+        rows, columns = slice(y1 + down, y2 + down, stride), slice(x1 + across, x2 + across, stride)
+        return frame.image[rows, columns].astype(np.float32).ravel()
+
+    by_x, by_y = 0.5 * (samples(0, -1) - samples(0, 1)), 0.5 * (samples(-1, 0) - samples(1, 0))
+    basis = np.stack([samples(0, 0), by_x, by_y], 1)
     basis -= basis.mean(0)
     normal = basis.T.astype(np.float64) @ basis
-    moving = normal[1:, 1:]
-    if np.linalg.det(moving) <= 0.01 * moving.trace() ** 2 or normal[0, 0] <= len(basis):
+    contrast, (xx, xy), (_, yy) = normal[0, 0], *normal[1:, 1:].tolist()
+    if xx * yy - xy * xy <= MIN_CORNER * (xx + yy) ** 2 or contrast <= len(basis):
         return None
-    solver = np.linalg.solve(normal, basis.T).astype(np.float32)
+    solver = (np.linalg.inv(normal) @ basis.T).astype(np.float32)
     now_ns = frame.timestamp_ns
-    return _Region((x1, y1, x2, y2), stride, basis, solver, driven_s, now_ns, now_ns)
+    return _Region((x1, y1, x2, y2), stride, normal.astype(np.float32), solver, driven_s, now_ns, now_ns)
