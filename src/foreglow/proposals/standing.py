@@ -19,7 +19,7 @@ from foreglow.types import Frame, Image, Proposals
 MAX_REGIONS = 16
 """Regions that are learnt or may be, together: bounds the memory and the time of a frame."""
 
-MAX_SAMPLES = 24
+MAX_SAMPLES = 16
 """Samples of a patch along each axis; larger patches are sampled with a stride."""
 
 CHECK_S = 0.25
@@ -203,7 +203,8 @@ class StandingLight:
             return proposals
         # A box lies in a region if its first two edges are not below, and its last two not above.
         boxes = proposals.boxes_xyxy_px
-        is_out = (boxes[:, np.newaxis] * _SIGNS < np.array(same, np.int32) * _SIGNS).any(2).all(1)
+        is_beyond = boxes[:, np.newaxis] * _SIGNS < np.array(same, np.int32) * _SIGNS
+        is_out = np.all(np.any(is_beyond, axis=2), axis=1)
         return proposals if is_out.all() else Proposals(boxes[is_out])
 
 
@@ -230,8 +231,8 @@ def _region(frame: Frame, box: list[int], driven_s: float) -> _Region | None:
     basis = np.stack([samples(0, 0), by_x, by_y], 1)
     basis -= basis.mean(0)
     normal = basis.T.astype(np.float64) @ basis
-    contrast, (xx, xy), (_, yy) = normal[0, 0], *normal[1:, 1:].tolist()
-    if xx * yy - xy * xy <= MIN_CORNER * (xx + yy) ** 2 or contrast <= len(basis):
+    xx, xy, yy = (float(normal[row, column]) for row, column in ((1, 1), (1, 2), (2, 2)))
+    if xx * yy - xy * xy <= MIN_CORNER * (xx + yy) ** 2 or normal[0, 0] <= len(basis):
         return None
     solver = (np.linalg.inv(normal) @ basis.T).astype(np.float32)
     now_ns = frame.timestamp_ns
