@@ -123,6 +123,8 @@ def test_empty_file_is_the_base() -> None:
         ("proposals = 3", "proposals: .*got 3"),
         ("kappa =", "expected TOML: Invalid value"),
         ("[classifier]\nmodel = 3", "classifier.model: .*got 3"),
+        ("[standing]\nlearn_s = 0", "standing.learn_s: Input should be greater than 0, got 0"),
+        ("[standing]\nmax_area = 0.5", "standing.max_area: Input should be less than or equal to 0.1, got 0.5"),
     ],
 )
 def test_wrong_file_is_named_with_field_and_value(text: str, complaint: str) -> None:

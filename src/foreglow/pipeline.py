@@ -14,7 +14,7 @@ from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig, preset
 from foreglow.distance import RangeEstimator, make_estimator
 from foreglow.plugins import built, checked, name_of
-from foreglow.proposals import NativeProposer, Proposer, make_proposer
+from foreglow.proposals import NativeProposer, Proposer, StandingLight, make_proposer
 from foreglow.stopwatch import Stopwatch
 from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
@@ -55,6 +55,11 @@ class Stages:
         return make_proposer(self.config.proposals)
 
     @cached_property
+    def standing(self) -> StandingLight | None:
+        """What takes boxes out that stand still while we drive, after the first stage."""
+        return StandingLight(self.config.standing) if self.config.standing.enabled else None
+
+    @cached_property
     def classifier(self) -> OnnxClassifier | None:
         """The second stage; None without a model."""
         return OnnxClassifier(self.config.classifier) if self.config.classifier.model is not None else None
@@ -79,11 +84,11 @@ class Stages:
 
     def build(self) -> None:
         """Makes all stages now, so that what is wrong with one is known before the first frame."""
-        _ = self.proposer, self.classifier, self.estimator, self.tracker, self.beam
+        _ = self.proposer, self.standing, self.classifier, self.estimator, self.tracker, self.beam
 
     def reset(self) -> None:
         """Has the stages forget what earlier frames left behind, as at the start of a sequence."""
-        for stage in (self.classifier, self.estimator, self.tracker, self.beam):
+        for stage in (self.standing, self.classifier, self.estimator, self.tracker, self.beam):
             if stage is not None:
                 stage.reset()
 
@@ -163,6 +168,9 @@ class Pipeline:
         stopwatch = self._stopwatch = Stopwatch()
         stopwatch.begin("proposals")
         proposals = stages.proposer.propose(frame.image)
+        if stages.standing is not None:
+            stopwatch.begin("standing")
+            proposals = stages.standing.leave_out(frame, proposals)
         detections: Detections | None = None
         ranges: Ranges | None = None
         tracks: Tracks | None = None

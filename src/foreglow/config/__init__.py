@@ -12,6 +12,7 @@ from foreglow.config.stages import (
     GuardConfig,
     LiveConfig,
     ProposalConfig,
+    StandingConfig,
     TrackerConfig,
 )
 from foreglow.files import read_toml
@@ -29,6 +30,7 @@ __all__ = [
     "LiveConfig",
     "PipelineConfig",
     "ProposalConfig",
+    "StandingConfig",
     "TrackerConfig",
     "config_to_toml",
     "preset",

@@ -17,13 +17,14 @@ from foreglow.config.stages import (
     GuardConfig,
     LiveConfig,
     ProposalConfig,
+    StandingConfig,
     TrackerConfig,
 )
 from foreglow.files import read_toml
 
 
 class PipelineConfig(FrozenModel):
-    """The configuration of the whole pipeline: a section for each stage, for the guard and for the live loop."""
+    """The configuration of the whole pipeline: a section for each stage, and for what is around them."""
 
     proposals: ProposalConfig = ProposalConfig()
     classifier: ClassifierConfig = ClassifierConfig()
@@ -32,6 +33,7 @@ class PipelineConfig(FrozenModel):
     beam: BeamConfig = BeamConfig()
     guard: GuardConfig = GuardConfig()
     live: LiveConfig = LiveConfig()
+    standing: StandingConfig = StandingConfig()
 
     @property
     def detector_only(self) -> PipelineConfig:

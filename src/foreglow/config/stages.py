@@ -94,6 +94,28 @@ class ProposalConfig(FrozenModel):
         return self
 
 
+class StandingConfig(FrozenModel):
+    """What stands still in the image while we drive, such as reflections of our own car, and is left out.
+
+    Attributes:
+        enabled: Whether it is.
+        learn_s: A region is learnt when it has stood still for so long, driving all the time.
+        forget_s: It is forgotten when it has not been the same for so long.
+        min_speed_mps: Nothing is learnt below this speed, where the speed is known.
+        max_shift_px: It stands still while it moves by at most this in either axis, pixels of the actual frame.
+        max_change: It looks the same while at most this share of its variance is new, up to its contrast.
+        max_area: Learnt regions cover at most this share of the image, together.
+    """
+
+    enabled: bool = False
+    learn_s: Annotated[float, Field(gt=0, le=3600)] = 20.0
+    forget_s: Annotated[float, Field(gt=0, le=10)] = 2.0
+    min_speed_mps: Annotated[float, Field(gt=0, le=100)] = 5.0
+    max_shift_px: Annotated[float, Field(gt=0, le=1)] = 0.25
+    max_change: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    max_area: Annotated[float, Field(gt=0, le=0.1)] = 0.02
+
+
 class ClassifierConfig(FrozenModel):
     """Parameters of the classification stage.
 

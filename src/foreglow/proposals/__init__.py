@@ -11,9 +11,10 @@ from typing import Protocol
 from foreglow.config import ProposalConfig
 from foreglow.proposals.native import NativeProposer
 from foreglow.proposals.reference import ReferenceProposer
+from foreglow.proposals.standing import StandingLight
 from foreglow.types import Image, Proposals
 
-__all__ = ["BACKENDS", "NativeProposer", "Proposer", "ReferenceProposer", "make_proposer"]
+__all__ = ["BACKENDS", "NativeProposer", "Proposer", "ReferenceProposer", "StandingLight", "make_proposer"]
 
 
 class Proposer(Protocol):

@@ -69,12 +69,15 @@ class DetectorNode(FrameNode[Frame]):
     def __init__(self, setting: Setting) -> None:
         super().__init__("detector", (topics.IMAGE,), ros_arguments=setting.ros_arguments)
         stages = Stages(setting.config)
-        self._proposer, self._classifier = stages.proposer, needed("classifier.model", stages.classifier)
+        self._proposer, self._standing = stages.proposer, stages.standing
+        self._classifier = needed("classifier.model", stages.classifier)
         self._output = self.publisher(topics.DETECTIONS)
 
     def reset(self) -> None:
         """Forgets earlier frames."""
         self._classifier.reset()
+        if self._standing is not None:
+            self._standing.reset()
 
     def read(self, joined: Joined) -> Frame:
         """The image; proposals and classification need nothing else."""
@@ -85,6 +88,9 @@ class DetectorNode(FrameNode[Frame]):
         """Publishes the scored boxes of an image."""
         stopwatch.begin("proposals")
         proposals = self._proposer.propose(inputs.image)
+        if self._standing is not None:
+            stopwatch.begin("standing")
+            proposals = self._standing.leave_out(inputs, proposals)
         stopwatch.begin("classifier")
         detections = self._classifier.classify(inputs, proposals)
         stopwatch.begin("send")
