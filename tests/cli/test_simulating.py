@@ -209,6 +209,7 @@ def test_each_camera_has_a_data_set_that_the_other_commands_read(scene_file: Pat
     for folder in ("pvdn_day/day", "pvdn_night/night"):
         split = tmp_path / "DATA" / folder / "train"
         assert (split / "simulation" / "S00002" / "shares.parquet").is_file()
+        assert len(list((split / "simulation" / "S00002" / "light").glob("*.png"))) == 4
         assert "8 frames" in foreglow("run", split, "--out", tmp_path / folder / "results").stdout
     assert foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras).stdout.count("were there") == 2
 

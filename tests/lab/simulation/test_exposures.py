@@ -5,11 +5,13 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from foreglow.datasets.simulated import SOURCES, read_truth
+from foreglow.datasets.simulated.light_maps import CELL_PX, decoded, light_map_path
 from foreglow.datasets.simulated.shares import read_shares
 from foreglow.files import read_bytes
 from foreglow.lab.simulation import (
@@ -199,6 +201,13 @@ def test_same_bytes_at_any_jobs_and_order_also_after_a_loss(tmp_path: Path) -> N
     rows = list(read_shares(root / "simulation" / "S00001" / "shares.parquet"))
     assert rows
     assert {image_id // 10_000 for image_id, _ in rows} == {1}
+    differences = []
+    for image_id, found in rows:
+        light = decoded(cv2.imread(str(light_map_path(root / "simulation" / "S00001", image_id)), cv2.IMREAD_GRAYSCALE))
+        is_large = (found.boxes_xyxy_px[:, 2:] - found.boxes_xyxy_px[:, :2]).min(1) >= 4 * CELL_PX
+        cells = (found.boxes_xyxy_px[is_large] // CELL_PX).astype(np.int32)
+        differences += np.abs(box_shares(light, cells) - found.shares[is_large]).max(1).tolist()
+    assert np.median(differences) < 0.05
     assert b'"variant"' in read_bytes(root / "simulation" / "S00002" / "scene.json", 10_000_000)
 
 

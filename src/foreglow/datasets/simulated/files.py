@@ -8,6 +8,7 @@ Beside PVDN's `images` and `labels`, a simulated split has
     simulation/S00001/camera.toml     calibration, as `foreglow.calibration` reads it
     simulation/S00001/road.json       the main road's centre line each metre, in the world
     simulation/S00001/frames.jsonl    a `FrameTruth` a line
+    simulation/S00001/light/010000.png  how much light of which source is where, with the shares; `light_maps` reads it
     simulation/S00001/shares.parquet  whose light is in the proposals, if that was asked for; `shares` reads it
     simulation/S00001/depth/000000.png  LiDAR-like depth of the first image; the number is the frame's in the drive
 

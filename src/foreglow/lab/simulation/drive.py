@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foreglow.config import preset
+from foreglow.datasets.simulated.light_maps import reduced
 from foreglow.datasets.simulated.shares import BoxShares, load_arrow
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.profile import CameraProfile
@@ -155,13 +156,13 @@ def drive_exposures(
 
 
 def _with_shares(known: DriveFrame, camera: DriveCamera, proposers: Mapping[str, Proposer]) -> DriveFrame:
-    """The frame with the shares of light in each proposer's boxes."""
+    """The frame with the light of each source, and its shares in each proposer's boxes."""
     if not proposers or camera.latest is None:
         return known
     light = camera.latest.by_source()
     boxes = {name: proposer.propose(known.frame.image).boxes_xyxy_px for name, proposer in proposers.items()}
     shares = tuple(BoxShares(name, found, box_shares(light, found)) for name, found in boxes.items())
-    return replace(known, shares=shares)
+    return replace(known, shares=shares, light_cd_m2=reduced(light))
 
 
 def check_exposures(profiles: Sequence[CameraProfile], scenes: Sequence[Scene], presets: Sequence[str] = ()) -> None:

@@ -22,12 +22,14 @@ class DriveFrame(FrameTruth):
         camera: Its calibration.
         depth_m: Shape (height, width), float32, distance along each pixel's ray; NaN where there is only sky.
         shares: Whose light is in the proposals of some presets; empty if nobody asked.
+        light_cd_m2: Shape (6, height // 4, width // 4), float32, the light of each source; None if nobody asked.
     """
 
     frame: Frame
     camera: Camera
     depth_m: NDArray[np.float32]
     shares: tuple[BoxShares, ...] = ()
+    light_cd_m2: NDArray[np.float32] | None = None
 
     @property
     def camera_pose(self) -> Pose:

@@ -1,4 +1,4 @@
-"""Writes one sequence of a simulated data set: images, truth, depth, and shares where they are known."""
+"""Writes one sequence of a simulated data set: images, truth, depth, and whose light it is where that is known."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from foreglow.datasets.images import png
 from foreglow.datasets.simulated.files import MAX_FRAMES, TruthWriter, sequence_name
+from foreglow.datasets.simulated.light_maps import encoded, light_map_path
 from foreglow.datasets.simulated.shares import BoxShares, write_shares
 from foreglow.files import write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
@@ -58,6 +59,10 @@ class Recorder:
         numbered = replace(known, image_id=image_id, street=self._street.message(known.ego_s_m))
         self._writer.add(numbered, known.camera, depth)
         self._shares += [(image_id, found) for found in known.shares]
+        if known.light_cd_m2 is not None:
+            path = light_map_path(self._folder, image_id)
+            path.parent.mkdir(exist_ok=True)
+            write_atomic(path, png(encoded(known.light_cd_m2)))
         self._num_done += 1
 
     def close(self) -> None:
