@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from foreglow.beam import BeamPolicy
     from foreglow.config import PipelineConfig, preset, read_config
-    from foreglow.datasets import PVDN, open_source
+    from foreglow.datasets import PVDN, open_source, read_image, to_grey
     from foreglow.distance import RangeEstimator
     from foreglow.geometry import Camera
     from foreglow.lab import simulation
@@ -72,14 +72,16 @@ __all__ = [
     "preset",
     "propose",
     "read_config",
+    "read_image",
     "simulate",
     "simulation",
+    "to_grey",
 ]
 
 _NAMES = {
     "beam": "BeamPolicy",
     "config": "PipelineConfig preset read_config",
-    "datasets": "PVDN open_source",
+    "datasets": "PVDN open_source read_image to_grey",
     "distance": "RangeEstimator",
     "geometry": "Camera",
     "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",

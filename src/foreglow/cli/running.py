@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+
+from foreglow.models import BUNDLED
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
     from foreglow.display.video import Drawing
     from foreglow.display.viewer import RerunSink
     from foreglow.display.viewer.sink import LuxOf
+    from foreglow.lab.simulation.camera.likeness import LookSink
     from foreglow.options import SourceOptions, VehicleOptions, ViewOptions
     from foreglow.parallel import Workers
     from foreglow.photometry import Headlamps
@@ -57,13 +61,48 @@ def run_in_parallel(
         return run_apart(opening, configuration, OutputFolder(out), workers, progress=progress, source_name=name)
 
 
-def finish(summary: RunSummary, out: Path) -> None:
-    """Prints what came of a run; exits with 130 if it was interrupted."""
+def finish(summary: RunSummary, out: Path, *more: str) -> None:
+    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted."""
     from foreglow.display.summary_lines import run_lines
 
-    typer.echo("\n".join(run_lines(summary, out)))
+    *lines, last = run_lines(summary, out)
+    typer.echo("\n".join([*lines, *more, last]))
     if not summary.is_complete:
         raise typer.Exit(130)
+
+
+def folder_beside(source: Path) -> Path:
+    """Where the results for `source` go if nobody says: beside it, in a folder that is named after it.
+
+    Raises:
+        ValueError: If there is a folder of this name already, and it is not an earlier run on the same source.
+    """
+    from foreglow.runs.summary import read_summary
+
+    path = Path(os.path.abspath(source))  # `.` has a name, and a link stays one
+    out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")
+    is_there = out.is_dir() and any(out.iterdir()) if out.exists() else False
+    if is_there or out.is_file():
+        summary = out / "summary.json"
+        if not summary.is_file() or os.path.abspath(read_summary(summary).source) != str(path):
+            raise ValueError(f"{out}: expected no folder there, or that of an earlier run on {source}; choose one: --out")
+    return out
+
+
+def look_sink(frames: FrameSource, limit: int | None) -> LookSink:
+    """The sink that looks at a few frames, to tell what camera they resemble."""
+    from foreglow.lab.simulation.camera.likeness import LookSink
+
+    nums = [num for num in (frames.num_frames, limit) if num is not None]
+    return LookSink(min(nums) if nums else None)
+
+
+def expectation(profile: str | None, configuration: PipelineConfig) -> str:
+    """What to expect of a run whose camera resembles this profile of the simulator."""
+    like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
+    if str(configuration.classifier.model) not in BUNDLED:
+        return f"camera: {like}"
+    return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 
 
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:

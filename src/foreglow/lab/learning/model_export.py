@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,12 @@ if TYPE_CHECKING:
 MAX_DIFFERENCE = 1e-3
 """Largest permitted difference of exported logits from torch's, relative to 1 + their absolute value."""
 
+CLASS_NAMES = ("light artifact", "lamp itself")
+"""What the outputs of a network are the logits of, in order; the metadata have them as `names`, JSON by number."""
+
+LICENSE = "Apache-2.0"
+"""Of a model, unless the metadata given say another."""
+
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
     """A copy of `network` with calibrated logits, by changing its last linear layer.
@@ -54,6 +61,9 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
         ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
+    num_outputs = network.last.out_features if isinstance(network, CompactNetwork) else 1
+    names = json.dumps(dict(enumerate(CLASS_NAMES[:num_outputs])))
+    metadata = {"names": names, "license": LICENSE, **metadata}
     if isinstance(network, ArtifactNetwork):
         layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})
