@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from foreglow.lab.simulation import simulate
     from foreglow.pipeline import Pipeline
     from foreglow.proposals import Proposer
+    from foreglow.runs.recorded_run import RecordedRun, read_run
     from foreglow.tracking import Tracker
     from foreglow.types import (
         BeamCommand,
@@ -61,6 +62,7 @@ __all__ = [
     "Proposals",
     "RangeEstimator",
     "Ranges",
+    "RecordedRun",
     "RoadAhead",
     "TrackState",
     "Tracker",
@@ -73,6 +75,7 @@ __all__ = [
     "propose",
     "read_config",
     "read_image",
+    "read_run",
     "simulate",
     "simulation",
     "to_grey",
@@ -87,6 +90,7 @@ _NAMES = {
     "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",
     "lab.simulation": "simulate",
     "pipeline": "Pipeline",
+    "runs.recorded_run": "RecordedRun read_run",
     "tracking": "Tracker",
     "types": "BeamCommand BeamMode Detections EgoMotion Frame FrameResult Proposals Ranges RoadAhead Tracks TrackState",
 }

@@ -85,7 +85,9 @@ def folder_beside(source: Path) -> Path:
     if is_there or out.is_file():
         summary = out / "summary.json"
         if not summary.is_file() or os.path.abspath(read_summary(summary).source) != str(path):
-            raise ValueError(f"{out}: expected no folder there, or that of an earlier run on {source}; choose one: --out")
+            raise ValueError(
+                f"{out}: expected no folder there, or that of an earlier run on {source}; choose one: --out"
+            )
     return out
 
 

@@ -3,7 +3,7 @@
 from foreglow.datasets.exchange.files import LABEL_FORMATS, is_labels, read_labels_file
 from foreglow.datasets.exchange.marks import Kind, LabelSet, Mark, lost_lines
 from foreglow.datasets.exchange.source import LabelFile
-from foreglow.datasets.exchange.transfer import guesses_of, labels_of, write_labels_file, write_split
+from foreglow.datasets.exchange.transfer import check_target, guesses_of, labels_of, write_labels_file, write_split
 
 __all__ = [
     "LABEL_FORMATS",
@@ -11,6 +11,7 @@ __all__ = [
     "LabelFile",
     "LabelSet",
     "Mark",
+    "check_target",
     "guesses_of",
     "is_labels",
     "labels_of",

@@ -92,7 +92,9 @@ class LabelFile(LabelledSource):
             if not wanted:
                 return
         if wanted:
-            raise ValueError(f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before")
+            raise ValueError(
+                f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before"
+            )
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`; of a video, all frames before it are decoded."""

@@ -86,15 +86,26 @@ def _name_of(frame: Frame, frames: FrameSource) -> str:
     return f"frame_{frame.frame:06d}.png" if isinstance(frames, Video) else Path(frame.path).name
 
 
+def check_target(path: Path, name: str) -> None:
+    """Passes a format and a file that has its ending, so that it can be read again.
+
+    Raises:
+        ValueError: If there is no such format, or the ending is another.
+    """
+    if name not in LABEL_FORMATS:
+        raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
+    if path.suffix.lower() != LABEL_FORMATS[name].suffix:
+        raise ValueError(f"{path}: expected a name ending in {LABEL_FORMATS[name].suffix} for {name}")
+
+
 def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
     """Writes labels in the format called `name`, whole or not at all; returns what was lost on the whole way.
 
     Raises:
-        ValueError: If there is no such format, or it cannot take these labels.
+        ValueError: If there is no such format, the ending is another, or it cannot take these labels.
         OSError: If the file cannot be written.
     """
-    if name not in LABEL_FORMATS:
-        raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
+    check_target(path, name)
     form = LABEL_FORMATS[name]
     text, lost = (form.guess_text if is_guess else form.text)(labels)
     write_atomic(path, text.encode())
