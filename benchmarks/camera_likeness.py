@@ -1,8 +1,9 @@
 """How drives of every camera profile look: `python -m benchmarks.camera_likeness CAMERAS > likeness.toml`.
 
-CAMERAS has a folder for each profile, as `foreglow simulate --out CAMERAS --mixture standard --camera ...` writes it. The
-statistics go to standard output, for `src/foreglow/lab/simulation/camera/likeness.toml`. On standard error, each drive is
-judged by the others: how many are told right, and how far those are whose camera is left out of the profiles.
+CAMERAS has a folder for each profile, as
+`foreglow simulate --out CAMERAS --seed 41 --scenes 10 --mixture standard --fps 0.5 --camera pvdn_day,...` writes it. The
+statistics go to standard output, for `src/foreglow/lab/simulation/camera/likeness.toml`. On standard error, each drive
+is judged by the others: how many are told right, and how far those are whose camera is left out of the profiles.
 """
 
 from __future__ import annotations
@@ -55,11 +56,12 @@ def main() -> None:
         own = [nearest_profile(look, summarised(drives, without=(name, k))) for k, look in enumerate(looks)]
         others = [nearest_profile(look, summarised(drives, without=(name, None))) for look in looks]
         taken_for = sorted({found for found, _ in own if found != name})
+        distances = [distance for _, distance in own]
+        away = np.median([distance for _, distance in others])
         print(
-            f"{name}: {sum(found == name for found, _ in own)} of {len(looks)} told right"
-            f"{', others as ' + ', '.join(taken_for) if taken_for else ''}; distance to its own "
-            f"{np.median([distance for _, distance in own]):.2f} (most {max(distance for _, distance in own):.2f}), to the "
-            f"nearest other {np.median([distance for _, distance in others]):.2f}",
+            f"{name}: {sum(found == name for found, _ in own)} of {len(looks)} told right, others as "
+            f"{', '.join(taken_for) or 'none'}; distance to its own {np.median(distances):.2f} (most "
+            f"{max(distances):.2f}), to the nearest other {away:.2f}",
             file=sys.stderr,
         )
 

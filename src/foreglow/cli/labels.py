@@ -34,6 +34,8 @@ def export(
     from foreglow.runs.first_guess import read_guess
 
     exchange.check_target(out, name)
+    if name == "cvat-video" and frames is not None:
+        raise ValueError("labels export: expected --format cvat for --frames; cvat-video has every frame of a drive")
     chosen = None if frames is None else read_suggestions(frames)
     if run is None:
         found = exchange.labels_of(open_labelled(source), chosen)

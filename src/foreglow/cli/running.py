@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,15 +78,12 @@ def folder_beside(source: Path) -> Path:
     """
     from foreglow.runs.summary import read_summary
 
-    path = Path(os.path.abspath(source))  # `.` has a name, and a link stays one
+    path = source.resolve() if source.name in ("", "..") else source.absolute()  # a link stays one
     out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")
-    is_there = out.is_dir() and any(out.iterdir()) if out.exists() else False
-    if is_there or out.is_file():
-        summary = out / "summary.json"
-        if not summary.is_file() or os.path.abspath(read_summary(summary).source) != str(path):
-            raise ValueError(
-                f"{out}: expected no folder there, or that of an earlier run on {source}; choose one: --out"
-            )
+    is_taken = out.is_file() or (out.is_dir() and any(out.iterdir()))
+    summary = out / "summary.json"
+    if is_taken and not (summary.is_file() and Path(read_summary(summary).source).resolve() == path.resolve()):
+        raise ValueError(f"{out}: expected no folder there, or an earlier run on {source}; name another with --out")
     return out
 
 

@@ -55,10 +55,9 @@ class LabelFile(LabelledSource):
         self._folder, self._video = self._images_at(None if images is None else Path(images))
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = self._named()
-        self._files = [image.name for image in named]
-        stems = [PurePosixPath(image.name).stem for image in named]
-        is_numbered = all(re.fullmatch("[0-9]{1,15}", stem) for stem in stems) and len({*map(int, stems)}) == len(stems)
-        ids = [int(stem) for stem in stems] if is_numbered else list(range(len(stems)))
+        numbers = [_number_in(image.name) for image in named]
+        is_numbered = None not in numbers and len(set(numbers)) == len(numbers)
+        ids = [number for number in numbers if number is not None] if is_numbered else list(range(len(named)))
         self._images = dict(zip(ids, named, strict=True))
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
@@ -104,7 +103,7 @@ class LabelFile(LabelledSource):
             for frame in self._video:
                 if frame.frame == number:
                     return self._checked(frame, image_id)
-            raise ValueError(f"{self._video.path}: expected frame {number} as in {self.path}, the video ends before")
+            raise ValueError(self._missing(number))
         path = self.image_path(image_id)
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
@@ -143,6 +142,9 @@ class LabelFile(LabelledSource):
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
         return self.sequence(image_id).image_ids.index(image_id) / self.rate_hz
+
+    def _missing(self, number: int) -> str:
+        return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
 
     def _image(self, image_id: int) -> ImageLabels:
         if image_id not in self._images:
@@ -197,16 +199,22 @@ class LabelFile(LabelledSource):
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
 
 
+def _number_in(name: str) -> int | None:
+    """The number that an image is called by, such as 12 for `S00001/000012.png` and `frame_000012.png`; None for none."""
+    found = re.fullmatch("(?:frame_)?([0-9]{1,15})", PurePosixPath(name).stem)
+    return int(found[1]) if found else None
+
+
 def _frame_number(name: str) -> int:
-    """The frame that an image is, by its name.
+    """The frame of a video that an image is, by its name.
 
     Raises:
         ValueError: If the name does not say it.
     """
-    found = re.fullmatch("(?:frame_)?([0-9]{1,9})", PurePosixPath(name).stem)
-    if not found:
+    number = _number_in(name)
+    if number is None:
         raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
-    return int(found[1])
+    return number
 
 
 def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ...]:

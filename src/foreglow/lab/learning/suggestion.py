@@ -33,8 +33,8 @@ class Suggestion:
     Attributes:
         sequence: Its sequence.
         frame: Its number.
-        uncertain: Entropy, in bits, of the score that is nearest to one half.
-        restless: 1 - 2^-n for n boxes that are there in this frame alone, or missing in it alone.
+        uncertain: n / (1 + n) for n boxes that the model is quite unsure of: the sum of 4 p (1 - p) over their scores p.
+        restless: n / (1 + n) for n boxes that are there in this frame alone, or missing in it alone.
         unlike: How far the image is from every camera profile of the simulator; 0 where it is near, or unknown.
     """
 
@@ -78,7 +78,7 @@ def rated(run: RecordedRun, unlike: Mapping[int, float] | None = None) -> list[l
                     sequence,
                     result.frame,
                     round(_uncertainty(result), 4),
-                    round(1.0 - 0.5**num_blinks, 4),
+                    round(num_blinks / (1.0 + num_blinks), 4),
                     round((unlike or {}).get(result.frame, 0.0), 4),
                 )
             )
@@ -95,10 +95,8 @@ def _accepted(result: FrameResult, folder: Path) -> Boxes:
 def _uncertainty(result: FrameResult) -> float:
     assert result.detections is not None
     scores = result.detections.scores.astype(np.float64)
-    if not len(scores):
-        return 0.0
-    nearest = np.clip(scores[np.argmin(np.abs(scores - 0.5))], 1e-9, 1 - 1e-9)
-    return float(-nearest * np.log2(nearest) - (1 - nearest) * np.log2(1 - nearest))
+    num_unsure = float(np.sum(4.0 * scores * (1.0 - scores)))
+    return num_unsure / (1.0 + num_unsure)
 
 
 def _is_met(boxes: Boxes, others: Boxes) -> np.ndarray:
