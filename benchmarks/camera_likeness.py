@@ -1,9 +1,9 @@
 """How drives of every camera profile look: `python -m benchmarks.camera_likeness CAMERAS > likeness.toml`.
 
 CAMERAS has a folder for each profile, as
-`foreglow simulate --out CAMERAS --seed 41 --scenes 10 --mixture standard --fps 0.5 --camera pvdn_day,...` writes it. The
-statistics go to standard output, for `src/foreglow/lab/simulation/camera/likeness.toml`. On standard error, each drive
-is judged by the others: how many are told right, and how far those are whose camera is left out of the profiles.
+`foreglow simulate --out CAMERAS --seed 41 --scenes 10 --mixture standard --fps 0.5 --camera pvdn_day,...` writes it.
+The statistics go to standard output, for `src/foreglow/lab/simulation/camera/likeness.toml`. On standard error,
+each drive is judged by the others: how many are told right, and how far those are whose camera is left out.
 """
 
 from __future__ import annotations

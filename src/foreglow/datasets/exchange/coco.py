@@ -149,6 +149,7 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
                     "bbox": [x, y, 1, 1],
                     "area": 1,
                     "iscrowd": 0,
+                    "segmentation": [],
                     "attributes": attributes_of(mark),
                 }
             )

@@ -117,29 +117,17 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
         given = Element("original_size", {name: text for name, text in texts.items() if text is not None})
         size_px = _size_px(given, "width", "height", f"{path}: original_size")
     marks: list[list[Mark]] = [[] for _ in range(count)]
-    categories: list[list[ImageCategory]] = [[] for _ in range(count)]
     for index, track in enumerate(root.findall("track")):
         origin, common = f"{path}: track {index}", _attributes(track)
         common.setdefault("iid", track.get("id") or "")
         for shape in track:
-            if shape.tag not in SHAPES | {"tag"} or shape.get("outside") == "1":
+            if shape.tag not in SHAPES or shape.get("outside") == "1":
                 continue
             frame = (number(shape.get("frame"), f"{origin}: frame") or 0) - first
             if not 0 <= frame < count:
                 raise ValueError(f"{origin}: frame: expected {first} to {first + count - 1}, got {frame + first}")
-            label = track.get("label")
-            if shape.tag != "tag":
-                marks[frame] += _marks(shape, label, common, origin, lost)
-    for index, tag in enumerate(root.findall("tag")):
-        frame = (number(tag.get("frame"), f"{path}: tag {index}: frame") or 0) - first
-        if tag.get("label") in CATEGORIES and 0 <= frame < count:
-            categories[frame].append(CATEGORIES[tag.get("label", "")])
-        else:
-            lost[f"tag {shortened(tag.get('label'))}"] += 1
-    images = (
-        ImageLabels(str(first + frame), size_px, _ordered(marks[frame]), tuple(categories[frame]))
-        for frame in range(count)
-    )
+            marks[frame] += _marks(shape, track.get("label"), common, origin, lost)
+    images = (ImageLabels(str(first + frame), size_px, _ordered(marks[frame])) for frame in range(count))
     return LabelSet(checked_images(images, path), lost, is_video=True)
 
 
@@ -207,10 +195,8 @@ def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             _add_point(track, mark, {"frame": str(frame), "keyframe": "1", "outside": "0"})
             if frame + 1 not in marks and frame + 1 < len(labels.images):
                 _add_point(track, mark, {"frame": str(frame + 1), "keyframe": "1", "outside": "1"})
-    for frame, image in enumerate(labels.images):
-        for category in image.categories:
-            SubElement(root, "tag", {"frame": str(frame), "label": category.name.lower(), "source": "manual"})
-    return _text(root), Counter()
+    lost = Counter({"category of an image": sum(len(image.categories) for image in labels.images)})
+    return _text(root), +lost
 
 
 def _root(num_images: int, mode: str, size_px: tuple[int, int] | None) -> Element:

@@ -176,7 +176,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
         is_guess: Whether they are predictions, which a person has yet to accept.
     """
     tasks = []
-    for image in labels.images:
+    for task_id, image in enumerate(labels.images, start=1):
         result: list[dict[str, Any]] = []
         for index, mark in enumerate(image.marks):
             result += _regions(mark, f"r{index}", image.size_px or (1, 1))
@@ -184,7 +184,8 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             choices = [category.name.lower() for category in image.categories]
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
-        tasks.append({"data": {"image": f"/data/local-files/?d={image.name}"}, key: [{"result": result}]})
+        data = {"image": f"/data/local-files/?d={image.name}"}
+        tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 
 

@@ -200,7 +200,7 @@ class LabelFile(LabelledSource):
 
 
 def _number_in(name: str) -> int | None:
-    """The number that an image is called by, such as 12 for `S00001/000012.png` and `frame_000012.png`; None for none."""
+    """The number that an image is called by, such as 12 for `S1/000012.png` and `frame_000012.png`; None for none."""
     found = re.fullmatch("(?:frame_)?([0-9]{1,15})", PurePosixPath(name).stem)
     return int(found[1]) if found else None
 

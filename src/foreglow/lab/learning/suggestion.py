@@ -33,7 +33,7 @@ class Suggestion:
     Attributes:
         sequence: Its sequence.
         frame: Its number.
-        uncertain: n / (1 + n) for n boxes that the model is quite unsure of: the sum of 4 p (1 - p) over their scores p.
+        uncertain: n / (1 + n) for n boxes of which the model is unsure: the sum of 4 p (1 - p) over the scores p.
         restless: n / (1 + n) for n boxes that are there in this frame alone, or missing in it alone.
         unlike: How far the image is from every camera profile of the simulator; 0 where it is near, or unknown.
     """
