@@ -119,7 +119,7 @@ def test_a_calibration_gives_ranges(tmp_path: Path) -> None:
     images, calibration = plain_drive(tmp_path / "images")
     without, out = tmp_path / "without", tmp_path / "out"
     result = foreglow_command("run", images, "--out", without)
-    assert "nothing has a range: the camera's calibration is not known (--calibration FILE)" in result.stdout
+    assert "nothing has a range: the camera's calibration is not known (--calibration FILE; " in result.stdout
     result = foreglow_command("run", images, "--out", out, "--calibration", calibration)
     assert result.exit_code == 0, result.output
     assert "nothing has a range" not in result.stdout

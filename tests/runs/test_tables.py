@@ -22,7 +22,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_tables_have_a_row_for_each(folder: Path) -> None:
     run = foreglow.read_run(str(folder))
-    frames, boxes, tracks = (columns_of(run, table) for table in ("frames", "boxes", "tracks"))
+    frames, boxes, tracks = (columns_of(run.sequences, table) for table in ("frames", "boxes", "tracks"))
     assert frames["frame"] == [0, 1, 2]
     assert frames["time_s"] == [0.0, 0.05, 0.1]
     assert frames["sequence"] == ["S00001"] * 3
@@ -31,25 +31,25 @@ def test_tables_have_a_row_for_each(folder: Path) -> None:
     assert set(tracks["state"]) == {"confirmed"}
     assert len({len(column) for column in boxes.values()}) == 1
     with pytest.raises(ValueError, match="table: expected one of frames, boxes, tracks, got 'cars'"):
-        columns_of(run, "cars")  # type: ignore[arg-type]
+        columns_of(run.sequences, "cars")  # type: ignore[arg-type]
 
 
 def test_what_did_not_run_is_unknown(tmp_path: Path) -> None:
     frame = Frame(night_image(), 0, 7)
     run = foreglow.read_run(write_run(tmp_path / "run", [(frame, result_of(frame, [[1, 2, 5, 9]]))]))
-    boxes = columns_of(run, "boxes")
+    boxes = columns_of(run.sequences, "boxes")
     assert math.isnan(boxes["score"][0])
     assert boxes["is_accepted"] == [None]
     assert boxes["x2_px"] == [5]
-    assert columns_of(run, "tracks") == {"sequence": [], "frame": [], "time_s": []}
+    assert columns_of(run.sequences, "tracks") == {"sequence": [], "frame": [], "time_s": []}
 
 
 def test_parquet_holds_the_same(folder: Path, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     run = foreglow.read_run(folder)
     run.write_parquet(tmp_path / "tracks.parquet", "tracks")
-    assert pq.read_table(tmp_path / "tracks.parquet").to_pydict() == columns_of(run, "tracks") | {
-        "direct": pytest.approx(columns_of(run, "tracks")["direct"], nan_ok=True)
+    assert pq.read_table(tmp_path / "tracks.parquet").to_pydict() == columns_of(run.sequences, "tracks") | {
+        "direct": pytest.approx(columns_of(run.sequences, "tracks")["direct"], nan_ok=True)
     }
 
 
@@ -68,7 +68,7 @@ def test_coco_s_results(folder: Path, tmp_path: Path) -> None:
     run = foreglow.read_run(folder)
     run.write_coco(tmp_path / "boxes.json")
     entries = json.loads((tmp_path / "boxes.json").read_text())
-    boxes = columns_of(run, "boxes")
+    boxes = columns_of(run.sequences, "boxes")
     assert [entry["score"] for entry in entries] == boxes["score"]
     assert [entry["bbox"][0] + entry["bbox"][2] for entry in entries] == boxes["x2_px"]
     assert {entry["image_id"] for entry in entries} <= {0, 1, 2}

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from foreglow.models import BUNDLED
-
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
@@ -97,8 +95,11 @@ def look_sink(frames: FrameSource, limit: int | None) -> LookSink:
 
 def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     """What to expect of a run whose camera resembles this profile of the simulator."""
+    from foreglow.config import preset
+    from foreglow.options import DEFAULT_PRESET
+
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
-    if str(configuration.classifier.model) not in BUNDLED:
+    if configuration.classifier.model != preset(DEFAULT_PRESET).classifier.model:
         return f"camera: {like}"
     return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 

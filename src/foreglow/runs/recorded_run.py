@@ -43,7 +43,7 @@ class RecordedRun:
             ModuleNotFoundError: If pandas is not installed (extra `pandas`).
             ValueError: If there is no such table.
         """
-        return to_pandas(self, table)
+        return to_pandas(self.sequences, table)
 
     def write_parquet(self, path: Path | str, table: TableName = "boxes") -> None:
         """Writes a table of the results as Parquet, whole or not at all.
@@ -53,7 +53,7 @@ class RecordedRun:
             ValueError: If there is no such table.
             OSError: If the file cannot be written.
         """
-        write_parquet(self, Path(path), table)
+        write_parquet(self.sequences, Path(path), table)
 
     def write_coco(self, path: Path | str) -> None:
         """Writes all scored boxes in the form of COCO's results; an image's id is its frame.
@@ -61,7 +61,7 @@ class RecordedRun:
         Raises:
             OSError: If the file cannot be written.
         """
-        write_coco(self, Path(path))
+        write_coco(self.sequences, Path(path))
 
 
 def read_run(folder: Path | str) -> RecordedRun:

@@ -15,17 +15,17 @@ from foreglow.types import FrameResult, TrackState
 if TYPE_CHECKING:
     import pandas as pd
 
-    from foreglow.runs.recorded_run import RecordedRun
-
 TableName: TypeAlias = Literal["frames", "boxes", "tracks"]
 
 COCO_LIGHT = 2
 """Id of the category `light` in the files that `foreglow labels export` writes."""
 
 Row: TypeAlias = dict[str, Any]
+Results: TypeAlias = Mapping[str, tuple[FrameResult, ...]]
+"""As `RecordedRun.sequences`."""
 
 
-def columns_of(run: RecordedRun, table: TableName) -> Mapping[str, list[Any]]:
+def columns_of(sequences: Results, table: TableName) -> Mapping[str, list[Any]]:
     """The columns of a table by name, all of the same length.
 
     Raises:
@@ -36,7 +36,7 @@ def columns_of(run: RecordedRun, table: TableName) -> Mapping[str, list[Any]]:
         raise ValueError(f"table: expected one of {', '.join(rows_of)}, got {table!r}")
     rows = [
         {"sequence": sequence, "frame": result.frame, "time_s": result.timestamp_ns / 1e9, **row}
-        for sequence, results in run.sequences.items()
+        for sequence, results in sequences.items()
         for result in results
         for row in rows_of[table](result)
     ]
@@ -88,16 +88,16 @@ def _edges(box: list[float]) -> Row:
     return dict(zip(("x1_px", "y1_px", "x2_px", "y2_px"), box, strict=True))
 
 
-def to_pandas(run: RecordedRun, table: TableName) -> pd.DataFrame:
+def to_pandas(sequences: Results, table: TableName) -> pd.DataFrame:
     """As `RecordedRun.to_pandas`."""
     try:
         import pandas as pd
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError("pandas is not installed: pip install 'foreglow[pandas]'", name=error.name) from None
-    return pd.DataFrame(columns_of(run, table))
+    return pd.DataFrame(columns_of(sequences, table))
 
 
-def write_parquet(run: RecordedRun, path: Path, table: TableName) -> None:
+def write_parquet(sequences: Results, path: Path, table: TableName) -> None:
     """As `RecordedRun.write_parquet`."""
     try:
         import pyarrow as pa
@@ -106,12 +106,12 @@ def write_parquet(run: RecordedRun, path: Path, table: TableName) -> None:
         raise ModuleNotFoundError(
             "pyarrow is not installed: pip install 'foreglow[parquet]'", name=error.name
         ) from None
-    columns = pa.table(dict(columns_of(run, table)))
+    columns = pa.table(dict(columns_of(sequences, table)))
     with atomic_path(path) as temporary:
         pq.write_table(columns, temporary)
 
 
-def write_coco(run: RecordedRun, path: Path) -> None:
+def write_coco(sequences: Results, path: Path) -> None:
     """As `RecordedRun.write_coco`."""
     entries = [
         {
@@ -120,7 +120,7 @@ def write_coco(run: RecordedRun, path: Path) -> None:
             "bbox": [x1, y1, x2 - x1, y2 - y1],
             "score": score,
         }
-        for results in run.sequences.values()
+        for results in sequences.values()
         for result in results
         if result.detections is not None
         for (x1, y1, x2, y2), score in zip(

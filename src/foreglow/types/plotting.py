@@ -10,13 +10,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from foreglow.types.arrays import Image
-    from foreglow.types.result import FrameResult
+    from foreglow.types.boxes import Detections, Proposals
+    from foreglow.types.tracks import Tracks
 
 COLOURS = {"proposal": "#fabe46", "rejected": "#91a0b4", "accepted": "#5aeb78", "track": "#5abeff"}
 """Of the annotated videos."""
 
 
-def plot(result: FrameResult, image: Image | None, axes: Axes | None) -> Axes:
+def plot(
+    proposals: Proposals, detections: Detections | None, tracks: Tracks | None, image: Image | None, axes: Axes | None
+) -> Axes:
     """As `FrameResult.plot`."""
     try:
         from matplotlib import pyplot
@@ -35,19 +38,19 @@ def plot(result: FrameResult, image: Image | None, axes: Axes | None) -> Axes:
 
     if image is not None:
         shown.imshow(image, cmap="gray", norm="asinh")
-    if result.detections is None:
-        for box in result.proposals.boxes_xyxy_px:
+    if detections is None:
+        for box in proposals.boxes_xyxy_px:
             add(box, "proposal")
     else:
-        found = result.detections
-        for box, score, is_accepted in zip(found.boxes_xyxy_px, found.scores, found.is_accepted, strict=True):
+        columns = detections.boxes_xyxy_px, detections.scores, detections.is_accepted
+        for box, score, is_accepted in zip(*columns, strict=True):
             add(box, "accepted" if is_accepted else "rejected", f"{score:.2f}")
-    if result.tracks is not None:
-        for index in np.flatnonzero(result.tracks.is_plausible):
-            range_m = result.tracks.ranges_m[index]
-            text = f"#{result.tracks.ids[index]}" + ("" if np.isnan(range_m) else f" {range_m:.0f} m")
-            add(result.tracks.boxes_xyxy_px[index], "track", text)
-    shown.set(title=f"frame {result.frame}", xlabel="column, pixels", ylabel="row, pixels", aspect="equal")
+    if tracks is not None:
+        for index in np.flatnonzero(tracks.is_plausible):
+            range_m = tracks.ranges_m[index]
+            text = f"#{tracks.ids[index]}" + ("" if np.isnan(range_m) else f" {range_m:.0f} m")
+            add(tracks.boxes_xyxy_px[index], "track", text)
+    shown.set(xlabel="column, pixels", ylabel="row, pixels", aspect="equal")
     if image is None:
         shown.autoscale_view()
         if not shown.yaxis_inverted():

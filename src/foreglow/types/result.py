@@ -56,4 +56,6 @@ class FrameResult:
         """
         from foreglow.types.plotting import plot
 
-        return plot(self, image, axes)
+        shown = plot(self.proposals, self.detections, self.tracks, image, axes)
+        shown.set_title(f"frame {self.frame}")
+        return shown

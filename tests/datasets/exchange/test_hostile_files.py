@@ -27,6 +27,11 @@ def video(meta: str = "<size>3</size>", frame: str = "1") -> str:
     )
 
 
+def light(name: str, value: str) -> str:
+    """A light with an attribute."""
+    return image(inside=f'<points label="light" points="1,2"><attribute name="{name}">{value}</attribute></points>')
+
+
 def coco(**changes: Any) -> str:
     annotation = {"id": 1, "image_id": 1, "category_id": 1, "keypoints": [1.5, 2.5, 2]}
     file = {
@@ -52,30 +57,24 @@ FILES = {
     "an absolute path": (".json", coco(image={"file_name": "/etc/passwd"}), "file_name: expected a path below"),
     "a path of Windows": (".json", coco(image={"file_name": "C:\\a.png"}), "file_name: expected a path below"),
     "a path with a line": (".json", coco(image={"file_name": "a\nb.png"}), "file_name: expected a path below"),
-    "an address that climbs": (".json", task(address="/data/local-files/?d=../../x.png"), "data.image: expected a path"),
+    "an address that climbs": (".json", task(address="/data/local-files/?d=../../x.png"), "image: expected a path"),
     "no address": (".json", task(address=7), "data.image: expected the address of an image, got 7"),
     "no size": (".json", task(original_width=None), "expected original_width and original_height"),
     "a point that is none": (".xml", image(inside='<points label="light" points="1,nan"/>'), "expected a point within"),
     "a point without end": (".xml", image(inside='<points label="light" points="1e99,1"/>'), "expected a point within"),
     "points of a text": (".xml", image(inside='<points label="light" points="left"/>'), "points: expected x,y;x,y"),
     "a negative size": (".xml", image(size='width="-96" height="72"'), "width, height: expected 1 to"),
-    "a number of a million digits": (
-        ".xml", image(inside=f'<points label="light" points="1,2"><attribute name="oid">{"9" * 10**6}</attribute></points>'),
-        "oid: expected a whole number",
-    ),
-    "no truth value": (
-        ".xml", image(inside='<points label="light" points="1,2"><attribute name="rear">maybe</attribute></points>'),
-        "rear: expected true or false, got 'maybe'",
-    ),
+    "a number of a million digits": (".xml", light("oid", "9" * 10**6), "oid: expected a whole number"),
+    "no truth value": (".xml", light("rear", "maybe"), "rear: expected true or false, got 'maybe'"),
     "a video of a billion frames": (".xml", video("<size>1000000000</size>"), "expected 1 to 200000 frames"),
-    "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><stop_frame>3</stop_frame>"), "frames"),
+    "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><size>0</size>"), "frames"),
     "a frame behind the end": (".xml", video(frame="7"), "track 0: frame: expected 0 to 2, got 7"),
     "an image twice": (".xml", image().replace("</image>", '</image><image id="1" name="a.png"/>'), "is there twice"),
     "no image": (".json", coco(annotation={"image_id": 9}), "annotations.0.image_id: expected an id of images"),
     "no category": (".json", coco(annotation={"category_id": 9}), "category_id: expected an id of categories"),
     "infinity": (".json", coco().replace("1.5", "Infinity"), "keypoints.0: "),
     "a wrong type": (".json", coco(annotations=7), "annotations: "),
-    "attributes of a wrong type": (".json", coco(annotation={"attributes": {"oid": [1]}}), "attributes.oid: expected a whole"),
+    "attributes of a wrong type": (".json", coco(annotation={"attributes": {"oid": [1]}}), "oid: expected a whole"),
     "per cent of a text": (".json", task({"x": "left"}), "x: expected a number, got 'left'"),
     "names of a wrong type": (".json", task({"keypointlabels": "light"}), "expected a list of texts"),
     "brackets without end": (".json", "[" * 1_000_000, ""),

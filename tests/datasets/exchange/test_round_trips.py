@@ -109,7 +109,7 @@ def test_labels_by_hand_need_neither_numbers_nor_all_points(tmp_path: Path) -> N
     assert own.position_px == (70, 60), "a vehicle without a point lies amid its lights"
     assert [each.position_px for each in others] == [(10, 20), (30, 40), (55, 51)]
     assert len({light.iid for each in (own, *others) for light in each.instances}) == 4
-    assert dataset.labels.lost == {"shape polygon": 1, "shape labelled 'tree'": 1, "tag 'nice'": 1}
+    assert dataset.labels.lost == {"shape 'polygon'": 1, "shape labelled 'tree'": 1, "tag 'nice'": 1}
 
 
 def test_a_video_s_labels_follow_its_tracks(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_images_of_another_size_are_refused(split: Path) -> None:
     path = split / "labels.xml"
     exported(split, path, "cvat")
     path.write_text(path.read_text().replace('width="96"', 'width="95"'))
-    with pytest.raises(ValueError, match="image size: expected 95x72 px as in .*labels.xml, got 96x72 px"):
+    with pytest.raises(ValueError, match=r"image size: expected 95x72 px as in .*labels\.xml, got 96x72 px"):
         list(open_labelled(path))
 
 

@@ -62,7 +62,8 @@ def test_a_model_says_what_its_outputs_are_and_its_licence(tmp_path: Path) -> No
         assert json.loads(entries["names"]) == names
         assert entries["license"] == "my own"
     write_model(network(), SPEC, tmp_path / "model.onnx", {})
-    assert onnx.load(tmp_path / "model.onnx").metadata_props[1].value == "Apache-2.0"
+    entries = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}
+    assert entries["license"] == "Apache-2.0"
 
 
 def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:

@@ -36,12 +36,12 @@ def run_of(folder: Path, scores: dict[str, list[list[float]]]) -> Path:
 
 
 def test_doubt_and_restlessness_are_rated(tmp_path: Path) -> None:
-    run = read_run(run_of(tmp_path, {"S1": [[0.99], [0.99], [0.5], [0.99], [0.01], [0.99], [0.99, 0.9], [0.99]]}))
+    run = read_run(run_of(tmp_path, {"S1": [[0.99], [0.5], [0.99], [0.99], [0.01], [0.99], [0.99, 0.9], [0.99]]}))
     (drive,) = rated(run)
-    assert np.argmax([each.uncertain for each in drive]) == 2
-    assert drive[2].uncertain == 0.5, "one box of which nothing is known"
-    assert [each.restless for each in drive] == [0, 0, 0.5, 0, 0.5, 0, 0.5, 0], "gone, gone, there alone"
-    assert max(drive, key=lambda each: each.value) == drive[2]
+    assert np.argmax([each.uncertain for each in drive]) == 1
+    assert drive[1].uncertain == 0.5, "one box of which nothing is known"
+    assert [each.restless for each in drive] == [0, 0.5, 0, 0, 0.5, 0, 0.5, 0], "gone, gone, there alone"
+    assert max(drive, key=lambda each: each.value) == drive[1]
 
 
 def test_a_run_without_a_model_rates_nothing(tmp_path: Path) -> None:
@@ -89,9 +89,9 @@ def test_strange_images_are_unlike(tmp_path: Path) -> None:
     summary.write_text(summary.read_text().replace('"images"', f'"{folder}"'))
     unlike = unlikeness(read_run(tmp_path / "run"))
     assert unlike.keys() == {0, 1, 2}
-    assert min(unlike.values()) == 1.0
-    (drive,) = rated(run, unlike)
-    assert drive[0].value == 1.0
+    assert min(unlike.values()) > 0.5
+    (drive,), (before,) = rated(run, unlike), rated(run)
+    assert drive[0].value > before[0].value
 
 
 def test_the_file_is_read_back(tmp_path: Path) -> None:
