@@ -48,13 +48,6 @@ def test_a_first_guess_of_suggested_frames(name: str, suffix: str, run: Path, tm
         assert sorted(map(tuple, labelled.keypoints_px(image_id).tolist())) == sorted(
             ((x1 + x2) // 2, (y1 + y2) // 2) for x1, y1, x2, y2 in boxes.tolist()
         )
-    direct = [
-        light.is_direct
-        for image_id in labelled.frame_ids
-        for v in labelled.annotations(image_id)
-        for light in v.instances
-    ]
-    assert {True, False} >= set(direct)
 
 
 def test_evaluate_takes_the_files_of_tools(run: Path, tmp_path: Path) -> None:
