@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @with_options
 def evaluate(
     split: Annotated[
-        Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val, or labels of CVAT, COCO or Label Studio.")
+        Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val, or labels of a tool (docs: own data).")
     ],
     pipeline: PipelineOptions,
     work: WorkerOptions,
