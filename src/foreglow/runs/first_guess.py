@@ -29,15 +29,16 @@ def read_guess(folder: Path) -> Mapping[int, tuple[Mark, ...]]:
         for result in results:
             if result.detections is None:
                 raise ValueError(f"{folder / 'frames.jsonl'}: scores: expected those of a model, the run had none")
-            tracks = _tracks_of_boxes(result)
+            tracks, kinds = _tracks_of_boxes(result), result.detections.kind_names
             found = []
             for index in np.flatnonzero(result.detections.is_accepted).tolist():
                 x1, y1, x2, y2 = result.detections.boxes_xyxy_px[index].tolist()
                 middle_px = (x1 + x2) // 2, (y1 + y2) // 2
-                is_direct = bool(result.detections.direct_probabilities[index] > 0.5)  # unknown (NaN) is not direct
+                kind = kinds[index] or ""  # unknown is neither direct nor rear
+                is_direct, is_rear = kind.endswith("_lamp"), kind.startswith("rear_")
                 number = tracks[index] if index in tracks else next(alone)
                 found.append(Mark(Kind.VEHICLE, middle_px, number, None, is_direct))
-                found.append(Mark(Kind.LIGHT, middle_px, number, number, is_direct))
+                found.append(Mark(Kind.LIGHT, middle_px, number, number, is_direct, is_rear))
             marks[result.frame] = tuple(found)
     return marks
 

@@ -56,11 +56,13 @@ def _frame_rows(result: FrameResult) -> Iterator[Row]:
 
 def _box_rows(result: FrameResult) -> Iterator[Row]:
     detections, ranges = result.detections, result.ranges
+    kinds = None if detections is None else detections.kind_names
     for index, box in enumerate(result.proposals.boxes_xyxy_px.tolist()):
         yield {
             **_edges(box),
             "score": np.nan if detections is None else float(detections.scores[index]),
             "is_accepted": None if detections is None else bool(detections.is_accepted[index]),
+            "kind": None if kinds is None else kinds[index],
             "direct": np.nan if detections is None else float(detections.direct_probabilities[index]),
             "range_m": np.nan if ranges is None else float(ranges.ranges_m[index]),
             "sigma_m": np.inf if ranges is None else float(ranges.sigmas_m[index]),

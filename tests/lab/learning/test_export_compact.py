@@ -10,7 +10,7 @@ import pytest
 
 from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier
 from foreglow.config import ClassifierConfig
-from foreglow.types import Frame, Proposals
+from foreglow.types import KINDS, Frame, Proposals
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
@@ -56,10 +56,10 @@ def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
 def test_a_model_says_what_its_outputs_are_and_its_licence(tmp_path: Path) -> None:
     import onnx
 
-    for num_outputs, names in ((1, {"0": "light artifact"}), (2, {"0": "light artifact", "1": "lamp itself"})):
+    for num_outputs, names in ((1, ("light_artifact",)), (5, KINDS)):
         write_model(network(num_outputs=num_outputs), SPEC, tmp_path / "model.onnx", {"license": "my own"})
         entries = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}
-        assert json.loads(entries["names"]) == names
+        assert json.loads(entries["names"]) == {str(number): name for number, name in enumerate(names)}
         assert entries["license"] == "my own"
     write_model(network(), SPEC, tmp_path / "model.onnx", {})
     entries = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}

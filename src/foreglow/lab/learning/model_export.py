@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 MAX_DIFFERENCE = 1e-3
 """Largest permitted difference of exported logits from torch's, relative to 1 + their absolute value."""
 
-CLASS_NAMES = ("light artifact", "lamp itself")
-"""What the outputs of a network are the logits of, in order; the metadata have them as `names`, JSON by number."""
-
 LICENSE = "Apache-2.0"
 """Of a model, unless the metadata given say another."""
 
@@ -55,15 +52,17 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
 
 
 def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes `network`, in evaluation mode, to `path` as ONNX, atomically; its metadata describe its inputs.
+    """Writes `network`, in evaluation mode, to `path` as ONNX, atomically.
+
+    Its metadata describe its inputs, name its outputs (`names`, JSON by number) and the licence (`license`).
 
     Raises:
         ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
     num_outputs = network.last.out_features if isinstance(network, CompactNetwork) else 1
-    names = json.dumps(dict(enumerate(CLASS_NAMES[:num_outputs])))
-    metadata = {"names": names, "license": LICENSE, **metadata}
+    names = KINDS if num_outputs == len(KINDS) else ("light_artifact",)
+    metadata = {"names": json.dumps(dict(enumerate(names))), "license": LICENSE, **metadata}
     if isinstance(network, ArtifactNetwork):
         layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})
