@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,8 @@ def test_a_result_can_be_drawn() -> None:
     result = result_of(Frame(image, 0, frame=7), [[10, 20, 30, 50], [40, 20, 50, 30]], [0.8, 0.2])
     axes = result.plot(image)
     assert len(axes.images) == 1
-    assert [(patch.get_x(), patch.get_width(), patch.get_height()) for patch in axes.patches] == [
+    drawn: list[Any] = list(axes.patches)
+    assert [(patch.get_x(), patch.get_width(), patch.get_height()) for patch in drawn] == [
         (9.5, 20, 30), (39.5, 10, 10),
     ]  # fmt: skip
     assert [text.get_text() for text in axes.texts] == ["0.80", "0.20"]

@@ -52,6 +52,7 @@ def test_a_first_guess_of_suggested_frames(name: str, suffix: str, run: Path, tm
 
 def test_evaluate_takes_the_files_of_tools(run: Path, tmp_path: Path) -> None:
     split = shipped_drive()
+    (tmp_path / "images").symlink_to(split / "images")
     results = []
     for number, suffix in enumerate(("xml", "json")):
         labels = tmp_path / f"labels.{suffix}"
@@ -59,7 +60,6 @@ def test_evaluate_takes_the_files_of_tools(run: Path, tmp_path: Path) -> None:
         result = foreglow_command("labels", "export", split, "--format", name, "--out", labels)
         assert result.exit_code == 0, result.output
         assert "not taken: 1 x sequence with attributes" in result.stdout
-        (tmp_path / "images").is_symlink() or (tmp_path / "images").symlink_to(split / "images")
         measured = tmp_path / f"{number}.json"
         done = foreglow_command("evaluate", labels, "--predictions", run / "frames.jsonl", "--json", measured)
         assert done.exit_code == 0, done.output

@@ -48,7 +48,7 @@ def test_parquet_holds_the_same(folder: Path, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     run = foreglow.read_run(folder)
     run.write_parquet(tmp_path / "tracks.parquet", "tracks")
-    assert pq.read_table(tmp_path / "tracks.parquet").to_pydict() == columns_of(run.sequences, "tracks") | {
+    assert pq.read_table(tmp_path / "tracks.parquet").to_pydict() == dict(columns_of(run.sequences, "tracks")) | {
         "direct": pytest.approx(columns_of(run.sequences, "tracks")["direct"], nan_ok=True)
     }
 

@@ -72,7 +72,8 @@ class Movie:
             assert self._container is not None
             assert self._stream is not None
             fitted = _fitted(picture, self._stream.width, self._stream.height)
-            planes = cv2.cvtColor(fitted, cv2.COLOR_BGR2YUV_I420)  # much quicker than FFmpeg's conversion
+            # Much quicker than FFmpeg's conversion.
+            planes = np.asarray(cv2.cvtColor(fitted, cv2.COLOR_BGR2YUV_I420), np.uint8)
             for packet in self._stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")):
                 self._container.mux(packet)
 

@@ -132,7 +132,8 @@ def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], or
 def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     """The labels as a COCO file, and what it cannot take."""
     lost: Counter[str] = Counter()
-    images, annotations = [], []
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
     for image_id, image in enumerate(labels.images, start=1):
         width_px, height_px = image.size_px or (1, 1)
         images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})

@@ -189,8 +189,8 @@ def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             key = mark.kind, mark.oid, mark.iid
             tracks.setdefault((*key, seen[key]), {})[frame] = mark
             seen[key] += 1
-    for index, (key, marks) in enumerate(tracks.items()):
-        track = SubElement(root, "track", {"id": str(index), "label": str(key[0]), "source": "manual"})
+    for index, ((kind, *_), marks) in enumerate(tracks.items()):
+        track = SubElement(root, "track", {"id": str(index), "label": str(kind), "source": "manual"})
         for frame, mark in marks.items():
             _add_point(track, mark, {"frame": str(frame), "keyframe": "1", "outside": "0"})
             if frame + 1 not in marks and frame + 1 < len(labels.images):

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, doubtful_of, vehicles_of
-from foreglow.datasets.image_folder import IMAGE_SUFFIXES, natural_key
-from foreglow.datasets.images import read_image
+from foreglow.datasets.image_folder import natural_key
+from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
