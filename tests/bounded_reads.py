@@ -21,6 +21,7 @@ from foreglow.calibration import read_intrinsics
 from foreglow.classifier.onnx import OnnxClassifier
 from foreglow.config import ClassifierConfig, read_config
 from foreglow.datasets import open_source
+from foreglow.datasets.exchange import read_labels_file
 from foreglow.datasets.pvdn import PVDN
 from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_mapping
 from foreglow.lab.simulation.scenes.scene import read_scene
@@ -52,6 +53,7 @@ def run_model(path: Path) -> None:
 READERS: dict[str, Callable[[Path], Any]] = {
     "frames": all_frames,
     "labels": PVDN,
+    "labels of a tool": read_labels_file,
     "predictions": read_predictions,
     "tracks": read_tracks,
     "road map": read_road_map,

@@ -349,6 +349,18 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "aliases of aliases in a camera": ("calibration", "a.yaml", alias_camera, "no aliases"),
     "a camera of 10 GiB": ("calibration", "a.txt", sparse(10 * GIB), "at most 1 MiB"),
     "labels of zeros": ("labels", "split", one_split(many(40_000_000, "0,", "[", "0]")), "sequences.json: "),
+    "labels of a billion frames": (
+        "labels of a tool", "a.xml",
+        text("<annotations><meta><task><size>1000000000</size></task></meta></annotations>"), "expected 1 to 200000",
+    ),
+    "labels of a sparse file": ("labels of a tool", "a.xml", sparse(30 * GIB, b"<annotations>"), "at most 64 MiB"),
+    "labels of many elements": (
+        "labels of a tool", "a.xml", many(5_000_000, "<a/>", "<annotations>", "</annotations>"), "elements and",
+    ),
+    "labels of many regions": (
+        "labels of a tool", "a.json", many(3_000_000, "{},", '[{"annotations":[{"result":[', "{}]}]}]"), "values, got",
+    ),
+    "labels of a deep list": ("labels of a tool", "a.json", text("[" * 1_000_000), "a.json: "),
     "boxes of zeros": ("predictions", "a.json", many(30_000_000, "0,", "[", "0]"), "a.json: "),
     "a line of zeros": ("tracks", "a.jsonl", many(30_000_000, "0,", "[", "0]"), "line 1: expected at most"),
     "lines of 30 GiB": ("predictions", "a.jsonl", sparse(30 * GIB), "at most 512 MiB"),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from foreglow.beam import BeamPolicy
     from foreglow.config import PipelineConfig, preset, read_config
-    from foreglow.datasets import PVDN, open_source
+    from foreglow.datasets import PVDN, open_source, read_image, to_grey
     from foreglow.distance import RangeEstimator
     from foreglow.geometry import Camera
     from foreglow.lab import simulation
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from foreglow.lab.simulation import simulate
     from foreglow.pipeline import Pipeline
     from foreglow.proposals import Proposer
+    from foreglow.runs.recorded_run import RecordedRun, read_run
     from foreglow.tracking import Tracker
     from foreglow.types import (
         BeamCommand,
@@ -61,6 +62,7 @@ __all__ = [
     "Proposals",
     "RangeEstimator",
     "Ranges",
+    "RecordedRun",
     "RoadAhead",
     "TrackState",
     "Tracker",
@@ -72,19 +74,23 @@ __all__ = [
     "preset",
     "propose",
     "read_config",
+    "read_image",
+    "read_run",
     "simulate",
     "simulation",
+    "to_grey",
 ]
 
 _NAMES = {
     "beam": "BeamPolicy",
     "config": "PipelineConfig preset read_config",
-    "datasets": "PVDN open_source",
+    "datasets": "PVDN open_source read_image to_grey",
     "distance": "RangeEstimator",
     "geometry": "Camera",
     "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",
     "lab.simulation": "simulate",
     "pipeline": "Pipeline",
+    "runs.recorded_run": "RecordedRun read_run",
     "tracking": "Tracker",
     "types": "BeamCommand BeamMode Detections EgoMotion Frame FrameResult Proposals Ranges RoadAhead Tracks TrackState",
 }

@@ -20,6 +20,7 @@ RESULT_NAMES = (
     "beam.blf",
     "beam.log",
     "moments.png",
+    "suggestions.csv",
     "config.toml",
     "summary.json",
 )

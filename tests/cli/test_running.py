@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import av
+import pytest
 
 import foreglow
 from foreglow.datasets import shipped_drive
@@ -118,7 +119,7 @@ def test_a_calibration_gives_ranges(tmp_path: Path) -> None:
     images, calibration = plain_drive(tmp_path / "images")
     without, out = tmp_path / "without", tmp_path / "out"
     result = foreglow_command("run", images, "--out", without)
-    assert "nothing has a range: the camera's calibration is not known (--calibration FILE)" in result.stdout
+    assert "nothing has a range: the camera's calibration is not known (--calibration FILE; " in result.stdout
     result = foreglow_command("run", images, "--out", out, "--calibration", calibration)
     assert result.exit_code == 0, result.output
     assert "nothing has a range" not in result.stdout
@@ -139,3 +140,41 @@ def test_bad_vehicle_data(tmp_path: Path) -> None:
     line = complaint(*run, "--calibration", broken)
     assert "broken.toml: image: expected the frames' size or its multiple, 1280x960 px, got 640x960 px" in line
     assert not (tmp_path / "out").exists()
+
+
+def test_without_a_folder_the_results_are_beside_the_source(folder: Path, config: Path) -> None:
+    result = foreglow_command("run", folder, "--config", config)
+    assert result.exit_code == 0, result.output
+    out = folder.with_name("images_foreglow")
+    assert names(out) == RESULTS
+    assert f"look in {out}" in result.stdout
+    again = foreglow_command("run", f"{folder}/.", "--config", config, "--limit", 2)
+    assert again.exit_code == 0, again.output
+    assert num_lines(out) == 2, "an earlier run on the same source is replaced"
+    one_image = foreglow_command("run", folder / "000000.png", "--config", config)
+    assert f"look in {folder / '000000_foreglow'}" in one_image.stdout
+
+
+@pytest.mark.parametrize("there", ["a file", "a folder", "another run"])
+def test_what_is_no_earlier_run_is_never_written_over(there: str, folder: Path, config: Path) -> None:
+    out = folder.with_name("images_foreglow")
+    if there == "a file":
+        out.write_text("mine")
+    elif there == "a folder":
+        out.mkdir()
+        (out / "notes.txt").write_text("mine")
+    else:
+        assert foreglow_command("run", folder / "000000.png", "--config", config, "--out", out).exit_code == 0
+    before = sorted((path, path.read_bytes()) for path in folder.parent.rglob("*") if path.is_file())
+    line = complaint("run", folder, "--config", config)
+    assert f"{out}: expected no folder there" in line
+    assert sorted((path, path.read_bytes()) for path in folder.parent.rglob("*") if path.is_file()) == before
+
+
+def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -> None:
+    shipped = foreglow_command("run", shipped_drive(), "--out", tmp_path / "a", "--limit", 4)
+    (line,) = [line for line in shipped.stdout.splitlines() if line.startswith("camera: ")]
+    assert line.startswith("camera: like pvdn_")
+    assert "the model has seen simulated drives only" in line
+    made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
+    assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"

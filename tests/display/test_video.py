@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import NoReturn
 
 import av
 import cv2
@@ -94,4 +95,17 @@ def test_discarded_picture_is_not_written(tmp_path: Path) -> None:
     sink.write(frame, result_of(frame, []))
     sink.discard()
     sink.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_that_cannot_be_drawn_ends_the_run(tmp_path: Path) -> None:
+    def draw(frame: Frame, *_: object) -> NoReturn:
+        raise ValueError(f"frame {frame.frame}")
+
+    sink = VideoSink(tmp_path / "overlay.mp4", draw=draw)
+    (frame,) = night_frames(1)
+    sink.write(frame, result_of(frame, [[10, 10, 30, 30]]))
+    with pytest.raises(ValueError, match="frame 0"):
+        sink.close()
+    sink.discard()
     assert list(tmp_path.iterdir()) == []

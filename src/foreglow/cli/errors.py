@@ -27,6 +27,7 @@ from foreglow.outputs import exists
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
     **dict.fromkeys(("mitsuba", "drjit"), "sim"),
+    "pandas": "pandas",
     "pyarrow": "parquet",
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     **dict.fromkeys(("cantools", "can"), "can"),

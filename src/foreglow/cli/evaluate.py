@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 @app.command()
 @with_options
 def evaluate(
-    split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
+    split: Annotated[
+        Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val, or labels of a tool (docs: own data).")
+    ],
     pipeline: PipelineOptions,
     work: WorkerOptions,
     predictions: Annotated[

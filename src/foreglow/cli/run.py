@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
 from foreglow.cli.running import (
+    expectation,
     finish,
+    folder_beside,
+    look_sink,
     open_frames,
     picture_sink,
     progress_sink,
@@ -18,7 +21,6 @@ from foreglow.cli.running import (
     viewer_sinks,
 )
 from foreglow.options import (
-    OutOption,
     PipelineOptions,
     RecordOption,
     SourceArgument,
@@ -27,6 +29,7 @@ from foreglow.options import (
     ViewOptions,
     WorkerOptions,
     flag,
+    folder,
     output_file,
     with_options,
 )
@@ -39,12 +42,14 @@ if TYPE_CHECKING:
 @with_options
 def run(
     source: SourceArgument,
-    out: OutOption,
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,
     viewer: ViewOptions,
     work: WorkerOptions,
+    out: Annotated[
+        Path | None, folder("Folder for the results (default: beside SOURCE and named after it, such as my_foreglow).")
+    ] = None,
     video: Annotated[bool, flag("--video", "Also write annotated pictures: MP4, or PNG of a single image.")] = False,
     record: RecordOption = None,
 ) -> None:
@@ -54,6 +59,7 @@ def run(
 
     workers, configuration = work.workers(), pipeline.configuration()
     opening = Opening(open_frames, (source, reading, vehicle))
+    out = folder_beside(source) if out is None else out
     if work.is_parallel:
         if video or viewer.view or any(value is not None for value in (reading.limit, record, viewer.save)):
             raise ValueError(
@@ -63,14 +69,16 @@ def run(
         finish(run_in_parallel(opening, str(source), out, configuration, workers), out)
         return
     frames = opening()
+    looks = look_sink(frames, reading.limit)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        sinks: list[ResultSink] = [*recording_sinks(record, source, configuration)]
+        sinks: list[ResultSink] = [looks, *recording_sinks(record, source, configuration)]
         sinks += viewer_sinks(viewer, configuration, recorded_lux(frames))
         return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
 
     stepper = Pipeline(configuration)
-    finish(run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)
+    summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)
+    finish(summary, out, expectation(looks.profile, configuration))
 
 
 @app.command()

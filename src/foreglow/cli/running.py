@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from foreglow.display.video import Drawing
     from foreglow.display.viewer import RerunSink
     from foreglow.display.viewer.sink import LuxOf
+    from foreglow.lab.simulation.camera.likeness import LookSink
     from foreglow.options import SourceOptions, VehicleOptions, ViewOptions
     from foreglow.parallel import Workers
     from foreglow.photometry import Headlamps
@@ -57,13 +58,50 @@ def run_in_parallel(
         return run_apart(opening, configuration, OutputFolder(out), workers, progress=progress, source_name=name)
 
 
-def finish(summary: RunSummary, out: Path) -> None:
-    """Prints what came of a run; exits with 130 if it was interrupted."""
+def finish(summary: RunSummary, out: Path, *more: str) -> None:
+    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted."""
     from foreglow.display.summary_lines import run_lines
 
-    typer.echo("\n".join(run_lines(summary, out)))
+    *lines, last = run_lines(summary, out)
+    typer.echo("\n".join([*lines, *more, last]))
     if not summary.is_complete:
         raise typer.Exit(130)
+
+
+def folder_beside(source: Path) -> Path:
+    """Where the results for `source` go if nobody says: beside it, in a folder that is named after it.
+
+    Raises:
+        ValueError: If there is a folder of this name already, and it is not an earlier run on the same source.
+    """
+    from foreglow.runs.summary import read_summary
+
+    path = source.resolve() if source.name in ("", "..") else source.absolute()  # a link stays one
+    out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")
+    is_taken = out.is_file() or (out.is_dir() and any(out.iterdir()))
+    summary = out / "summary.json"
+    if is_taken and not (summary.is_file() and Path(read_summary(summary).source).resolve() == path.resolve()):
+        raise ValueError(f"{out}: expected no folder there, or an earlier run on {source}; name another with --out")
+    return out
+
+
+def look_sink(frames: FrameSource, limit: int | None) -> LookSink:
+    """The sink that looks at a few frames, to tell what camera they resemble."""
+    from foreglow.lab.simulation.camera.likeness import LookSink
+
+    nums = [num for num in (frames.num_frames, limit) if num is not None]
+    return LookSink(min(nums) if nums else None)
+
+
+def expectation(profile: str | None, configuration: PipelineConfig) -> str:
+    """What to expect of a run whose camera resembles this profile of the simulator."""
+    from foreglow.config import preset
+    from foreglow.options import DEFAULT_PRESET
+
+    like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
+    if configuration.classifier.model != preset(DEFAULT_PRESET).classifier.model:
+        return f"camera: {like}"
+    return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 
 
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:

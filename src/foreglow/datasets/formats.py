@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from foreglow.datasets.bags import Recording, is_recording
+from foreglow.datasets.exchange import LabelFile, is_labels
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, is_images
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
@@ -48,6 +49,7 @@ FORMATS: dict[str, DataFormat] = {
         is_recording, lambda path, given: Recording(path, topic=given.topic, on_error=given.on_error), has_topics=True
     ),
     "PVDN": DataFormat(is_pvdn, lambda path, given: PVDN(path, on_error=given.on_error), PVDN),
+    "labels": DataFormat(is_labels, lambda path, given: LabelFile(path, on_error=given.on_error), LabelFile),
     "images": DataFormat(
         is_images,
         lambda path, given: ImageFolder(path, rate_hz=given.rate_hz, on_error=given.on_error),

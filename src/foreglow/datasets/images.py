@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import tokenize
 from collections.abc import Iterator
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,7 +37,7 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".
 """Endings, in lower case, by which a file in a folder is taken for an image."""
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path | str) -> Image:
     """The grey image in the file at `path`, shape (height, width), uint8 or uint16.
 
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are. Colour becomes grey as
@@ -49,6 +50,7 @@ def read_image(path: Path) -> Image:
         ValueError: If it is empty, not an image, truncated, damaged, smaller than `MIN_SIDE_PX` or larger than
             `MAX_SIDE_PX` on a side, or holds floats outside [0, 1].
     """
+    path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such image")
     if path.suffix.lower() == ".npy":
@@ -99,7 +101,8 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
     """
     prefix = f"{origin}: " if origin else ""
     if not isinstance(array, np.ndarray):
-        raise ValueError(f"{prefix}image: expected a NumPy array, got {type(array).__name__}")
+        remedy = "; foreglow.read_image(path) reads one" if isinstance(array, str | PathLike) else ""
+        raise ValueError(f"{prefix}image: expected a NumPy array, got {type(array).__name__}{remedy}")
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 2, 3, 4)):
         raise ValueError(f"{prefix}image: expected shape (height, width) or (height, width, 1..4), got {array.shape}")
     if array.size == 0:

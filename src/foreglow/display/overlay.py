@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -125,11 +126,12 @@ def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Pic
     grey = (tone or Tone.of(frame.image)).apply(frame.image)
     if measures.enlargement > 1:
         factor = measures.enlargement
-        grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
+        grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR), np.uint8)
     height_px, width_px = grey.shape
     picture = np.empty((_even(height_px + measures.caption_px), _even(width_px), 3), np.uint8)
-    picture[:] = CAPTION_GROUND_BGR
-    picture[:height_px, :width_px] = grey[:, :, None]
+    picture[height_px:] = CAPTION_GROUND_BGR
+    picture[:, width_px:] = CAPTION_GROUND_BGR
+    cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR, dst=picture[:height_px, :width_px])
     marks = _marks(result, measures, (width_px, height_px))
     if result.tracks is not None:
         marks += _track_marks(result.tracks, measures, (width_px, height_px))
@@ -241,12 +243,21 @@ def place_label(
     ]
     candidates = [(x, y, x + width_px, y + height_px) for x, y in corners]
     inside = [p for p in candidates if p[0] >= 0 and p[1] >= 0 and p[2] <= size_px[0] and p[3] <= size_px[1]]
-    return min(inside or [(0, 0, width_px, height_px)], key=lambda label: sum(overlap_px(label, b) for b in taken))
+    best, least = (0, 0, width_px, height_px), math.inf
+    for label in inside:
+        covered = sum(overlap_px(label, other) for other in taken)
+        if covered < least:
+            best, least = label, covered
+        if not covered:
+            break
+    return best
 
 
 def overlap_px(a: Rectangle, b: Rectangle) -> int:
     """Number of pixels that `a` and `b` share."""
-    return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
+    if a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]:  # of nearly all pairs
+        return 0
+    return (min(a[2], b[2]) - max(a[0], b[0])) * (min(a[3], b[3]) - max(a[1], b[1]))
 
 
 def _caption(frame: Frame, result: FrameResult) -> list[tuple[str, Colour]]:

@@ -23,7 +23,10 @@ def run_lines(summary: RunSummary, out: Path) -> list[str]:
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
     if summary.num_ranged == 0:
-        lines.append("nothing has a range: the camera's calibration is not known (--calibration FILE)")
+        lines.append(
+            "nothing has a range: the camera's calibration is not known (--calibration FILE; `foreglow calibrate auto "
+            "VIDEO --out camera.toml` estimates one, and so does --calibration auto)"
+        )
     if summary.beam is not None:
         lines += beam_lines(summary.beam, summary.num_frames)
     if summary.num_skipped:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.summary import SummaryFile, read_summary
+from foreglow.runs.tables import TableName, to_pandas, write_coco, write_parquet
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -31,14 +36,42 @@ class RecordedRun:
     config: PipelineConfig
     sequences: Mapping[str, tuple[FrameResult, ...]]
 
+    def to_pandas(self, table: TableName = "boxes") -> pd.DataFrame:
+        """A table of the results: a row for every frame, box or track of a frame.
 
-def read_run(folder: Path) -> RecordedRun:
+        Raises:
+            ModuleNotFoundError: If pandas is not installed (extra `pandas`).
+            ValueError: If there is no such table.
+        """
+        return to_pandas(self.sequences, table)
+
+    def write_parquet(self, path: Path | str, table: TableName = "boxes") -> None:
+        """Writes a table of the results as Parquet, whole or not at all.
+
+        Raises:
+            ModuleNotFoundError: If pyarrow is not installed (extra `parquet`).
+            ValueError: If there is no such table.
+            OSError: If the file cannot be written.
+        """
+        write_parquet(self.sequences, Path(path), table)
+
+    def write_coco(self, path: Path | str) -> None:
+        """Writes all scored boxes in the form of COCO's results; an image's id is its frame.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        write_coco(self.sequences, Path(path))
+
+
+def read_run(folder: Path | str) -> RecordedRun:
     """The run that was written to `folder`.
 
     Raises:
         FileNotFoundError: If one of its files is missing.
         ValueError: If one is broken; the message names path, line and field.
     """
+    folder = Path(folder)
     frames = folder / "frames.jsonl"
     if not frames.is_file():
         raise FileNotFoundError(f"{frames}: no such file, expected the folder of a run")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,9 +122,14 @@ class Frame:
         origin = f"{self.path}: " if self.path else ""
         if not isinstance(self.image, np.ndarray) or self.image.ndim != 2:
             shape = getattr(self.image, "shape", type(self.image).__name__)
-            raise ValueError(f"{origin}Frame.image: expected a grey array of shape (height, width), got {shape}")
+            raise ValueError(
+                f"{origin}Frame.image: expected a grey array of shape (height, width), got {shape}; "
+                f"{_remedy(self.image)}"
+            )
         if self.image.dtype not in (np.uint8, np.uint16):
-            raise ValueError(f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}")
+            raise ValueError(
+                f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}; {_remedy(self.image)}"
+            )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
         if self.camera is not None and (self.camera.height_px, self.camera.width_px) != self.image.shape:
@@ -142,3 +148,10 @@ class Frame:
     def height_px(self) -> int:
         """Number of rows."""
         return int(self.image.shape[0])
+
+
+def _remedy(image: object) -> str:
+    """What to call for a value that is no grey image."""
+    if isinstance(image, str | PathLike):
+        return "foreglow.open_source(path) yields the frames of an image, a folder or a video"
+    return "foreglow.to_grey(image) takes colour (R, G, B) and floats in [0, 1]"

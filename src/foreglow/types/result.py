@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
+from foreglow.types.arrays import Image
 from foreglow.types.beam import BeamCommand
 from foreglow.types.boxes import Detections, Proposals, Ranges
 from foreglow.types.tracks import Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,3 +43,19 @@ class FrameResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stage_ms", MappingProxyType(dict(self.stage_ms)))
+
+    def plot(self, image: Image | None = None, axes: Axes | None = None) -> Axes:
+        """Draws boxes with their scores, and plausible tracks with their ranges, into axes of matplotlib.
+
+        Args:
+            image: What is shown below them: the image of the frame.
+            axes: Where to draw; None makes a new figure.
+
+        Raises:
+            ModuleNotFoundError: If matplotlib is not installed (extra `plots`).
+        """
+        from foreglow.types.plotting import plot
+
+        shown = plot(self.proposals, self.detections, self.tracks, image, axes)
+        shown.set_title(f"frame {self.frame}")
+        return shown

@@ -13,7 +13,7 @@ from foreglow.datasets.simulated.light_maps import decoded, encoded, light_map_p
 
 def test_light_comes_back_to_a_step(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
-    cells = (10.0 ** random.uniform(-3.0, 4.0, (6, 40, 50))).astype(np.float32)
+    cells = (10.0 ** random.uniform(-3.0, 4.0, (6, 40, 70))).astype(np.float32)
     cells[2] = 0.0
     path = light_map_path(tmp_path, 10_000)
     path.parent.mkdir()

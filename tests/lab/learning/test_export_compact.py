@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier
 from foreglow.config import ClassifierConfig
-from foreglow.types import Frame, Proposals
+from foreglow.types import KINDS, Frame, Proposals
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
@@ -50,6 +51,19 @@ def test_same_logits_as_in_torch(tmp_path: Path, num_outputs: int) -> None:
     (found,) = session.run(None, {"crops": crops.numpy(), "features": features.numpy()})
     assert found.shape == (9, num_outputs)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
+def test_a_model_says_what_its_outputs_are_and_its_licence(tmp_path: Path) -> None:
+    import onnx
+
+    for num_outputs, names in ((1, ("light_artifact",)), (5, KINDS)):
+        write_model(network(num_outputs=num_outputs), SPEC, tmp_path / "model.onnx", {"license": "my own"})
+        entries = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}
+        assert json.loads(entries["names"]) == {str(number): name for number, name in enumerate(names)}
+        assert entries["license"] == "my own"
+    write_model(network(), SPEC, tmp_path / "model.onnx", {})
+    entries = {entry.key: entry.value for entry in onnx.load(tmp_path / "model.onnx").metadata_props}
+    assert entries["license"] == "Apache-2.0"
 
 
 def test_the_classifier_knows_what_it_reads(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ class CategoryConfig(Record):
 
 
 class Sequence(PVDNRecord):
-    """A scene in one exposure cycle: an entry of `sequences.json`.
+    """A scene in one exposure cycle: an entry of `sequences.json`, of which `id`, `dir` and `image_ids` must be there.
 
     Attributes:
         id: Number of the sequence, unique in its split.
@@ -175,20 +175,20 @@ class Sequence(PVDNRecord):
 
     id: Id
     directory: Name
-    start_time_ms: Milliseconds
-    end_time_ms: Milliseconds
-    num_images: Id
+    start_time_ms: Milliseconds = 0
+    end_time_ms: Milliseconds = 0
+    num_images: Id = 0
     image_ids: tuple[Id, ...]
-    driver_id: int
-    sector: int
-    direction: Direction
-    street_style: StreetStyle
-    is_dome: bool | Literal[0, 1]
-    driver_behaviour: DriverBehaviour
-    road_type: RoadType
-    view: View
-    weather: Weather
-    environment_lighting: EnvironmentLighting
+    driver_id: int = 0
+    sector: int = 0
+    direction: Direction = Direction.DIR_MOENSHEIM
+    street_style: StreetStyle = StreetStyle.STRAIGHT_STREET
+    is_dome: bool | Literal[0, 1] = False
+    driver_behaviour: DriverBehaviour = DriverBehaviour.CORRECT
+    road_type: RoadType = RoadType.SINGLE_LANE_ROAD_MARKING
+    view: View = View.WIDE_VIEW
+    weather: Weather = Weather.DRY
+    environment_lighting: EnvironmentLighting = EnvironmentLighting.DARK
 
     @classmethod
     def plain(cls, sequence_id: int, **fields: Any) -> Sequence:
@@ -200,24 +200,9 @@ class Sequence(PVDNRecord):
         >>> Sequence.plain(121, weather=Weather.RAIN).directory
         'S00121'
         """
-        ordinary: dict[str, Any] = {
-            "directory": f"S{sequence_id:05d}",
-            "start_time_ms": 0,
-            "end_time_ms": 0,
-            "num_images": 0,
-            "image_ids": (),
-            "driver_id": 0,
-            "sector": 0,
-            "direction": Direction.DIR_MOENSHEIM,
-            "street_style": StreetStyle.STRAIGHT_STREET,
-            "is_dome": False,
-            "driver_behaviour": DriverBehaviour.CORRECT,
-            "road_type": RoadType.SINGLE_LANE_ROAD_MARKING,
-            "view": View.WIDE_VIEW,
-            "weather": Weather.DRY,
-            "environment_lighting": EnvironmentLighting.DARK,
-        }
-        return cls(id=sequence_id, **(ordinary | fields))
+        ordinary = {name: field.default for name, field in cls.model_fields.items() if not field.is_required()}
+        own = {"id": sequence_id, "directory": f"S{sequence_id:05d}", "image_ids": ()}
+        return cls(**(ordinary | own | fields))
 
 
 class CameraConfiguration(PVDNRecord):
@@ -253,7 +238,7 @@ class ImageRecord(PVDNRecord):
     file_name: Name
     height_px: Annotated[int, Field(ge=1, le=2**20)]
     width_px: Annotated[int, Field(ge=1, le=2**20)]
-    camera_configuration: Id
+    camera_configuration: Id = 0
     date_captured: str | int | float | None = None
     timestamp: str | int | float | None = None
     licence: int | None = None
@@ -324,14 +309,14 @@ class SequencesFile(PVDNRecord):
 
 
 class ImageAnnotationsFile(PVDNRecord):
-    """`labels/image_annotations.json`."""
+    """`labels/image_annotations.json`, of which only `images` must be there."""
 
-    info: dict[str, Any]
-    licences: tuple[Any, ...]
-    camera_configurations: tuple[CameraConfiguration, ...]
-    categories: tuple[Category, ...]
+    info: dict[str, Any] = Field(default_factory=dict)
+    licences: tuple[Any, ...] = ()
+    camera_configurations: tuple[CameraConfiguration, ...] = (CameraConfiguration(camera="", cycle=Cycle.NIGHT),)
+    categories: tuple[Category, ...] = ()
     images: tuple[ImageRecord, ...]
-    annotations: tuple[ImageAnnotation, ...]
+    annotations: tuple[ImageAnnotation, ...] = ()
 
 
 class KeypointsFile(PVDNRecord):

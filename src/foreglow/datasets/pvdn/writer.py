@@ -21,6 +21,7 @@ from foreglow.datasets.pvdn.schema import (
     ImageAnnotationsFile,
     ImageCategory,
     ImageRecord,
+    Instance,
     KeypointsFile,
     Sequence,
     SequencesFile,
@@ -48,6 +49,7 @@ class LabelledImage:
         categories: The image's categories.
         boxes: Generated boxes; None writes no file.
         camera_configuration: Index in the writer's list of camera configurations.
+        doubtful: As in `KeypointsFile`.
     """
 
     frame: Frame
@@ -55,6 +57,7 @@ class LabelledImage:
     categories: tuple[ImageCategory, ...] = ()
     boxes: BoxLabels | None = None
     camera_configuration: int = 0
+    doubtful: tuple[Instance, ...] = ()
 
 
 class PVDNWriter(AbstractContextManager["PVDNWriter"]):
@@ -168,8 +171,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
         """Writes the image and its label files; each path is added to `written` before the file is there."""
         image_id = labelled.frame.frame
+        more = {"doubtful": labelled.doubtful} if labelled.doubtful else {}  # what is not given is not written
         records: list[tuple[str, KeypointsFile | BoxLabels]] = [
-            ("keypoints", KeypointsFile(image_id=image_id, annotations=labelled.vehicles))
+            ("keypoints", KeypointsFile(image_id=image_id, annotations=labelled.vehicles, **more))
         ]
         if labelled.boxes is not None:
             records.append(("bounding_boxes", labelled.boxes))

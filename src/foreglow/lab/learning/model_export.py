@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 MAX_DIFFERENCE = 1e-3
 """Largest permitted difference of exported logits from torch's, relative to 1 + their absolute value."""
 
+LICENSE = "Apache-2.0"
+"""Of a model, unless the metadata given say another."""
+
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
     """A copy of `network` with calibrated logits, by changing its last linear layer.
@@ -48,12 +52,17 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
 
 
 def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mapping[str, str]) -> None:
-    """Writes `network`, in evaluation mode, to `path` as ONNX, atomically; its metadata describe its inputs.
+    """Writes `network`, in evaluation mode, to `path` as ONNX, atomically.
+
+    Its metadata describe its inputs, name its outputs (`names`, JSON by number) and the licence (`license`).
 
     Raises:
         ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
+    num_outputs = network.last.out_features if isinstance(network, CompactNetwork) else 1
+    names = KINDS if num_outputs == len(KINDS) else ("light_artifact",)
+    metadata = {"names": json.dumps(dict(enumerate(names))), "license": LICENSE, **metadata}
     if isinstance(network, ArtifactNetwork):
         layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})

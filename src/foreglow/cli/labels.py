@@ -1,0 +1,101 @@
+"""`labels`: to and from annotation tools; `suggest`: which frames are worth labelling."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.options import argument, file, folder, option, output_file, with_options
+
+if TYPE_CHECKING:
+    from foreglow.datasets.exchange import LabelSet
+
+labels = typer.Typer(no_args_is_help=True, help="Labels to and from CVAT, COCO and Label Studio.")
+app.add_typer(labels, name="labels")
+
+
+@labels.command()
+@with_options
+def export(
+    source: Annotated[Path, argument("SOURCE", "Labelled images; with --run, what the run was made from.")],
+    out: Annotated[Path, output_file("File to write: .xml for CVAT, else .json.")],
+    name: Annotated[str, option("cvat|cvat-video|coco|label-studio", "Format of the file.", "--format")] = "cvat",
+    run: Annotated[
+        Path | None, file("Write what this run found instead of labels, to be corrected.", metavar="RUN")
+    ] = None,
+    frames: Annotated[Path | None, file("Only frames in this CSV, as `foreglow suggest` writes it.")] = None,
+) -> None:
+    """Write the labels of SOURCE, or a first guess, for an annotation tool."""
+    from foreglow.datasets import exchange, open_labelled, open_source
+    from foreglow.lab.learning.suggestion import read_suggestions
+    from foreglow.runs.first_guess import read_guess
+
+    exchange.check_target(out, name)
+    if name == "cvat-video" and frames is not None:
+        raise ValueError("labels export: expected --format cvat for --frames; cvat-video has every frame of a drive")
+    chosen = None if frames is None else read_suggestions(frames)
+    if run is None:
+        found = exchange.labels_of(open_labelled(source), chosen)
+    else:
+        found = exchange.guesses_of(open_source(source), read_guess(run), chosen)
+    lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
+    typer.echo("\n".join([_counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
+
+
+@labels.command("import")
+@with_options
+def import_(
+    source: Annotated[Path, argument("FILE", "Labels of CVAT (.xml), COCO or Label Studio (.json).")],
+    out: Annotated[Path, folder("Folder for the data set, in PVDN's format.")],
+    images: Annotated[
+        Path | None, file("Folder of the images, or the video (default: beside FILE).", metavar="DIR|VIDEO")
+    ] = None,
+) -> None:
+    """Make a data set of labels and their images, which every command takes."""
+    from foreglow.datasets import exchange
+
+    dataset = exchange.LabelFile(source, images)
+    exchange.write_split(dataset, out)
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.labels.lost)]
+    typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
+
+
+def _counted(found: LabelSet) -> str:
+    from foreglow.datasets.exchange import Kind
+    from foreglow.display.summary_lines import counted
+
+    counts = {kind: sum(mark.kind == kind for image in found.images for mark in image.marks) for kind in Kind}
+    lights = counted(counts[Kind.LIGHT], "light")
+    return f"{counted(len(found.images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
+
+
+@app.command()
+@with_options
+def suggest(
+    runs: Annotated[list[Path], argument("RUN...", "Folders of runs; each gets a suggestions.csv.")],
+    frames: Annotated[int, option("N", "How many frames, over all runs.", min=1, max=100_000)] = 200,
+) -> None:
+    """Name the frames that are worth labelling: doubtful, restless over time, or unlike what the model has seen."""
+    from foreglow.display.summary_lines import counted
+    from foreglow.lab.learning import suggestion
+    from foreglow.runs.recorded_run import read_run
+
+    drives, folders = [], []
+    for folder_ in runs:
+        run = read_run(folder_)
+        try:
+            unlike = suggestion.unlikeness(run)
+        except FileNotFoundError as error:
+            typer.echo(f"how the images look does not count: {error}")
+            unlike = None
+        rated = suggestion.rated(run, unlike)
+        drives += rated
+        folders += [folder_] * len(rated)
+    chosen = suggestion.suggested(drives, frames)
+    for folder_ in runs:
+        found = [each for drive, home in zip(chosen, folders, strict=True) if home == folder_ for each in drive]
+        suggestion.write_suggestions(folder_ / suggestion.FILE_NAME, found)
+        typer.echo(f"{counted(len(found), 'frame')}: look at {folder_ / suggestion.FILE_NAME}")

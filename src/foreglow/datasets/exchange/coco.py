@@ -1,0 +1,169 @@
+"""COCO key points: each vehicle and each light is an annotation with one key point, and attributes as CVAT writes them.
+
+Source: the data format of COCO key points (cocodataset.org), and its field `attributes` as CVAT and datumaro have it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from foreglow.datasets.exchange.marks import (
+    ImageLabels,
+    Kind,
+    LabelSet,
+    Mark,
+    checked_images,
+    number,
+    pixel,
+    plain_path,
+    truth,
+)
+from foreglow.datasets.json_files import Record, read_json
+from foreglow.files import shortened
+
+IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
+"""Ids of the categories that are written."""
+
+Id = Annotated[int, Field(ge=0, le=2**53)]
+Numbers = tuple[float, ...]
+
+
+class CocoImage(Record):
+    """An image."""
+
+    id: Id
+    file_name: str
+    width: Annotated[int, Field(ge=1, le=2**20)]
+    height: Annotated[int, Field(ge=1, le=2**20)]
+
+
+class CocoCategory(Record):
+    """A category of annotations."""
+
+    id: Id
+    name: str
+
+
+class CocoAnnotation(Record):
+    """An annotation; of one without key points, the middle of its box is taken."""
+
+    image_id: Id
+    category_id: Id
+    keypoints: Numbers = ()
+    bbox: Numbers = ()
+    attributes: dict[str, Any] = Field(default_factory=dict)
+
+
+class CocoFile(Record):
+    """A file."""
+
+    images: tuple[CocoImage, ...]
+    categories: tuple[CocoCategory, ...]
+    annotations: tuple[CocoAnnotation, ...]
+
+
+def read_coco(path: Path) -> LabelSet:
+    """The labels in the COCO file at `path`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no such file, refers to nothing, or is beyond a bound; the message names the field.
+    """
+    file = read_json(path, CocoFile)
+    names = {category.id: category.name for category in file.categories}
+    marks: dict[int, list[Mark]] = {image.id: [] for image in file.images}
+    lost: Counter[str] = Counter()
+    for index, annotation in enumerate(file.annotations):
+        origin = f"{path}: annotations.{index}"
+        if annotation.image_id not in marks:
+            raise ValueError(f"{origin}.image_id: expected an id of images, got {annotation.image_id}")
+        if annotation.category_id not in names:
+            raise ValueError(f"{origin}.category_id: expected an id of categories, got {annotation.category_id}")
+        name = names[annotation.category_id]
+        if name not in set(Kind):
+            lost[f"annotation of the category {shortened(name)}"] += 1
+            continue
+        point = _point(annotation)
+        if point is None:
+            lost["annotation without a key point or a box"] += 1
+        else:
+            given = annotation.attributes
+            marks[annotation.image_id].append(_mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin))
+    images = (
+        ImageLabels(
+            plain_path(image.file_name, f"{path}: images.{index}.file_name"),
+            (image.width, image.height),
+            tuple(marks[image.id]),
+        )
+        for index, image in enumerate(file.images)
+    )
+    return LabelSet(checked_images(images, path), lost)
+
+
+def _point(annotation: CocoAnnotation) -> tuple[float, float] | None:
+    """The first key point that is labelled, else the middle of the box."""
+    points = annotation.keypoints
+    for x, y, visibility in zip(points[0::3], points[1::3], points[2::3], strict=False):
+        if visibility > 0:
+            return x, y
+    if len(annotation.bbox) == 4:
+        x, y, width, height = annotation.bbox
+        return x + width / 2, y + height / 2
+    return None
+
+
+def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], origin: str) -> Mark:
+    return Mark(
+        kind,
+        position_px,
+        number(given.get("oid"), f"{origin}.attributes.oid"),
+        number(given.get("iid"), f"{origin}.attributes.iid"),
+        truth(given.get("direct"), f"{origin}.attributes.direct"),
+        truth(given.get("rear"), f"{origin}.attributes.rear"),
+    )
+
+
+def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
+    """The labels as a COCO file, and what it cannot take."""
+    lost: Counter[str] = Counter()
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for image_id, image in enumerate(labels.images, start=1):
+        width_px, height_px = image.size_px or (1, 1)
+        images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})
+        lost["category of an image"] += len(image.categories)
+        for mark in image.marks:
+            x, y = mark.position_px
+            annotations.append(
+                {
+                    "id": len(annotations) + 1,
+                    "image_id": image_id,
+                    "category_id": IDS[mark.kind],
+                    "keypoints": [x + 0.5, y + 0.5, 2],
+                    "num_keypoints": 1,
+                    "bbox": [x, y, 1, 1],
+                    "area": 1,
+                    "iscrowd": 0,
+                    "segmentation": [],
+                    "attributes": attributes_of(mark),
+                }
+            )
+    categories = [
+        {"id": index, "name": str(kind), "supercategory": "", "keypoints": ["point"], "skeleton": []}
+        for kind, index in IDS.items()
+    ]
+    file = {"info": {}, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
+    return json.dumps(file, indent=1) + "\n", +lost
+
+
+def attributes_of(mark: Mark) -> dict[str, int | bool]:
+    """What the tools store beside a point."""
+    numbers = {name: value for name, value in (("oid", mark.oid), ("iid", mark.iid)) if value is not None}
+    is_vehicle = mark.kind == Kind.VEHICLE
+    return {**numbers, "direct": mark.is_direct} | ({} if is_vehicle else {"rear": mark.is_rear})

@@ -1,0 +1,207 @@
+"""Label Studio's JSON: a list of tasks, an image each, whose regions are key points.
+
+Source: the documentation of Label Studio's JSON export format and of its tags KeyPointLabels, Choices and Number.
+Positions are in per cent of the image. `docs/labels.md` has the labelling configuration.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from pydantic import Field, RootModel
+
+from foreglow.datasets.exchange.coco import attributes_of
+from foreglow.datasets.exchange.marks import (
+    CATEGORIES,
+    ImageLabels,
+    Kind,
+    LabelSet,
+    Mark,
+    checked_images,
+    number,
+    pixel,
+    plain_path,
+)
+from foreglow.datasets.json_files import Record, read_json
+from foreglow.files import shortened
+
+_UPLOADED = re.compile(r"^[0-9a-f]{8}-")
+"""What Label Studio puts before the name of an uploaded file."""
+
+Size = Annotated[int, Field(ge=1, le=2**20)]
+
+
+class Region(Record):
+    """A part of an annotation: a key point, or what is said of one of the same id."""
+
+    id: str | None = None
+    type: str = ""
+    from_name: str = ""
+    value: dict[str, Any] = Field(default_factory=dict)
+    original_width: Size | None = None
+    original_height: Size | None = None
+
+
+class Annotation(Record):
+    """What one person says of an image."""
+
+    result: tuple[Region, ...] = ()
+    was_cancelled: bool = False
+
+
+class Task(Record):
+    """An image."""
+
+    data: dict[str, Any]
+    annotations: tuple[Annotation, ...] = ()
+    predictions: tuple[Any, ...] = ()
+
+
+class TasksFile(RootModel[tuple[Task, ...]]):
+    """A file."""
+
+
+def read_label_studio(path: Path) -> LabelSet:
+    """The labels in the JSON of Label Studio at `path`; tasks that nobody has annotated are no labels.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no such file, or beyond a bound; the message names the field.
+    """
+    lost: Counter[str] = Counter()
+    images = []
+    for index, task in enumerate(read_json(path, TasksFile).root):
+        origin = f"{path}: {index}"
+        given = [annotation for annotation in task.annotations if not annotation.was_cancelled]
+        lost["annotation that another of the same image replaces"] += max(0, len(given) - 1)
+        if given:
+            name = plain_path(_name_of(task.data, origin), f"{origin}.data.image")
+            images.append(_image(name, given[-1], origin, lost))
+        else:
+            lost["image that nobody has annotated"] += 1
+    return LabelSet(checked_images(images, path), +lost)
+
+
+def _name_of(data: dict[str, Any], origin: str) -> str:
+    """The path of an image below the folder of the images, by its address in Label Studio."""
+    address = data.get("image")
+    if not isinstance(address, str):
+        raise ValueError(f"{origin}.data.image: expected the address of an image, got {shortened(address)}")
+    parts = urlsplit(address)
+    local = parse_qs(parts.query).get("d")
+    if local:
+        return local[0]
+    path = unquote(parts.path)
+    if parts.scheme or path.startswith("/"):
+        return _UPLOADED.sub("", PurePosixPath(path).name)
+    return path
+
+
+def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -> ImageLabels:
+    said: dict[str, dict[str, Any]] = {}
+    points: list[tuple[str, Region]] = []
+    categories = []
+    size_px = None
+    for index, region in enumerate(annotation.result):
+        key = region.id or f"#{index}"
+        if region.type in ("keypointlabels", "rectanglelabels"):
+            points.append((key, region))
+        elif region.type in ("choices", "number") and region.from_name == "category":
+            for choice in _texts(region.value.get("choices"), origin):
+                if choice in CATEGORIES:
+                    categories.append(CATEGORIES[choice])
+                else:
+                    lost[f"category {shortened(choice)}"] += 1
+        elif region.type in ("choices", "number") and region.from_name in ("is", "oid", "iid"):
+            said.setdefault(key, {})[region.from_name] = region.value
+        else:
+            lost[f"region of the type {shortened(region.type)}"] += 1
+    marks = []
+    for key, region in points:
+        where = f"{origin}: region {shortened(key)}"
+        names = _texts(region.value.get(region.type), where)
+        if len(names) != 1 or names[0] not in set(Kind):
+            lost[f"point labelled {shortened(', '.join(names))}"] += 1
+            continue
+        if region.original_width is None or region.original_height is None:
+            raise ValueError(f"{where}: expected original_width and original_height, got none")
+        size_px = region.original_width, region.original_height
+        marks.append(_mark(Kind(names[0]), region.value, size_px, said.get(key, {}), where))
+    return ImageLabels(name, size_px, tuple(marks), tuple(categories))
+
+
+def _mark(
+    kind: Kind, value: dict[str, Any], size_px: tuple[int, int], said: dict[str, dict[str, Any]], origin: str
+) -> Mark:
+    x, y = (_percent(value, name, origin) for name in "xy")
+    if "rectanglelabels" in value:
+        x, y = x + _percent(value, "width", origin) / 2, y + _percent(value, "height", origin) / 2
+    choices = _texts(said.get("is", {}).get("choices"), origin)
+    return Mark(
+        kind,
+        pixel(x * size_px[0] / 100, y * size_px[1] / 100, origin),
+        number(said.get("oid", {}).get("number"), f"{origin}: oid"),
+        number(said.get("iid", {}).get("number"), f"{origin}: iid"),
+        "direct" in choices,
+        "rear" in choices,
+    )
+
+
+def _percent(value: dict[str, Any], name: str, origin: str) -> float:
+    found = value.get(name)
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise ValueError(f"{origin}: {name}: expected a number, got {shortened(found)}")
+    return float(found) if abs(found) < 2**53 else math.nan
+
+
+def _texts(value: object, origin: str) -> list[str]:
+    if value is None:
+        return []
+    if not isinstance(value, list | tuple) or not all(isinstance(part, str) for part in value):
+        raise ValueError(f"{origin}: expected a list of texts, got {shortened(value)}")
+    return list(value)
+
+
+def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str, Counter[str]]:
+    """The labels as tasks for Label Studio, and what they cannot take.
+
+    Args:
+        labels: The labels.
+        is_guess: Whether they are predictions, which a person has yet to accept.
+    """
+    tasks = []
+    for task_id, image in enumerate(labels.images, start=1):
+        result: list[dict[str, Any]] = []
+        for index, mark in enumerate(image.marks):
+            result += _regions(mark, f"r{index}", image.size_px or (1, 1))
+        if image.categories:
+            choices = [category.name.lower() for category in image.categories]
+            result.append(_part("categories", "choices", "category", {"choices": choices}))
+        key = "predictions" if is_guess else "annotations"
+        data = {"image": f"/data/local-files/?d={image.name}"}
+        tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
+    return json.dumps(tasks, indent=1) + "\n", Counter()
+
+
+def _regions(mark: Mark, key: str, size_px: tuple[int, int]) -> list[dict[str, Any]]:
+    (x, y), (width_px, height_px) = mark.position_px, size_px
+    place = {"x": 100 * (x + 0.5) / width_px, "y": 100 * (y + 0.5) / height_px, "width": 100 / width_px}
+    size = {"original_width": width_px, "original_height": height_px, "image_rotation": 0}
+    point = _part(key, "keypointlabels", "point", {**place, "keypointlabels": [str(mark.kind)]})
+    parts = [point]
+    given = attributes_of(mark)
+    parts += [_part(key, "number", name, {**place, "number": given[name]}) for name in ("oid", "iid") if name in given]
+    choices = [name for name in ("direct", "rear") if given.get(name)]
+    if choices:
+        parts.append(_part(key, "choices", "is", {**place, "choices": choices}))
+    return [part | size for part in parts]
+
+
+def _part(key: str, kind: str, from_name: str, value: dict[str, Any]) -> dict[str, Any]:
+    return {"id": key, "type": kind, "from_name": from_name, "to_name": "image", "value": value}

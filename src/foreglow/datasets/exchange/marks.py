@@ -1,0 +1,237 @@
+"""Labels as annotation tools have them: flat points in images, each with a name and a few attributes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import PurePosixPath
+
+from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle
+from foreglow.files import shortened
+
+MAX_IMAGES = 200_000
+"""Images of a file of labels: three hours at 18 Hz; a file of a few bytes can state any number of frames."""
+
+MAX_COORDINATE_PX = 2**20
+"""As of `schema.Pixel`: no camera has more."""
+
+MAX_NUMBER = 2**53
+"""Numbers of vehicles and lights that every tool keeps exactly."""
+
+MAX_KINDS_LOST = 20
+"""Different things that a message names as lost; the rest are counted together."""
+
+
+class Kind(StrEnum):
+    """What a point marks; the names of labels in the tools."""
+
+    VEHICLE = "vehicle"
+    LIGHT = "light"
+    DOUBTFUL = "doubtful"
+
+
+CATEGORIES = {category.name.lower(): category for category in ImageCategory if category != ImageCategory.NONE}
+"""The categories of an image by their names in the tools."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A marked point.
+
+    Attributes:
+        kind: What it marks.
+        position_px: Column and row of the pixel. Tools have its middle: (4, 7) is 4.5, 7.5 there.
+        oid: Number of the vehicle; None where the tool does not say it.
+        iid: Number of the light; None where the tool does not say it, and for vehicles.
+        is_direct: As in `Instance` and `Vehicle`.
+        is_rear: As in `Instance`.
+    """
+
+    kind: Kind
+    position_px: tuple[int, int]
+    oid: int | None = None
+    iid: int | None = None
+    is_direct: bool = False
+    is_rear: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ImageLabels:
+    """The labels of an image.
+
+    Attributes:
+        name: Its path below the folder of the images, with `/`; its folder there is its sequence.
+        size_px: Width and height; None where the tool does not say it.
+        marks: The points, a vehicle's before those of its lights.
+        categories: As in `LabelledSource.categories`, without NONE.
+    """
+
+    name: str
+    size_px: tuple[int, int] | None
+    marks: tuple[Mark, ...] = ()
+    categories: tuple[ImageCategory, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LabelSet:
+    """The labels of a file.
+
+    Attributes:
+        images: The labelled images, also those in which nothing is marked.
+        lost: By what it is, how much the file has that is not here, or could not take.
+        is_video: Whether the images are the frames of a video or a folder, by their order; names are then numbers.
+    """
+
+    images: tuple[ImageLabels, ...]
+    lost: Mapping[str, int] = field(default_factory=dict)
+    is_video: bool = False
+
+
+def lost_lines(lost: Mapping[str, int]) -> list[str]:
+    """A line for each thing that was lost, the most frequent first."""
+    counts = Counter(lost).most_common()
+    lines = [f"not taken: {count} x {what}" for what, count in counts[:MAX_KINDS_LOST]]
+    rest = sum(count for _, count in counts[MAX_KINDS_LOST:])
+    return [*lines, f"not taken: {rest} x something else"] if rest else lines
+
+
+def marks_of(vehicles: Iterable[Vehicle], doubtful: Iterable[Instance] = ()) -> tuple[Mark, ...]:
+    """The points of vehicles, of their lights, and of doubtful light."""
+    marks = []
+    for vehicle in vehicles:
+        marks.append(Mark(Kind.VEHICLE, vehicle.position_px, vehicle.oid, None, vehicle.is_direct))
+        marks += [_mark(Kind.LIGHT, instance, vehicle.oid) for instance in vehicle.instances]
+    return (*marks, *(_mark(Kind.DOUBTFUL, instance, None) for instance in doubtful))
+
+
+def _mark(kind: Kind, instance: Instance, oid: int | None) -> Mark:
+    return Mark(kind, instance.position_px, oid, instance.iid, instance.is_direct, instance.is_rear)
+
+
+def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
+    """The vehicles that the points of an image mark.
+
+    A light without the number of a vehicle has a vehicle of its own; a vehicle without a point lies amid its lights.
+
+    Raises:
+        ValueError: If a vehicle has several points; the message begins with `origin`.
+    """
+    marks = [mark for mark in marks if mark.kind != Kind.DOUBTFUL]
+    free_oid = 1 + max((mark.oid for mark in marks if mark.oid is not None), default=-1)
+    free_iid = 1 + max((mark.iid for mark in marks if mark.iid is not None), default=-1)
+    points: dict[int, Mark] = {}
+    lights: dict[int, list[Instance]] = {}
+    for mark in marks:
+        oid = mark.oid
+        if oid is None:
+            oid, free_oid = free_oid, free_oid + 1
+        instances = lights.setdefault(oid, [])
+        if mark.kind == Kind.VEHICLE:
+            if oid in points:
+                raise ValueError(f"{origin}: vehicle {oid}: expected one point, got several")
+            points[oid] = mark
+            continue
+        iid = mark.iid
+        if iid is None:
+            iid, free_iid = free_iid, free_iid + 1
+        instances.append(_instance(mark, iid))
+    return tuple(
+        Vehicle(
+            position_px=points[oid].position_px if oid in points else _middle(instances),
+            oid=oid,
+            instances=tuple(instances),
+            is_direct=points[oid].is_direct if oid in points else any(light.is_direct for light in instances),
+        )
+        for oid, instances in lights.items()
+    )
+
+
+def doubtful_of(marks: Iterable[Mark]) -> tuple[Instance, ...]:
+    """The doubtful light among the points of an image."""
+    doubtful = [mark for mark in marks if mark.kind == Kind.DOUBTFUL]
+    return tuple(_instance(mark, number if mark.iid is None else mark.iid) for number, mark in enumerate(doubtful))
+
+
+def _instance(mark: Mark, iid: int) -> Instance:
+    return Instance(position_px=mark.position_px, iid=iid, is_direct=mark.is_direct, is_rear=mark.is_rear)
+
+
+def _middle(instances: Sequence[Instance]) -> tuple[int, int]:
+    columns, rows = zip(*(instance.position_px for instance in instances), strict=True)
+    return round(sum(columns) / len(columns)), round(sum(rows) / len(rows))
+
+
+def pixel(x: float, y: float, origin: str) -> tuple[int, int]:
+    """The pixel at a point of a tool.
+
+    Raises:
+        ValueError: If the point lies beyond any image, or is none; the message begins with `origin`.
+    """
+    if not (abs(x) < MAX_COORDINATE_PX and abs(y) < MAX_COORDINATE_PX):  # false for NaN
+        raise ValueError(f"{origin}: expected a point within {MAX_COORDINATE_PX} px, got {x:g}, {y:g}")
+    return math.floor(x), math.floor(y)
+
+
+def number(value: object, origin: str) -> int | None:
+    """The number of a vehicle or a light in an attribute; None for nothing, or an empty text.
+
+    Raises:
+        ValueError: If it is no whole number; the message begins with `origin`.
+    """
+    if value is None or value == "":
+        return None
+    text = str(value) if isinstance(value, int | str) and not isinstance(value, bool) else ""
+    if isinstance(value, float) and value.is_integer() and abs(value) <= MAX_NUMBER:
+        text = str(int(value))
+    if not re.fullmatch(r"-?[0-9]{1,16}", text.strip()) or abs(int(text)) > MAX_NUMBER:
+        raise ValueError(f"{origin}: expected a whole number, got {shortened(value)}")
+    return int(text)
+
+
+def truth(value: object, origin: str) -> bool:
+    """The truth value in an attribute; False for nothing.
+
+    Raises:
+        ValueError: If it is none; the message begins with `origin`.
+    """
+    values = {None: False, "": False, False: False, True: True, "false": False, "true": True}
+    key = value.strip().lower() if isinstance(value, str) else value
+    if not isinstance(key, bool | str | None) or key not in values:
+        raise ValueError(f"{origin}: expected true or false, got {shortened(value)}")
+    return values[key]
+
+
+def plain_path(name: str, origin: str) -> str:
+    """`name`, if it is a path below a folder that stays there.
+
+    Raises:
+        ValueError: If it is absolute, climbs, or has other characters than a file's name; the message begins with
+            `origin`.
+    """
+    parts = PurePosixPath(name).parts
+    is_bad = not parts or "\\" in name or not name.isprintable() or len(name) > 500 or re.match("[A-Za-z]:", name)
+    if is_bad or any(part in ("/", "//", "..") or len(part) > 200 for part in parts):
+        raise ValueError(f"{origin}: expected a path below the folder of the images, got {shortened(name)}")
+    return "/".join(parts)
+
+
+def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLabels, ...]:
+    """The images of the file at `path`.
+
+    Raises:
+        ValueError: If one is there twice, there are none, or too many.
+    """
+    found: dict[str, ImageLabels] = {}
+    for image in images:
+        if image.name in found:
+            raise ValueError(f"{path}: expected each image once, {shortened(image.name)} is there twice")
+        if len(found) == MAX_IMAGES:
+            raise ValueError(f"{path}: expected at most {MAX_IMAGES} images, got more")
+        found[image.name] = image
+    if not found:
+        raise ValueError(f"{path}: expected labelled images, found none")
+    return tuple(found.values())

@@ -1,0 +1,237 @@
+"""A file of an annotation tool, with its images, as a data set with labels."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from foreglow.datasets.exchange.files import read_labels_file
+from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, doubtful_of, vehicles_of
+from foreglow.datasets.image_folder import natural_key
+from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
+from foreglow.datasets.labelled import LabelledSource
+from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
+from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
+from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.video import Video
+from foreglow.types import Frame
+
+PLACES = (".", "images", "../images")
+"""Where the images of a file of labels may lie, seen from its folder, if nobody says where they are."""
+
+
+class LabelFile(LabelledSource):
+    """Labels of CVAT, COCO or Label Studio, and the images that they are about.
+
+    The folder that an image lies in is its sequence. An image's id is the number that its file is called, where all are
+    called by numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or
+    about the images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the
+    frames of a video, too. Times follow the ids, at the video's rate or PVDN's.
+
+    Attributes:
+        labels: What the file says.
+    """
+
+    def __init__(self, path: Path | str, images: Path | str | None = None, *, on_error: OnError = "stop") -> None:
+        """Reads the labels.
+
+        Args:
+            path: The file.
+            images: The folder of the images, or the video; None looks beside the file.
+            on_error: What an image that is missing, broken or of the wrong size does.
+
+        Raises:
+            FileNotFoundError: If there is no such file, or the images are not there.
+            ValueError: If it cannot be used.
+        """
+        self.path = Path(path)
+        self.root = self.path.parent
+        self.skipped = []
+        self._on_error = checked_on_error(on_error)
+        self.labels: LabelSet = read_labels_file(self.path)
+        self._folder, self._video = self._images_at(None if images is None else Path(images))
+        self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
+        named = self._named()
+        numbers = [_number_in(image.name) for image in named]
+        is_numbered = None not in numbers and len(set(numbers)) == len(numbers)
+        ids = [number for number in numbers if number is not None] if is_numbered else list(range(len(named)))
+        self._images = dict(zip(ids, named, strict=True))
+        self._sequences = _sequences(self._images, self.path)
+        self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
+        self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+    @property
+    def sequences(self) -> tuple[Sequence, ...]:
+        """As in `LabelledSource`."""
+        selected = {self.sequence(image_id).id for image_id in self.frame_ids}
+        return tuple(sequence for sequence in self._sequences if sequence.id in selected)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The selected frames."""
+        self.skipped = []
+        if self._video is not None:
+            return self._video_frames()
+        reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
+        return read_each(reads, self._on_error, self.skipped)
+
+    def _video_frames(self) -> Iterator[Frame]:
+        assert self._video is not None
+        wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
+        for frame in self._video:
+            if frame.frame in wanted:
+                yield self._checked(frame, wanted.pop(frame.frame))
+            if not wanted:
+                return
+        if wanted:
+            raise ValueError(
+                f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before"
+            )
+
+    def read(self, image_id: int) -> Frame:
+        """As in `LabelledSource`; of a video, all frames before it are decoded."""
+        name = self._image(image_id).name
+        if self._video is not None:
+            number = _frame_number(name)
+            for frame in self._video:
+                if frame.frame == number:
+                    return self._checked(frame, image_id)
+            raise ValueError(self._missing(number))
+        path = self.image_path(image_id)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
+        return self._checked(Frame(read_image(path), 0, path=str(path)), image_id)
+
+    def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
+        """As in `LabelledSource`."""
+        image = self._image(image_id)
+        return vehicles_of(image.marks, f"{self.path}: {image.name}")
+
+    def doubtful(self, image_id: int) -> tuple[Instance, ...]:
+        """As in `LabelledSource`."""
+        return doubtful_of(self._image(image_id).marks)
+
+    def image(self, image_id: int) -> ImageRecord:
+        """As in `LabelledSource`; the size is that of the image where the file does not say it."""
+        image = self._image(image_id)
+        width_px, height_px = image.size_px or self.read(image_id).image.shape[::-1]
+        name = PurePosixPath(image.name).name
+        return ImageRecord(id=image_id, file_name=name, height_px=height_px, width_px=width_px)
+
+    def image_path(self, image_id: int) -> Path:
+        """As in `LabelledSource`; the video of its frames."""
+        name = self._image(image_id).name
+        return self._folder / name if self._video is None else self._video.path
+
+    def sequence(self, image_id: int) -> Sequence:
+        """As in `LabelledSource`."""
+        self._image(image_id)
+        return self._sequence_of[image_id]
+
+    def categories(self, image_id: int) -> tuple[ImageCategory, ...]:
+        """As in `LabelledSource`."""
+        return self._image(image_id).categories or (ImageCategory.NONE,)
+
+    def time_s(self, image_id: int) -> float:
+        """As in `LabelledSource`."""
+        return self.sequence(image_id).image_ids.index(image_id) / self.rate_hz
+
+    def _missing(self, number: int) -> str:
+        return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
+
+    def _image(self, image_id: int) -> ImageLabels:
+        if image_id not in self._images:
+            raise ValueError(f"{self.path}: image_id: expected an image of this file, got {image_id}")
+        return self._images[image_id]
+
+    def _checked(self, frame: Frame, image_id: int) -> Frame:
+        """The frame of an image as this data set has it.
+
+        Raises:
+            ValueError: If it does not have the size in the labels.
+        """
+        size_px = self._images[image_id].size_px
+        if size_px is not None and size_px != (frame.width_px, frame.height_px):
+            raise ValueError(
+                f"{frame.path}: image size: expected {size_px[0]}x{size_px[1]} px as in {self.path}, got "
+                f"{frame.width_px}x{frame.height_px} px"
+            )
+        timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
+        directory = self._sequence_of[image_id].directory
+        return dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
+
+    def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
+        """The folder of the images, and the video if they are its frames."""
+        if given is not None and given.is_file():
+            return given.parent, Video(given, on_error=self._on_error)
+        if given is not None and not given.is_dir():
+            raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
+        if given is not None:
+            return given, None
+        first = self.labels.images[0].name
+        for place in PLACES:
+            if not self.labels.is_video and (self.root / place / first).is_file():
+                return self.root / place, None
+        raise FileNotFoundError(
+            f"{self.root / first}: no such image, expected that of {self.path}; `foreglow labels import` with --images "
+            "says where they are"
+        )
+
+    def _named(self) -> tuple[ImageLabels, ...]:
+        """The labels with the names of files; of a video, with the numbers of frames."""
+        images = self.labels.images
+        if self._video is not None or not self.labels.is_video:
+            return images
+        paths = [path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+        names = sorted((path.name for path in paths), key=natural_key)
+        numbers = [int(image.name) for image in images]
+        if numbers[-1] >= len(names):
+            raise ValueError(
+                f"{self._folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
+            )
+        return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
+
+
+def _number_in(name: str) -> int | None:
+    """The number that an image is called by, such as 12 for `S1/000012.png` and `frame_000012.png`; None for none."""
+    found = re.fullmatch("(?:frame_)?([0-9]{1,15})", PurePosixPath(name).stem)
+    return int(found[1]) if found else None
+
+
+def _frame_number(name: str) -> int:
+    """The frame of a video that an image is, by its name.
+
+    Raises:
+        ValueError: If the name does not say it.
+    """
+    number = _number_in(name)
+    if number is None:
+        raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
+    return number
+
+
+def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ...]:
+    """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
+    ids: dict[str, list[int]] = {}
+    for image_id, image in images.items():
+        folder = image.name.rpartition("/")[0].replace("/", "_")
+        ids.setdefault(folder or re.sub(r"[^\w.-]", "_", path.stem), []).append(image_id)
+    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in ids]
+    numbers = {int(found[1]) for found in known if found}
+    is_known = all(known) and len(numbers) == len(ids)
+    return tuple(
+        Sequence.plain(
+            int(directory[1:]) if is_known else index,
+            directory=directory[:200],
+            image_ids=tuple(sorted(image_ids)),
+            num_images=len(image_ids),
+        )
+        for index, (directory, image_ids) in enumerate(sorted(ids.items()), start=1)
+    )

@@ -1,0 +1,134 @@
+"""Labels from any data set to the files of annotation tools, and from those to PVDN's format."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from foreglow.datasets.exchange.files import LABEL_FORMATS
+from foreglow.datasets.exchange.marks import MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
+from foreglow.datasets.labelled import LabelledSource
+from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
+from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
+from foreglow.datasets.source import FrameSource
+from foreglow.datasets.video import Video
+from foreglow.files import write_atomic
+from foreglow.types import Frame
+
+_OWN = {"id", "directory", "image_ids", "num_images"}
+"""Fields of a sequence that its images say."""
+
+
+def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) -> LabelSet:
+    """The labels of a data set, or of the images with the ids `chosen`, with what no annotation tool takes as lost."""
+    lost: Counter[str] = Counter()
+    images = []
+    for image_id in _wanted(dataset, chosen):
+        record, vehicles = dataset.image(image_id), dataset.annotations(image_id)
+        doubtful = dataset.doubtful(image_id)
+        lost["file of generated boxes"] += dataset.boxes(image_id) is not None
+        for name in _unknown_fields(vehicles):
+            lost[f"field {name}"] += 1
+        categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
+        name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
+        size_px = record.width_px, record.height_px
+        images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
+    ordinary = _attributes(Sequence.plain(0))
+    lost["sequence with attributes (weather, road, driver, times, ...)"] = sum(
+        _attributes(sequence) != ordinary for sequence in dataset.sequences
+    )
+    return LabelSet(tuple(images), +lost)
+
+
+def _wanted(dataset: LabelledSource, chosen: Collection[int] | None) -> tuple[int, ...]:
+    if chosen is None:
+        return dataset.frame_ids
+    unknown = set(chosen) - set(dataset.frame_ids)
+    if unknown:
+        raise ValueError(f"{dataset.root}: frames: expected images of the data set, got {min(unknown)}")
+    return tuple(image_id for image_id in dataset.frame_ids if image_id in chosen)
+
+
+def _unknown_fields(vehicles: Collection[Vehicle]) -> list[str]:
+    records = [record for vehicle in vehicles for record in (vehicle, *vehicle.instances)]
+    return [name for record in records for name in record.model_extra or {}]
+
+
+def _attributes(sequence: Sequence) -> dict[str, Any]:
+    return sequence.model_dump(exclude=_OWN)
+
+
+def guesses_of(
+    frames: FrameSource, marks: Mapping[int, tuple[Mark, ...]], chosen: Collection[int] | None = None
+) -> LabelSet:
+    """A first guess for each frame of a source that has one, by the frame's number.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    images = []
+    for frame in frames:
+        if frame.frame in marks and (chosen is None or frame.frame in chosen):
+            size_px = frame.width_px, frame.height_px
+            images.append(ImageLabels(_name_of(frame, frames), size_px, marks[frame.frame]))
+        if len(images) > MAX_IMAGES:
+            raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
+    if not images:
+        raise ValueError(f"{frames.name}: expected frames of the run, found none")
+    return LabelSet(tuple(images), is_video=isinstance(frames, Video))
+
+
+def _name_of(frame: Frame, frames: FrameSource) -> str:
+    if isinstance(frames, LabelledSource):
+        return f"{frame.sequence}/{frames.image(frame.frame).file_name}"
+    return f"frame_{frame.frame:06d}.png" if isinstance(frames, Video) else Path(frame.path).name
+
+
+def check_target(path: Path, name: str) -> None:
+    """Passes a format and a file that has its ending, so that it can be read again.
+
+    Raises:
+        ValueError: If there is no such format, or the ending is another.
+    """
+    if name not in LABEL_FORMATS:
+        raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
+    if path.suffix.lower() != LABEL_FORMATS[name].suffix:
+        raise ValueError(f"{path}: expected a name ending in {LABEL_FORMATS[name].suffix} for {name}")
+
+
+def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
+    """Writes labels in the format called `name`, whole or not at all; returns what was lost on the whole way.
+
+    Raises:
+        ValueError: If there is no such format, the ending is another, or it cannot take these labels.
+        OSError: If the file cannot be written.
+    """
+    check_target(path, name)
+    form = LABEL_FORMATS[name]
+    text, lost = (form.guess_text if is_guess else form.text)(labels)
+    write_atomic(path, text.encode())
+    return Counter(labels.lost) + lost
+
+
+def write_split(dataset: LabelledSource, root: Path) -> int:
+    """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
+
+    Raises:
+        ValueError: If an image or its labels cannot be used, or `root` holds images or labels already.
+        OSError: If a file cannot be read or written.
+    """
+    num_images = 0
+    with PVDNWriter(root, info={"rate_hz": dataset.rate_hz}) as writer:
+        for sequence in dataset.sequences:
+            part = dataset.only(sequence.directory)
+            images = (_labelled(frame, dataset) for frame in part)
+            num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
+    return num_images
+
+
+def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
+    categories = tuple(each for each in dataset.categories(frame.frame) if each != ImageCategory.NONE)
+    vehicles, doubtful = dataset.annotations(frame.frame), dataset.doubtful(frame.frame)
+    return LabelledImage(frame, vehicles, categories, doubtful=doubtful)

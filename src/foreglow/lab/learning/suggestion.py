@@ -1,0 +1,188 @@
+"""Which frames of a run are worth labelling: those that the model doubts, that blink, or that look unlike its world."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from foreglow.datasets import open_source
+from foreglow.datasets.json_files import read_lines
+from foreglow.files import shortened, write_atomic
+from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
+from foreglow.runs.recorded_run import RecordedRun, source_of_run
+from foreglow.types import FrameResult
+from foreglow.types.arrays import Boxes
+
+FILE_NAME = "suggestions.csv"
+LOOK_STEP = 10
+"""Every so manieth frame of a drive is looked at: a drive's look changes slowly."""
+
+CROWDING = 4
+"""Suggested frames are at least this share of their mean distance apart: a quarter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A frame, and why it is worth labelling; each reason in [0, 1].
+
+    Attributes:
+        sequence: Its sequence.
+        frame: Its number.
+        uncertain: n / (1 + n) for n boxes of which the model is unsure: the sum of 4 p (1 - p) over the scores p.
+        restless: n / (1 + n) for n boxes that are there in this frame alone, or missing in it alone.
+        unlike: How far the image is from every camera profile of the simulator; 0 where it is near, or unknown.
+    """
+
+    sequence: str
+    frame: int
+    uncertain: float
+    restless: float
+    unlike: float
+
+    @property
+    def value(self) -> float:
+        """All reasons together, as if each were a probability of its own."""
+        return 1.0 - (1.0 - self.uncertain) * (1.0 - self.restless) * (1.0 - self.unlike)
+
+
+def rated(run: RecordedRun, unlike: Mapping[int, float] | None = None) -> list[list[Suggestion]]:
+    """Every frame of a run, by sequence.
+
+    Args:
+        run: The run.
+        unlike: As `Suggestion.unlike`, by the frame's number; None where the images are not there.
+
+    Raises:
+        ValueError: If the run had no model.
+    """
+    drives = []
+    for sequence, results in run.sequences.items():
+        accepted = [_accepted(result, run.folder) for result in results]
+        empty = np.zeros((0, 4), np.int32)
+        drive = []
+        for index, result in enumerate(results):
+            before = accepted[index - 1] if index > 0 else None
+            after = accepted[index + 1] if index + 1 < len(results) else None
+            num_blinks = 0
+            if before is not None and after is not None:
+                here = accepted[index]
+                num_blinks = int((~_is_met(here, np.concatenate([before, after, empty]))).sum())
+                num_blinks += int((_is_met(before, after) & ~_is_met(before, here)).sum())
+            drive.append(
+                Suggestion(
+                    sequence,
+                    result.frame,
+                    round(_uncertainty(result), 4),
+                    round(num_blinks / (1.0 + num_blinks), 4),
+                    round((unlike or {}).get(result.frame, 0.0), 4),
+                )
+            )
+        drives.append(drive)
+    return drives
+
+
+def _accepted(result: FrameResult, folder: Path) -> Boxes:
+    if result.detections is None:
+        raise ValueError(f"{folder / 'frames.jsonl'}: scores: expected those of a model, the run had none")
+    return result.detections.accepted_boxes_xyxy_px
+
+
+def _uncertainty(result: FrameResult) -> float:
+    assert result.detections is not None
+    scores = result.detections.scores.astype(np.float64)
+    num_unsure = float(np.sum(4.0 * scores * (1.0 - scores)))
+    return num_unsure / (1.0 + num_unsure)
+
+
+def _is_met(boxes: Boxes, others: Boxes) -> np.ndarray:
+    """Shape (N,): which boxes meet one of the others, each enlarged by its size: light moves from frame to frame."""
+    sizes = np.maximum(boxes[:, 2:] - boxes[:, :2], 1)
+    low, high = boxes[:, None, :2] - sizes[:, None], boxes[:, None, 2:] + sizes[:, None]
+    meets = (low < others[None, :, 2:]) & (high > others[None, :, :2])
+    return np.asarray(meets.all(axis=2).any(axis=1))
+
+
+def unlikeness(run: RecordedRun) -> Mapping[int, float]:
+    """As `Suggestion.unlike`, for every frame of the run.
+
+    Raises:
+        FileNotFoundError: If the images are no longer where they were.
+        ValueError: If they cannot be read.
+    """
+    found: dict[int, float] = {}
+    latest = 0.0
+    for index, frame in enumerate(open_source(source_of_run(run.folder), on_error="mark")):
+        if index >= run.summary.num_frames:
+            break
+        if index % LOOK_STEP == 0:
+            distance = nearest_profile(look_of(frame.image))[1]
+            latest = float(np.clip((distance - 0.5 * MAX_DISTANCE) / (1.5 * MAX_DISTANCE), 0.0, 1.0))
+        found[frame.frame] = latest
+    return found
+
+
+def suggested(drives: Sequence[Sequence[Suggestion]], num_frames: int) -> list[list[Suggestion]]:
+    """The frames to label, by drive and in their order: the drives take turns, each with its best frame that is left.
+
+    Frames of a drive keep a distance, so that they are not all of one moment.
+    """
+    quota = -(-num_frames // max(1, len(drives)))
+    gaps = [max(1, len(drive) // (CROWDING * quota)) for drive in drives]
+    orders = [sorted(range(len(drive)), key=lambda k, drive=drive: (-drive[k].value, k)) for drive in drives]  # type: ignore[misc]
+    chosen: list[list[int]] = [[] for _ in drives]
+    num_left = num_frames
+    is_moving = True
+    while num_left and is_moving:
+        is_moving = False
+        turns = sorted(range(len(drives)), key=lambda n: -drives[n][orders[n][0]].value if orders[n] else 0.0)
+        for number in turns:
+            order = orders[number]
+            while num_left and order:
+                index = order.pop(0)
+                if all(abs(index - other) >= gaps[number] for other in chosen[number]):
+                    chosen[number].append(index)
+                    num_left -= 1
+                    is_moving = True
+                    break
+    return [[drive[index] for index in sorted(indices)] for drive, indices in zip(drives, chosen, strict=True)]
+
+
+def write_suggestions(path: Path, suggestions: Iterable[Suggestion]) -> None:
+    """Writes the frames as CSV, whole or not at all; `read_suggestions` reads their numbers back.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*(field.name for field in fields(Suggestion)), "value"])
+    writer.writerows((*astuple(each), round(each.value, 4)) for each in suggestions)
+    write_atomic(path, text.getvalue().encode())
+
+
+def read_suggestions(path: Path) -> frozenset[int]:
+    """The numbers of the frames in the CSV at `path`, by its column `frame`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it has no such column, or a number is none; the message names the line.
+    """
+    try:
+        rows = list(csv.reader(line.decode() for line in read_lines(path)))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: expected a CSV file: {error}") from None
+    if not rows or "frame" not in rows[0]:
+        raise ValueError(f"{path}: line 1: expected a column called frame, got {shortened(rows[0] if rows else '')}")
+    column = rows[0].index("frame")
+    frames = set()
+    for line, row in enumerate(rows[1:], start=2):
+        text = row[column] if column < len(row) else ""
+        if not (text.isascii() and text.isdigit() and len(text) < 17):
+            raise ValueError(f"{path}: line {line}: frame: expected a number, got {shortened(text)}")
+        frames.add(int(text))
+    return frozenset(frames)

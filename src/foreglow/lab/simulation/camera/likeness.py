@@ -1,0 +1,100 @@
+"""Which camera profile of the simulator a drive resembles, by cheap statistics of a few of its images.
+
+`likeness.toml` has these statistics of every profile, measured once by `python -m benchmarks.camera_likeness`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.config import read_toml
+from foreglow.types import Frame, FrameResult, Image
+
+NUM_IMAGES = 12
+"""Images of a drive that are looked at, evenly spaced."""
+
+STEP = 50
+"""Frames between two of them where the number of frames is not known."""
+
+FIGURES = ("width", "black", "middle", "bright", "clipped", "noise", "detail")
+"""What is measured of an image, see `look_of`."""
+
+LEAST_SPREADS = (0.4, 0.15, 0.3, 0.3, 0.5, 0.15, 0.15)
+"""Least standard deviation of each figure over the drives of a camera: few drives show less than there is."""
+
+MAX_DISTANCE = 2.0
+"""Root mean square of a drive's deviations from the nearest profile, in standard deviations, above which the camera is
+unknown. Of 70 drives, judged by the others of their camera, 69 are nearer."""
+
+Look = NDArray[np.float64]
+"""Shape (len(FIGURES),): the figures of an image, or their means over a drive."""
+
+
+def look_of(image: Image) -> Look:
+    """The figures of an image, all but the share on logarithmic scales.
+
+    They are the width in pixels; the 2nd percentile, the median and the 99th percentile of the grey levels in 8 bits;
+    the share of pixels at the upper end; the standard deviation against the mean of 3x3 pixels in the darker half; and
+    the steepest steps between neighbours.
+    """
+    grey = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)
+    smooth = cv2.blur(grey, (3, 3)).astype(np.int16)
+    black, middle, bright = np.percentile(grey, (2, 50, 99))
+    noise = float((grey - smooth)[grey <= middle].std())
+    steps = np.abs(np.diff(grey.astype(np.int16), axis=1))
+    clipped = float(np.mean(grey >= 250))
+    detail = float(np.percentile(steps, 99.5))
+    levels = np.log2([image.shape[1], black + 1, middle + 1, bright + 1, clipped + 1e-5, noise + 0.1, detail + 1])
+    return np.asarray(levels, np.float64)
+
+
+@functools.cache
+def profile_looks() -> Mapping[str, tuple[Look, Look]]:
+    """By profile, the mean look of its drives, and the standard deviation over them."""
+    with as_file(files(__package__) / "likeness.toml") as path:
+        stored = read_toml(path)
+    return {name: (np.array(entry["means"]), np.array(entry["spreads"])) for name, entry in stored.items()}
+
+
+def nearest_profile(look: Look, looks: Mapping[str, tuple[Look, Look]] | None = None) -> tuple[str, float]:
+    """The profile that a drive's look is nearest to, and how far it is: 1 is as far as its own drives are."""
+    found = {
+        name: float(np.sqrt(np.mean(np.square((look - means) / np.maximum(spreads, LEAST_SPREADS)))))
+        for name, (means, spreads) in (looks or profile_looks()).items()
+    }
+    return min(found.items(), key=lambda item: item[1])
+
+
+class LookSink:
+    """A result sink that looks at a few frames of a run."""
+
+    def __init__(self, num_frames: int | None = None) -> None:
+        """Takes the number of frames, if it is known, so that the images are spread over all."""
+        self._step = STEP if num_frames is None else max(1, num_frames // NUM_IMAGES)
+        self._num_frames = 0
+        self._looks: list[Look] = []
+
+    def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
+        """Looks at every so manieth frame."""
+        if self._num_frames % self._step == 0 and len(self._looks) < NUM_IMAGES:
+            self._looks.append(look_of(frame.image))
+        self._num_frames += 1
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    discard = close
+
+    @property
+    def profile(self) -> str | None:
+        """The profile that the frames resemble; None if there is none, or no frame."""
+        if not self._looks:
+            return None
+        name, distance = nearest_profile(np.mean(self._looks, axis=0))
+        return name if distance <= MAX_DISTANCE else None

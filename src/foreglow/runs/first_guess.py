@@ -1,0 +1,51 @@
+"""What a run found, as points that a person corrects in an annotation tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from foreglow.datasets.exchange import Kind, Mark
+from foreglow.runs.recorded_run import read_run
+from foreglow.types import FrameResult
+
+
+def read_guess(folder: Path) -> Mapping[int, tuple[Mark, ...]]:
+    """By frame of the run in `folder`, a vehicle with one light for every accepted box, at its middle.
+
+    Vehicle and light have the number of the track that follows the box; a box without one has a negative number that no
+    other has.
+
+    Raises:
+        FileNotFoundError: If a file of the run is missing.
+        ValueError: If one is broken, or the run had no model.
+    """
+    alone = count(-1, -1)
+    marks: dict[int, tuple[Mark, ...]] = {}
+    for results in read_run(folder).sequences.values():
+        for result in results:
+            if result.detections is None:
+                raise ValueError(f"{folder / 'frames.jsonl'}: scores: expected those of a model, the run had none")
+            tracks, kinds = _tracks_of_boxes(result), result.detections.kind_names
+            found = []
+            for index in np.flatnonzero(result.detections.is_accepted).tolist():
+                x1, y1, x2, y2 = result.detections.boxes_xyxy_px[index].tolist()
+                middle_px = (x1 + x2) // 2, (y1 + y2) // 2
+                kind = kinds[index] or ""  # unknown is neither direct nor rear
+                is_direct, is_rear = kind.endswith("_lamp"), kind.startswith("rear_")
+                number = tracks[index] if index in tracks else next(alone)
+                found.append(Mark(Kind.VEHICLE, middle_px, number, None, is_direct))
+                found.append(Mark(Kind.LIGHT, middle_px, number, number, is_direct, is_rear))
+            marks[result.frame] = tuple(found)
+    return marks
+
+
+def _tracks_of_boxes(result: FrameResult) -> dict[int, int]:
+    """The id of the track that follows a box, by the box's index."""
+    if result.tracks is None:
+        return {}
+    pairs = zip(result.tracks.detections.tolist(), result.tracks.ids.tolist(), strict=True)
+    return {detection: track for detection, track in pairs if detection >= 0}

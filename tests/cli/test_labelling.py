@@ -1,0 +1,101 @@
+"""`labels` and `suggest`: from a run to a tool, back, and measured."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from foreglow.datasets import open_labelled, shipped_drive
+from foreglow.runs.recorded_run import read_run
+from tests.cli.commands import complaint, foreglow_command
+from tests.datasets.tiny_pvdn import make_pvdn
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("labelling") / "run"
+    result = foreglow_command("run", shipped_drive(), "--out", out, "--limit", 30)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "suffix"), [("cvat", "xml"), ("coco", "json"), ("label-studio", "json")])
+def test_a_first_guess_of_suggested_frames(name: str, suffix: str, run: Path, tmp_path: Path) -> None:
+    said = foreglow_command("suggest", run, "--frames", 7)
+    assert said.exit_code == 0, said.output
+    assert f"7 frames: look at {run / 'suggestions.csv'}" in said.stdout
+    guess = tmp_path / f"guess.{suffix}"
+    options = ("--run", run, "--frames", run / "suggestions.csv", "--format", name)
+    result = foreglow_command("labels", "export", shipped_drive(), *options, "--out", guess)
+    assert result.exit_code == 0, result.output
+    assert "7 images, " in result.stdout
+    if name == "label-studio":  # as a person who accepts everything
+        tasks = [task | {"annotations": task.pop("predictions")} for task in json.loads(guess.read_text())]
+        guess.write_text(json.dumps(tasks))
+    own = tmp_path / "own"
+    result = foreglow_command("labels", "import", guess, "--images", shipped_drive() / "images", "--out", own)
+    assert result.exit_code == 0, result.output
+    found = {each.frame: each for results in read_run(run).sequences.values() for each in results}
+    labelled = open_labelled(own)
+    assert len(labelled) == 7
+    for image_id in labelled.frame_ids:
+        detections = found[image_id].detections
+        assert detections is not None
+        boxes = detections.accepted_boxes_xyxy_px
+        assert sorted(map(tuple, labelled.keypoints_px(image_id).tolist())) == sorted(
+            ((x1 + x2) // 2, (y1 + y2) // 2) for x1, y1, x2, y2 in boxes.tolist()
+        )
+
+
+def test_evaluate_takes_the_files_of_tools(run: Path, tmp_path: Path) -> None:
+    split = shipped_drive()
+    (tmp_path / "images").symlink_to(split / "images")
+    results = []
+    for number, suffix in enumerate(("xml", "json")):
+        labels = tmp_path / f"labels.{suffix}"
+        name = "cvat" if suffix == "xml" else "coco"
+        result = foreglow_command("labels", "export", split, "--format", name, "--out", labels)
+        assert result.exit_code == 0, result.output
+        assert "not taken: 1 x sequence with attributes" in result.stdout
+        measured = tmp_path / f"{number}.json"
+        done = foreglow_command("evaluate", labels, "--predictions", run / "frames.jsonl", "--json", measured)
+        assert done.exit_code == 0, done.output
+        results.append(json.loads(measured.read_text()))
+    assert (
+        foreglow_command(
+            "evaluate", split, "--predictions", run / "frames.jsonl", "--json", tmp_path / "own.json"
+        ).exit_code
+        == 0
+    )
+    assert results == [json.loads((tmp_path / "own.json").read_text())] * 2
+
+
+def test_bad_arguments_are_one_line(run: Path, tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path)
+    out = tmp_path / "a.xml"
+    export = ("labels", "export", split, "--out")
+    assert "expected one of cvat, cvat-video, coco, label-studio, got 'yolo'" in complaint(
+        *export, out, "--format", "yolo"
+    )
+    assert "expected a name ending in .json for coco" in complaint(*export, out, "--format", "coco")
+    listed = tmp_path / "frames.csv"
+    listed.write_text("frame\n99\n")
+    assert "expected images of the data set, got 99" in complaint(*export, out, "--frames", listed)
+    assert "cvat-video has every frame" in complaint(*export, out, "--frames", listed, "--format", "cvat-video")
+    assert "expected frames of the run, found none" in complaint(*export, out, "--run", run)
+    assert not out.exists()
+    assert foreglow_command(*export, out).exit_code == 0
+    imported = ("labels", "import", out, "--out", tmp_path / "own")
+    assert "--images" in complaint(*imported), "they are not beside the file"
+    assert "no such folder" in complaint(*imported, "--images", tmp_path / "nothing")
+    assert "no such image" in complaint(*imported, "--images", tmp_path)
+    assert not (tmp_path / "own/labels/sequences.json").exists()
+
+
+def test_a_run_without_a_model_suggests_nothing(folder: Path, config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert foreglow_command("run", folder, "--config", config, "--preset", "paper", "--out", out).exit_code == 0
+    assert "expected those of a model" in complaint("suggest", out)

@@ -1,0 +1,105 @@
+"""Files that lie, climb or never end are one line each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.datasets.exchange import read_labels_file
+
+ENTITIES = """<?xml version="1.0"?><!DOCTYPE annotations [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">
+<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]><annotations><image id="0" name="&c;"/></annotations>"""
+EXTERNAL = """<!DOCTYPE annotations [<!ENTITY a SYSTEM "file:///etc/passwd">]>
+<annotations><image id="0" name="&a;"/></annotations>"""
+
+
+def image(name: str = "a.png", inside: str = "", size: str = 'width="96" height="72"') -> str:
+    return f'<annotations><image id="0" name="{name}" {size}>{inside}</image></annotations>'
+
+
+def video(meta: str = "<size>3</size>", frame: str = "1") -> str:
+    return (
+        f"<annotations><meta><task>{meta}</task></meta><track id='1' label='light'>"
+        f"<points frame='{frame}' points='1,2'/></track></annotations>"
+    )
+
+
+def light(name: str, value: str) -> str:
+    """A light with an attribute."""
+    return image(inside=f'<points label="light" points="1,2"><attribute name="{name}">{value}</attribute></points>')
+
+
+def coco(**changes: Any) -> str:
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "keypoints": [1.5, 2.5, 2]}
+    file = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 96, "height": 72}],
+        "categories": [{"id": 1, "name": "light"}],
+        "annotations": [annotation | changes.pop("annotation", {})],
+    }
+    file["images"][0] |= changes.pop("image", {})
+    return json.dumps(file | changes)
+
+
+def task(value: Any = None, address: Any = "a.png", **region: Any) -> str:
+    point = {"id": "r", "type": "keypointlabels", "original_width": 96, "original_height": 72}
+    point["value"] = {"x": 1, "y": 2, "keypointlabels": ["light"]} | (value or {})
+    return json.dumps([{"data": {"image": address}, "annotations": [{"result": [point | region]}]}])
+
+
+FILES = {
+    "entities of entities": (".xml", ENTITIES, "without a document type"),
+    "another file": (".xml", EXTERNAL, "without a document type"),
+    "a path that climbs": (".xml", image("../../etc/passwd"), "name: expected a path below the folder"),
+    "a path that climbs later": (".xml", image("a/../../b.png"), "name: expected a path below the folder"),
+    "an absolute path": (".json", coco(image={"file_name": "/etc/passwd"}), "file_name: expected a path below"),
+    "a path of Windows": (".json", coco(image={"file_name": "C:\\a.png"}), "file_name: expected a path below"),
+    "a path with a line": (".json", coco(image={"file_name": "a\nb.png"}), "file_name: expected a path below"),
+    "an address that climbs": (".json", task(address="/data/local-files/?d=../../x.png"), "image: expected a path"),
+    "no address": (".json", task(address=7), "data.image: expected the address of an image, got 7"),
+    "no size": (".json", task(original_width=None), "expected original_width and original_height"),
+    "a point that is none": (".xml", image(inside='<points label="light" points="1,nan"/>'), "expected a point within"),
+    "a point without end": (".xml", image(inside='<points label="light" points="1e99,1"/>'), "expected a point within"),
+    "points of a text": (".xml", image(inside='<points label="light" points="left"/>'), "points: expected x,y;x,y"),
+    "a negative size": (".xml", image(size='width="-96" height="72"'), "width, height: expected 1 to"),
+    "a number of a million digits": (".xml", light("oid", "9" * 10**6), "oid: expected a whole number"),
+    "no truth value": (".xml", light("rear", "maybe"), "rear: expected true or false, got 'maybe'"),
+    "a video of a billion frames": (".xml", video("<size>1000000000</size>"), "expected 1 to 200000 frames"),
+    "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><size>0</size>"), "frames"),
+    "a frame behind the end": (".xml", video(frame="7"), "track 0: frame: expected 0 to 2, got 7"),
+    "an image twice": (".xml", image().replace("</image>", '</image><image id="1" name="a.png"/>'), "is there twice"),
+    "no image": (".json", coco(annotation={"image_id": 9}), "annotations.0.image_id: expected an id of images"),
+    "no category": (".json", coco(annotation={"category_id": 9}), "category_id: expected an id of categories"),
+    "infinity": (".json", coco().replace("1.5", "Infinity"), "keypoints.0: "),
+    "a wrong type": (".json", coco(annotations=7), "annotations: "),
+    "attributes of a wrong type": (".json", coco(annotation={"attributes": {"oid": [1]}}), "oid: expected a whole"),
+    "per cent of a text": (".json", task({"x": "left"}), "x: expected a number, got 'left'"),
+    "names of a wrong type": (".json", task({"keypointlabels": "light"}), "expected a list of texts"),
+    "brackets without end": (".json", "[" * 1_000_000, ""),
+    "objects without end": (".json", '{"images":' * 100_000, ""),
+    "something else": (".json", "7", "expected labels of CVAT (.xml), COCO or Label Studio (.json)"),
+    "XML of something else": (".xml", "<map/>", "expected labels of CVAT"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_hostile_file_is_one_line(name: str, tmp_path: Path) -> None:
+    suffix, content, said = FILES[name]
+    path = tmp_path / f"labels{suffix}"
+    path.write_text(content)
+    with pytest.raises(ValueError, match="labels") as caught:
+        read_labels_file(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert said in message
+    assert "\n" not in message
+    assert len(message) < 600
+
+
+def test_the_plain_files_behind_these_can_be_read(tmp_path: Path) -> None:
+    for suffix, content in ((".xml", image()), (".xml", video()), (".json", coco()), (".json", task())):
+        path = tmp_path / f"labels{suffix}"
+        path.write_text(content)
+        assert read_labels_file(path).images

@@ -1,0 +1,176 @@
+"""Labels that go to an annotation tool and come back are the same, and what is lost is counted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from foreglow.datasets import open_labelled, open_source
+from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
+from foreglow.datasets.exchange.marks import Kind, LabelSet, vehicles_of
+from foreglow.datasets.labelled import LabelledSource
+from foreglow.datasets.pvdn.schema import ImageCategory
+from tests.datasets.tiny_pvdn import edit, labelled_vehicle, make_pvdn
+
+CATEGORIES_ARE_KEPT = {"cvat", "label-studio"}
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    """A split with all that the formats know: two vehicles in an image, doubtful light, a light outside the image."""
+    root = make_pvdn(tmp_path)
+    keypoints = root / "labels/keypoints"
+    vehicles = [labelled_vehicle(4, (3, 5, False), (-2, 95, True)), labelled_vehicle(2)]
+    edit(keypoints / "000007.json", "annotations", value=vehicles)
+    edit(keypoints / "000007.json", "annotations", 0, "instances", 0, "rear", value=True)
+    doubtful = [{"pos": [9, 8], "iid": 70}]
+    path = keypoints / "000005.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"doubtful": doubtful}))
+    return root
+
+
+def exported(split: Path, path: Path, name: str) -> dict[str, int]:
+    return dict(write_labels_file(path, labels_of(open_labelled(split)), name))
+
+
+def facts(dataset: LabelledSource, image_id: int) -> object:
+    vehicles = [vehicle.model_copy(update={"instances": ()}) for vehicle in dataset.annotations(image_id)]
+    lights = [(each.oid, light) for each in dataset.annotations(image_id) for light in each.instances]
+    return (
+        sorted((each.oid, each.position_px, each.is_direct) for each in vehicles),
+        sorted((oid, each.iid, each.position_px, each.is_direct, each.is_rear) for oid, each in lights),
+        [(each.iid, each.position_px) for each in dataset.doubtful(image_id)],
+    )
+
+
+@pytest.mark.parametrize("name", LABEL_FORMATS)
+def test_a_round_trip_loses_nothing_that_both_know(name: str, split: Path, tmp_path: Path) -> None:
+    path = tmp_path / f"labels{LABEL_FORMATS[name].suffix}"
+    whole, sequence = open_labelled(split), split / "images/S00001"
+    images = sequence if name == "cvat-video" else split / "images"
+    lost = exported(sequence if name == "cvat-video" else split, path, name)
+    write_split(LabelFile(path, images), tmp_path / "back")
+    back = open_labelled(tmp_path / "back")
+    assert set(back.frame_ids) == ({5, 7} if name == "cvat-video" else set(whole.frame_ids))
+    for image_id in back.frame_ids:
+        assert facts(back, image_id) == facts(whole, image_id)
+        np.testing.assert_array_equal(back.read(image_id).image, whole.read(image_id).image)
+        if name in CATEGORIES_ARE_KEPT:
+            assert back.categories(image_id) == whole.categories(image_id)
+    if name != "cvat-video":
+        assert [(each.id, each.directory) for each in back.sequences] == [(1, "S00001"), (3, "S00003")]
+        assert lost.pop("field confidence") == lost.pop("field note") == lost.pop("file of generated boxes") == 1
+        assert lost.pop("category of an image", 0) == (0 if name in CATEGORIES_ARE_KEPT else 3)
+    assert lost.pop("sequence with attributes (weather, road, driver, times, ...)") == len(back.sequences)
+    assert not lost
+
+
+def test_a_drive_of_several_sequences_is_no_video(split: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="the images of one sequence, got 2 sequences"):
+        exported(split, tmp_path / "labels.xml", "cvat-video")
+
+
+@pytest.mark.parametrize("name", ["cvat", "coco", "label-studio"])
+def test_a_file_beside_its_images_is_a_data_set(name: str, split: Path) -> None:
+    path = split / f"labels{LABEL_FORMATS[name].suffix}"
+    exported(split, path, name)
+    found = open_labelled(path)
+    assert found.frame_ids == open_labelled(split).frame_ids
+    assert found.keypoints_px(11).tolist() == [[38, 31], [44, 31], [20, 50]]
+    frames = list(open_source(path))
+    assert [(frame.frame, frame.sequence) for frame in frames] == [
+        (5, "S00001"), (7, "S00001"), (11, "S00003"), (12, "S00003"), (13, "S00003"),
+    ]  # fmt: skip
+    assert frames[1].timestamp_ns == round(1e9 / 18)
+    record = found.image(11)
+    assert (record.width_px, record.height_px) == (96, 72)
+
+
+def test_labels_by_hand_need_neither_numbers_nor_all_points(tmp_path: Path) -> None:
+    """As a person draws them in a new project: a light without attributes, boxes, shapes that mean nothing here."""
+    (tmp_path / "drive").mkdir()
+    assert cv2.imwrite(str(tmp_path / "drive/a.png"), np.zeros((72, 96), np.uint8))
+    (tmp_path / "annotations.xml").write_text(
+        """<annotations><image id="0" name="drive/a.png" width="96" height="72">
+        <points label="light" points="10.9,20.1;30,40"/><box label="light" xtl="50" ytl="50" xbr="60" ybr="52"/>
+        <polygon label="road" points="1,1;2,2;3,1"/><points label="tree" points="1,1"/><tag label="nice"/>
+        <points label="light" points="70,60"><attribute name="oid">5</attribute>
+        <attribute name="iid"></attribute><attribute name="direct">true</attribute></points>
+        </image></annotations>"""
+    )
+    dataset = LabelFile(tmp_path / "annotations.xml")
+    own, *others = sorted(dataset.annotations(0), key=lambda vehicle: vehicle.oid)
+    assert own.oid == 5
+    assert own.is_direct
+    assert own.position_px == (70, 60), "a vehicle without a point lies amid its lights"
+    assert [each.position_px for each in others] == [(10, 20), (30, 40), (55, 51)]
+    assert len({light.iid for each in (own, *others) for light in each.instances}) == 4
+    assert dataset.labels.lost == {"shape 'polygon'": 1, "shape labelled 'tree'": 1, "tag 'nice'": 1}
+
+
+def test_a_video_s_labels_follow_its_tracks(tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(4):
+        assert cv2.imwrite(str(folder / f"f{number + 9}.png"), np.zeros((72, 96), np.uint8))
+    (tmp_path / "v.xml").write_text(
+        """<annotations><meta><task><size>4</size></task></meta><track id="6" label="light">
+        <points frame="1" outside="0" points="10.5,20.5"/><points frame="2" outside="0" points="11.5,20.5"/>
+        <points frame="3" outside="1" points="11.5,20.5"/></track></annotations>"""
+    )
+    dataset = LabelFile(tmp_path / "v.xml", folder)
+    assert [dataset.image_path(number).name for number in dataset.frame_ids] == [
+        "f9.png",
+        "f10.png",
+        "f11.png",
+        "f12.png",
+    ]
+    lights = [[light for vehicle in dataset.annotations(k) for light in vehicle.instances] for k in dataset.frame_ids]
+    assert [[(light.iid, *light.position_px) for light in each] for each in lights] == [
+        [], [(6, 10, 20)], [(6, 11, 20)], [],
+    ]  # fmt: skip
+
+
+def test_predictions_of_label_studio_are_no_labels(split: Path, tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    write_labels_file(path, labels_of(open_labelled(split)), "label-studio", is_guess=True)
+    with pytest.raises(ValueError, match="expected labelled images, found none"):
+        LabelFile(path, split / "images")
+    tasks = json.loads(path.read_text())
+    tasks[0] |= {"annotations": [{"result": []}], "data": {"image": "/data/upload/3/0a1b2c3d-000005.png"}}
+    path.write_text(json.dumps(tasks))
+    dataset = LabelFile(path, split / "images/S00001")
+    assert dataset.frame_ids == (5,)
+    assert dataset.annotations(5) == ()
+    assert dataset.image(5).width_px == 96, "a task without a region does not say the size"
+    assert dataset.labels.lost == {"image that nobody has annotated": 4}
+
+
+def test_a_vehicle_has_one_point() -> None:
+    marks = [Mark(Kind.VEHICLE, (1, 2), 3), Mark(Kind.VEHICLE, (5, 6), 3)]
+    with pytest.raises(ValueError, match=r"a\.xml: vehicle 3: expected one point, got several"):
+        vehicles_of(marks, "a.xml")
+
+
+def test_images_of_another_size_are_refused(split: Path) -> None:
+    path = split / "labels.xml"
+    exported(split, path, "cvat")
+    path.write_text(path.read_text().replace('width="96"', 'width="95"'))
+    with pytest.raises(ValueError, match=r"image size: expected 95x72 px as in .*labels\.xml, got 96x72 px"):
+        list(open_labelled(path))
+
+
+def test_an_empty_set_cannot_be_read_again(tmp_path: Path) -> None:
+    write_labels_file(tmp_path / "a.json", LabelSet(()), "coco")
+    with pytest.raises(ValueError, match="expected labelled images, found none"):
+        LabelFile(tmp_path / "a.json")
+
+
+def test_the_categories_of_the_tools_are_ours() -> None:
+    from foreglow.datasets.exchange.marks import CATEGORIES
+
+    assert set(CATEGORIES.values()) == set(ImageCategory) - {ImageCategory.NONE}

@@ -1,0 +1,111 @@
+"""Frames worth labelling: doubtful, restless, unlike; spread over drives and over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foreglow.lab.learning.suggestion import (
+    Suggestion,
+    rated,
+    read_suggestions,
+    suggested,
+    unlikeness,
+    write_suggestions,
+)
+from foreglow.runs.recorded_run import read_run
+from foreglow.types import Frame
+from tests.runs.test_recorded_run import write_run
+from tests.stand_ins import night_image, result_of
+
+BOX = [10, 10, 20, 20]
+
+
+def run_of(folder: Path, scores: dict[str, list[list[float]]]) -> Path:
+    """A run whose frames have boxes, far from each other, with these scores."""
+    made, number = [], 0
+    for sequence, drive in scores.items():
+        for of_frame in drive:
+            frame = Frame(night_image(), 50_000_000 * number, number, sequence)
+            boxes = [[x + 60 * k for x in BOX] for k in range(len(of_frame))]
+            made.append((frame, result_of(frame, boxes, of_frame)))
+            number += 1
+    return write_run(folder, made)
+
+
+def test_doubt_and_restlessness_are_rated(tmp_path: Path) -> None:
+    run = read_run(run_of(tmp_path, {"S1": [[0.99], [0.5], [0.99], [0.99], [0.01], [0.99], [0.99, 0.9], [0.99]]}))
+    (drive,) = rated(run)
+    assert np.argmax([each.uncertain for each in drive]) == 1
+    assert drive[1].uncertain == 0.5, "one box of which nothing is known"
+    assert [each.restless for each in drive] == [0, 0.5, 0, 0, 0.5, 0, 0.5, 0], "gone, gone, there alone"
+    assert max(drive, key=lambda each: each.value) == drive[1]
+
+
+def test_a_run_without_a_model_rates_nothing(tmp_path: Path) -> None:
+    frame = Frame(night_image(), 0, 0, "S1")
+    run = read_run(write_run(tmp_path, [(frame, result_of(frame, [BOX]))]))
+    with pytest.raises(ValueError, match="scores: expected those of a model, the run had none"):
+        rated(run)
+
+
+def drive_of(name: str, values: list[float]) -> list[Suggestion]:
+    return [Suggestion(name, index, value, 0.0, 0.0) for index, value in enumerate(values)]
+
+
+def test_drives_take_turns_and_moments_keep_apart() -> None:
+    restless = drive_of("a", [0.9] * 100)
+    quiet = drive_of("b", [0.1] * 50 + [0.2] * 50)
+    chosen = suggested([restless, quiet], 10)
+    assert [len(drive) for drive in chosen] == [5, 5]
+    for drive in chosen:
+        frames = [each.frame for each in drive]
+        assert frames == sorted(frames)
+        assert np.diff(frames).min() >= 5
+    assert sum(each.frame >= 50 for each in chosen[1]) >= 4, "its better half"
+
+
+def test_no_more_are_named_than_there_are() -> None:
+    assert suggested([drive_of("a", [0.1, 0.2]), drive_of("b", [0.3])], 9) == [
+        drive_of("a", [0.1, 0.2]), drive_of("b", [0.3]),
+    ]  # fmt: skip
+    assert suggested([], 9) == []
+
+
+def test_strange_images_are_unlike(tmp_path: Path) -> None:
+    import cv2
+
+    folder = tmp_path / "images"
+    folder.mkdir()
+    strange = np.random.default_rng(0).integers(0, 256, (96, 128)).astype(np.uint8)
+    for number in range(3):
+        assert cv2.imwrite(str(folder / f"{number}.png"), strange)
+    run = read_run(run_of(tmp_path / "run", {"": [[0.9]] * 3}))
+    with pytest.raises(FileNotFoundError):
+        unlikeness(run)
+    summary = tmp_path / "run/summary.json"
+    summary.write_text(summary.read_text().replace('"images"', f'"{folder}"'))
+    unlike = unlikeness(read_run(tmp_path / "run"))
+    assert unlike.keys() == {0, 1, 2}
+    assert min(unlike.values()) > 0.5
+    (drive,), (before,) = rated(run, unlike), rated(run)
+    assert drive[0].value > before[0].value
+
+
+def test_the_file_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "suggestions.csv"
+    write_suggestions(path, drive_of("a, b", [0.25, 0.5]))
+    assert read_suggestions(path) == {0, 1}
+    for content, said in (
+        ("", "line 1: expected a column called frame"),
+        ("name\n3\n", "line 1: expected a column called frame"),
+        ("frame\nseven\n", "line 2: frame: expected a number, got 'seven'"),
+        ("x,frame\n1\n", "line 2: frame: expected a number"),
+        ("frame\n-1\n", "line 2: frame: expected a number"),
+    ):
+        path.write_text(content)
+        with pytest.raises(ValueError, match=said) as caught:
+            read_suggestions(path)
+        assert str(caught.value).startswith(str(path))
