@@ -177,8 +177,9 @@ class TrackerConfig(FrozenModel):
         use_looming: Whether the growth of boxes also contributes to the range, if our speed is known; off in all
             presets, since glare does not grow like lamps.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
-        enlargement: Boxes are enlarged by this factor before they are compared (p).
-        min_iou: A detection may take a track if the IoU of their enlarged boxes is above this (p).
+        enlargement: Boxes of detections are enlarged by this factor before they are compared with tracks (p).
+        enlarge_tracks: Whether boxes of tracks are enlarged as well; not in the paper.
+        min_iou: A detection may take a track if the IoU of these boxes is above this (p).
         range_gate: And if their ranges are at most this many standard deviations apart; infinity for no gate.
         merge_iou: A track without a detection ends if its IoU with another track is above this; 1 for never.
         compensate_yaw: Whether predicted boxes are shifted by our yaw rate, if camera and motion are known.
@@ -211,6 +212,7 @@ class TrackerConfig(FrozenModel):
     use_looming: bool = False
     association: Literal["greatest_iou", "optimal"] = "greatest_iou"
     enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5
+    enlarge_tracks: bool = False
     min_iou: Annotated[float, Field(ge=0, lt=1)] = 0.1
     range_gate: Annotated[float, Field(gt=0, allow_inf_nan=True)] = inf
     merge_iou: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -247,6 +249,7 @@ OUR_TRACKER = TrackerConfig(
     clock="time",
     association="optimal",
     enlargement=2.0,
+    enlarge_tracks=True,
     merge_iou=0.5,
     compensate_yaw=True,
     max_misses=6,
