@@ -52,6 +52,17 @@ def without_times(results: DetectorResults) -> dict[str, Any]:
     return document
 
 
+def test_the_published_weights_run_on_the_boxes_of_the_baseline(tmp_path: Path) -> None:
+    data = make_data(tmp_path / "data")
+    plan = DetectorPlan(rows=("published",), given=given(tmp_path, "published"), may_train=False)
+    (row,) = run_experiment(data, tmp_path / "out", plan).rows
+    means = {}
+    for name in ("paper", "baseline"):
+        proposer = make_proposer(preset(name).proposals)
+        means[name] = np.mean([len(proposer.propose(frame.image).boxes_xyxy_px) for frame in PVDN(data / "test")])
+    assert row.num_proposals == means["baseline"] != means["paper"]
+
+
 def test_a_row_of_a_given_model(tmp_path: Path) -> None:
     data = make_data(tmp_path / "data")
     plan = DetectorPlan(rows=("paper", "published"), given=given(tmp_path, "paper"), may_train=False)
