@@ -143,6 +143,8 @@ class DistanceConfig(FrozenModel):
             the frame has none.
         heuristic: How the ranges of a box's pixels become the range of the box (paper); `road_surface` has its own
             rule.
+        all_pixels: Whether `maximum`, `minimum`, `mean` and `median` go by every pixel of the box, as the paper's,
+            instead of 3 x 3 of them.
         pitch: The body's pitch against the road: `fixed` takes the calibration's, `motion` adds that of
             `Frame.motion`, `markings` estimates it from the markings in the image.
         align: Whether `road_surface` corrects our pose on the road: yaw and lateral offset from the markings in the
@@ -153,6 +155,7 @@ class DistanceConfig(FrozenModel):
 
     estimator: str = "gp"
     heuristic: Literal["centre", "maximum", "minimum", "lowest", "mean", "median"] = "centre"
+    all_pixels: bool = False
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
     align: bool = False
     model: Annotated[Path, Field(strict=False)] | None = None
