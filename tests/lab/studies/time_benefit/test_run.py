@@ -13,6 +13,7 @@ import pytest
 from foreglow.config import TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.files import to_json
+from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.lab.studies.time_benefit.metrics import FalseTracks, Method, least_delay_s, time_benefit
 from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
 from foreglow.lab.studies.time_benefit.run import (
@@ -24,6 +25,7 @@ from foreglow.lab.studies.time_benefit.run import (
 )
 from foreglow.pipeline import Pipeline
 from tests.datasets.tiny_pvdn import make_pvdn, write
+from tests.lab.studies.detector_data import make_model
 
 pytestmark = pytest.mark.slow
 
@@ -172,3 +174,21 @@ def test_a_tracker_of_ones_own_has_a_row() -> None:
     assert two_frames is not None
     assert five_frames is not None
     assert two_frames.num_plausible > five_frames.num_plausible
+
+
+def test_the_papers_whole_chain_has_rows(tmp_path: Path) -> None:
+    """Its model accepts every proposal; all other rows stay as they are without it."""
+    pytest.importorskip("onnx")
+    root = make_pvdn(tmp_path)
+    alone = run_experiment([PVDN(root)], preset("foreglow"))
+    both = run_experiment([PVDN(root)], preset("foreglow"), paper=paper_chain(make_model(tmp_path / "all.onnx")))
+    names = [method.benefit.name for method in both.methods]
+    assert [name for name in names if name not in {one.benefit.name for one in alone.methods}] == [
+        "single frame, paper's whole chain", "tracker, paper's whole chain",
+    ]  # fmt: skip
+    for method in alone.methods:
+        np.testing.assert_array_equal(both.method(method.benefit.name).benefit.detected_s, method.benefit.detected_s)
+    pytest.importorskip("matplotlib")
+    assert "| tracker, paper's whole chain |" in write_report(both, tmp_path / "report").read_text()
+    with pytest.raises(FileNotFoundError, match=r"none\.onnx: no such model, given with --paper-model"):
+        paper_chain(tmp_path / "none.onnx")

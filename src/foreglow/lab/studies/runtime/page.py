@@ -22,7 +22,7 @@ from foreglow.lab.studies.runtime.run import (
 EDGES = (0, 10, 20, 30, 40, 60)
 """Numbers of proposals at which the groups begin."""
 
-COLOURS = (AMBER, BLUE, GREEN, GREY)
+COLOURS = (AMBER, BLUE, GREEN, GREY, INK)
 WHISKERS = (1, 99)
 
 

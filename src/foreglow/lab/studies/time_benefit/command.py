@@ -7,7 +7,7 @@ from typing import Annotated, cast
 
 import typer
 
-from foreglow.options import PipelineOptions, ReportOption, argument, option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, argument, option
 
 
 def command(
@@ -17,6 +17,7 @@ def command(
     split: Annotated[
         str, option("NAMES", "Splits to measure on together, if DATA is a whole data set, such as val,test.")
     ] = "test",
+    paper_model: PaperModelOption = None,
     production_category: Annotated[
         int, option("N", "PVDN's image category for the production system's detection.", min=0, max=7)
     ] = 6,
@@ -25,14 +26,16 @@ def command(
     from foreglow.datasets import CategoryConfig, ImageCategory, SplitName, open_labelled, split_in
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.paper_chain import paper_chain
     from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
     from foreglow.lab.studies.time_benefit.run import run_experiment
 
     require_matplotlib()
+    paper = None if paper_model is None else paper_chain(paper_model)
     folders = dict.fromkeys(split_in(data, cast("SplitName", name.strip())) for name in split.split(","))
     datasets = [open_labelled(folder) for folder in folders]
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
-        results = run_experiment(datasets, pipeline.configuration(), categories, progress)
+        results = run_experiment(datasets, pipeline.configuration(), categories, progress, paper)
     report = write_report(results, out)
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

@@ -22,7 +22,7 @@ from foreglow.lab.studies.time_benefit.metrics import (
     least_delay_s,
     mean_timeline,
 )
-from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, TRACKERS, TimeBenefitResults
+from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, TimeBenefitResults
 
 COLOURS = {"single frame": AMBER, "tracker, paper": BLUE, "tracker, ours": GREEN}
 CURVE_COLOURS = {"frames": BLUE, "m_of_n": GREY, "evidence": GREEN}
@@ -162,7 +162,7 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
         "vehicles. False tracks *an empty minute* are those that come up in an image without any vehicle's light."
     )
     page.figure(Figure(benefit_figure(results), "Seconds after the first light, as in the paper", "benefit.png"))
-    page.items(_plausibility(results.method(name)) for name in TRACKERS)
+    page.items(_plausibility(method) for method in results.methods if method.false is not None)
     page.text(
         "The paper states 0.28 s as the least, which is five frames, and a mean of 0.50 s. From the first to the fifth "
         "frame it is four frames, 0.22 s."

@@ -72,6 +72,8 @@ FIVE_FRAMES = "5 frames"
 
 SINGLE_FRAME = "single frame"
 
+PAPER_SINGLE_FRAME, PAPER_CHAIN = "single frame, paper's whole chain", "tracker, paper's whole chain"
+
 
 @dataclass(frozen=True, slots=True)
 class TimeBenefitResults:
@@ -126,6 +128,7 @@ def run_experiment(
     config: PipelineConfig,
     categories: CategoryConfig | None = None,
     progress: Progress | None = None,
+    paper: PipelineConfig | None = None,
 ) -> TimeBenefitResults:
     """Runs the detector of `config` over `datasets` once, and all trackers on what it finds.
 
@@ -134,6 +137,7 @@ def run_experiment(
         config: Detector and distance; its tracker has a row of its own where it is none of `TRACKERS`.
         categories: Which image category marks the production system's report, where the set is not simulated.
         progress: Called after each image.
+        paper: The paper's whole chain, whose detector and tracker have rows of their own; None for none.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -145,7 +149,10 @@ def run_experiment(
     if config.tracker.method != "none" and config.tracker not in trackers.values():
         trackers[CONFIGURED] = config.tracker
     settings = {name: tracker for curve in RULES.values() for name, tracker in curve.items()} | trackers
-    splits = [_measure(dataset, config, settings, categories, progress) for dataset in datasets]
+    chains = {SINGLE_FRAME: (config, settings)}
+    if paper is not None:
+        chains[PAPER_SINGLE_FRAME] = (paper, {PAPER_CHAIN: paper.tracker})
+    splits = [_measure(dataset, chains, categories, progress) for dataset in datasets]
     encounters = tuple(
         dataclasses.replace(met, sequence=f"{split.name}/{met.sequence}") if len(splits) > 1 else met
         for split in splits
@@ -165,11 +172,17 @@ def run_experiment(
         benefit = time_benefit(name, encounters, detected_s)
         return Method(benefit, false, mean_delay_s(encounters, detected_s), plausibility_s)
 
-    def tracker_method(name: str) -> Method:
+    def tracker_method(name: str, single: str = SINGLE_FRAME) -> Method:
         tracks = [sequence for split in splits for sequence in split.tracks[name]]
-        waits_s = np.subtract(pooled(name), pooled(SINGLE_FRAME))
+        waits_s = np.subtract(pooled(name), pooled(single))
         return method(name, pooled(name), FalseTracks.of(tracks, km), tuple(waits_s[~np.isnan(waits_s)].tolist()))
 
+    papers: list[Method] = []
+    if paper is not None:
+        papers = [
+            method(PAPER_SINGLE_FRAME, pooled(PAPER_SINGLE_FRAME)),
+            tracker_method(PAPER_CHAIN, PAPER_SINGLE_FRAME),
+        ]
     return TimeBenefitResults(
         name=" and ".join(split.name for split in splits),
         config=config,
@@ -178,6 +191,7 @@ def run_experiment(
         methods=(
             method(SINGLE_FRAME, pooled(SINGLE_FRAME)),
             *(tracker_method(name) for name in trackers),
+            *papers,
             method("human", [encounter.human_s for encounter in encounters]),
             method("first lamp in sight", [encounter.sight_s for encounter in encounters]),
             method("production system", [encounter.production_s for encounter in encounters]),
@@ -193,20 +207,23 @@ def run_experiment(
 
 def _measure(
     dataset: LabelledSource,
-    config: PipelineConfig,
-    settings: Mapping[str, TrackerConfig],
+    chains: Mapping[str, tuple[PipelineConfig, Mapping[str, TrackerConfig]]],
     categories: CategoryConfig | None,
     progress: Progress | None,
 ) -> _Split:
+    """Runs each detector, by the name of its single frames, and its trackers by name."""
     labels = read_split_labels(dataset)
     encounters = read_encounters(dataset, labels, categories)
-    predictions, tracks, km = _run(dataset, config, settings, progress)
-    singles = first_found(labels, match_lights(labels, predictions), config.classifier.score_threshold)
-    detected_s = {SINGLE_FRAME: detection_times_s(encounters, singles)}
-    quality = {name: match_tracks(labels, tracks[name], predictions.boxes_xyxy_px) for name in settings}
-    for name, sequences in quality.items():
-        found = [vehicle for sequence in sequences for vehicle in sequence.vehicles]
-        detected_s[name] = detection_times_s(encounters, found)
+    detected_s: dict[str, tuple[float, ...]] = {}
+    quality: dict[str, tuple[SequenceTracks, ...]] = {}
+    for single, (config, settings) in chains.items():
+        predictions, tracks, km = _run(dataset, config, settings, progress)
+        singles = first_found(labels, match_lights(labels, predictions), config.classifier.score_threshold)
+        detected_s[single] = detection_times_s(encounters, singles)
+        for name in settings:
+            quality[name] = match_tracks(labels, tracks[name], predictions.boxes_xyxy_px)
+            found = [vehicle for sequence in quality[name] for vehicle in sequence.vehicles]
+            detected_s[name] = detection_times_s(encounters, found)
     return _Split(
         name=dataset.name,
         encounters=encounters,
