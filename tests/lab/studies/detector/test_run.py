@@ -25,6 +25,7 @@ from foreglow.lab.studies.detector.models import (
 from foreglow.lab.studies.detector.page import choose, pictures
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
+from foreglow.proposals.reference import ReferenceProposer
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
 
@@ -180,9 +181,15 @@ def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     results = run_experiment(data, tmp_path / "out", plan)
     paper, yolo = results.rows
     assert yolo.note == (
-        "libreyolo, size s, 64 px, 3 epochs (paper: 960 px and 300 epochs), boxes: preset paper, seed 1"
+        "libreyolo, size s, 64 px, 3 epochs (paper: 960 px; its repository: 200 epochs from COCO weights), "
+        "boxes: preset paper, seed 1"
     )
     assert yolo.ceiling == paper.ceiling
+    first = next(iter(PVDN(data / "test"))).image
+    stages = ReferenceProposer(preset("paper").proposals).stages(first)
+    assert stages is not None
+    assert paper.image_size_px == stages.blurred.shape[::-1]
+    assert yolo.image_size_px == (64, 64)
     assert (yolo.num_parameters, yolo.num_multiply_adds) == (8, 64 * 64 * 6)
     assert (yolo.num_boxes, yolo.num_proposals) == (1, 2)  # scores 0.75 and 0.25 in every image
     (trained,) = calls.trained
