@@ -126,12 +126,14 @@ class ClassifierConfig(FrozenModel):
             the value in the model's metadata, or the paper's M = 2 if there is none.
         score_threshold: A proposal is accepted if its score is above this.
         num_threads: Threads used for inference.
+        device: `cpu`, or `cuda` for a GPU where ONNX Runtime has it.
     """
 
     model: Annotated[Path, Field(strict=False)] | None = None
     support: Annotated[int | None, Field(ge=1, le=16)] = None
     score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1
+    device: Literal["cpu", "cuda"] = "cpu"
 
 
 class DistanceConfig(FrozenModel):

@@ -102,8 +102,8 @@ def read_predictions(path: Path | str) -> Predictions:
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
     `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, `direct` and `light_kinds` in any.
     Any other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as
-    the published code writes; or a JSON list of `{"image_id": ..., "bbox": [x, y, width, height], "score": ...}`, COCO's
-    results, of which all categories count.
+    the published code writes; or COCO's results, of which all categories count, a JSON list of
+    `{"image_id": ..., "bbox": [x, y, width, height], "score": ...}`.
 
     Raises:
         FileNotFoundError: If there is no such file.
