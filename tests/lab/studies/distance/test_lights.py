@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import shutil
@@ -143,6 +144,15 @@ def test_bad_depth(split: Path, simulated: DistanceResults, tmp_path: Path) -> N
     experiment = ("experiment", "distance", split, "--out", tmp_path / "out", "--boxes", boxes)
     assert "--boxes and --depth: expected both or none" in complaint(*experiment)
     assert "no such folder, expected depth images" in complaint(*experiment, "--depth", tmp_path / "none")
+    calibrated = ("experiment", "distance", split, "--out", tmp_path / "out", "--calibration", boxes)
+    assert "--boxes: expected with a calibration or vehicle data" in complaint(*calibrated)
     path = sorted(depth.iterdir())[0]
     assert cv2.imwrite(str(path), np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8))
     assert "expected 16 bits and 320x240 px" in complaint(*experiment, "--depth", depth)
+
+
+def test_images_need_a_calibration(split: Path, simulated: DistanceResults, tmp_path: Path) -> None:
+    boxes, depth = told(simulated, tmp_path)
+    frames = [dataclasses.replace(frame, camera=None) for frame in PVDN(split)]
+    with pytest.raises(ValueError, match=r"boxes\.jsonl: frame \d+: expected a calibration of its camera, got none"):
+        run_experiment(LidarLights(frames, boxes, depth), PLAN)  # type: ignore[arg-type]

@@ -37,6 +37,8 @@ def command(
 
     if (boxes is None) != (depth is None):
         raise ValueError("--boxes and --depth: expected both or none")
+    if boxes is None and vehicle != VehicleOptions():
+        raise ValueError("--boxes: expected with a calibration or vehicle data; simulated drives bring their own")
     require_matplotlib()
     plan_config = preset("foreglow").changed("distance", all_pixels=all_pixels)
     names = tuple(ESTIMATORS) if estimators is None else tuple(estimators.split(","))

@@ -185,13 +185,15 @@ class LidarLights:
         Raises:
             FileNotFoundError: If a depth image is missing.
             ValueError: If it is no depth image of the frame's size, a box leaves the frame, an image has boxes of
-                several scenes, or an image with boxes is not in the source.
+                several scenes or no calibration, or an image with boxes is not in the source.
         """
         missing = set(self._boxes)
         for frame in self._frames:
             drawn = self._boxes.get(frame.frame)
             if drawn is None:
                 continue
+            if frame.camera is None:
+                raise ValueError(f"{self.name}: frame {frame.frame}: expected a calibration of its camera, got none")
             missing.discard(frame.frame)
             corners = np.array([box.box_xyxy_px for box in drawn], np.int32)
             if (corners[:, 2:] > (frame.width_px, frame.height_px)).any():

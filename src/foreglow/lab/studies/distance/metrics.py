@@ -241,7 +241,9 @@ def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_])
         others_m = results.column(column)
         chosen = is_light & ~np.isnan(others_m)
         for method in main_methods if not np.isnan(others_m).all() else ():
-            to_other = summarise(others_m[chosen], results.ranges_m[method][chosen], results.sigmas_m[method][chosen])
+            # A sigma is that of the range to the light, not to its vehicle.
+            its_sigmas_m = results.sigmas_m[method][chosen] if axis == "lidar" else None
+            to_other = summarise(others_m[chosen], results.ranges_m[method][chosen], its_sigmas_m)
             yield Finding(axis, method, light, ALL, to_other)
     for main in main_methods:
         for tilt_deg in TILTS_DEG:

@@ -102,7 +102,7 @@ def _lidar_picture(sample: Sample) -> bytes:
     assert sample.depth_m is not None
     grey = Tone.of(sample.frame.image).apply(sample.frame.image)
     panels = [np.repeat(grey[..., None], 3, axis=2) for _ in range(2)]
-    farthest_m = np.nanmax(sample.depth_m, initial=1.0)
+    farthest_m = np.nan_to_num(sample.depth_m).max(initial=1.0)
     levels = np.nan_to_num(sample.depth_m / farthest_m * 200.0 + 55.0).astype(np.uint8)
     thick_px = max(1, grey.shape[1] // 640)
     depths = cv2.dilate(levels, np.ones((thick_px + 1, thick_px + 1), np.uint8))
