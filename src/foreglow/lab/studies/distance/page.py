@@ -106,7 +106,7 @@ def _lidar_picture(sample: Sample) -> bytes:
     levels = np.nan_to_num(sample.depth_m / farthest_m * 200.0 + 55.0).astype(np.uint8)
     thick_px = max(1, grey.shape[1] // 640)
     depths = cv2.dilate(levels, np.ones((thick_px + 1, thick_px + 1), np.uint8))
-    panels[0][depths > 0, 1] = depths[depths > 0]
+    panels[0][depths > 0] = depths[depths > 0][:, None] * np.array([0, 1, 0], np.uint8)
     for light in sample.lights:
         x1, y1, x2, y2 = light.box_xyxy_px
         colour = DIRECT_BGR if light.is_direct else INDIRECT_BGR
