@@ -216,6 +216,10 @@ LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
 RecordOption = Annotated[Path | None, output_file("Also record everything as MCAP, for replay and for Foxglove.")]
 SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
+PaperModelOption = Annotated[
+    Path | None,
+    file("Also run the paper's whole chain, with this model: ONNX or a folder of `train`.", metavar="MODEL"),
+]
 DeviceOption = Annotated[str, option("auto|cpu|cuda", "Device to train on.")]
 QualityOption = Annotated[str, option("fast|training|fine", "Quality of the rendering.")]
 PatienceOption = Annotated[int | None, option("N", "Stop when N epochs in a row brought no better model.", min=1)]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from foreglow.classifier import OnnxClassifier
@@ -174,6 +175,34 @@ def test_not_finite_output(tmp_path: Path) -> None:
     classifier = OnnxClassifier(ClassifierConfig(model=write_model(tmp_path / "model.onnx", gain=float("nan"))))
     with pytest.raises(ValueError, match="expected finite logits"):
         classifier.classify(Frame(IMAGE, 0), proposals(3))
+
+
+def test_a_gpu_where_onnx_runtime_has_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a stand-in for onnxruntime-gpu, which computes on the CPU; it may leave out a device that it cannot load."""
+    config = ClassifierConfig(model=write_model(tmp_path / "model.onnx"), device="cuda")
+    on_cpu, cuda = ["CPUExecutionProvider"], "CUDAExecutionProvider"
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: on_cpu)
+    with pytest.raises(ValueError, match=r"classifier\.device: expected cpu, this ONNX Runtime is not onnxruntime-gpu"):
+        OnnxClassifier(config)
+
+    asked: list[Any] = []
+    make = onnxruntime.InferenceSession
+
+    def make_session(path: str, options: Any, providers: list[Any]) -> Any:
+        asked.append([provider if isinstance(provider, str) else provider[0] for provider in providers])
+        session = make(path, options, providers=on_cpu)
+        session.get_providers = lambda: loaded
+        return session
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [cuda, *on_cpu])
+    monkeypatch.setattr(onnxruntime, "InferenceSession", make_session)
+    loaded = on_cpu
+    with pytest.raises(ValueError, match=r"classifier\.device: expected cpu, ONNX Runtime cannot use a GPU here"):
+        OnnxClassifier(config)
+    loaded = [cuda, *on_cpu]
+    OnnxClassifier(config)
+    OnnxClassifier(config.model_copy(update={"device": "cpu"}))
+    assert asked == [[cuda, *on_cpu], [cuda, *on_cpu], on_cpu]
 
 
 def test_missing_and_unset_model(tmp_path: Path) -> None:

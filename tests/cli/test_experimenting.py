@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
+from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import make_data, make_model
 from tests.lab.studies.ranged_drives import make_split
@@ -87,6 +89,18 @@ def test_time_benefit(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert result.stdout.endswith(f"look in {out / 'report.md'}\n")
     assert "false confirmed tracks a minute" in result.stdout
+
+
+def test_time_benefit_of_two_splits(tmp_path: Path) -> None:
+    """The second split is a copy of the first; a folder that is a split counts once, whatever its name."""
+    pytest.importorskip("matplotlib")
+    root = make_pvdn(tmp_path / "data")
+    shutil.copytree(root, root.parent / "test")
+    for name, data, num in (("both", tmp_path / "data", 4), ("one", root, 2)):
+        out = tmp_path / name
+        result = foreglow_command("experiment", "time-benefit", data, "--split", "val,test", "--out", out)
+        assert result.exit_code == 0, result.output
+        assert json.loads((out / "results.json").read_text())["num_sequences"] == num
 
 
 def test_bad_input_of_time_benefit(tmp_path: Path) -> None:

@@ -54,10 +54,10 @@ def detections(boxes: Sequence[Sequence[int]] = (CENTRE_BOX,)) -> Detections:
     return Detections(Proposals(array), np.ones(len(array), np.float32), 0.5)
 
 
-def ranges(name: str, seen: Frame, boxes: Sequence[Sequence[int]] = (CENTRE_BOX,), **fields: str) -> Ranges:
+def ranges(name: str, seen: Frame, boxes: Sequence[Sequence[int]] = (CENTRE_BOX,), **fields: str | bool) -> Ranges:
     config = DistanceConfig.model_validate({"estimator": name, **fields})
     return make_estimator(config).estimate(seen, detections(boxes))
 
 
-def range_m(name: str, seen: Frame, box: Sequence[int] = CENTRE_BOX, **fields: str) -> float:
+def range_m(name: str, seen: Frame, box: Sequence[int] = CENTRE_BOX, **fields: str | bool) -> float:
     return float(ranges(name, seen, [box], **fields).ranges_m[0])

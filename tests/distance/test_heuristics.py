@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.geometry import Floats
-from tests.distance.places import camera, frame, range_m, straight_road
+from tests.distance.places import camera, frame, range_m, ranges, straight_road
 
 NAN, INF = np.nan, np.inf
 RANGES = np.array([[30.0, 10.0, NAN, 20.0, NAN], [NAN] * 5, [40.0, 10.0, 30.0, 20.0, 5.0]])
@@ -93,3 +95,15 @@ def test_extremes_are_close_to_those_of_all_pixels(name: str) -> None:
         assert range_m(name, seen, box, heuristic=heuristic) == pytest.approx(expected, rel=close)
     assert range_m(name, seen, box, heuristic="mean") == pytest.approx(every.mean(), rel=0.2)
     assert range_m(name, seen, box, heuristic="median") == pytest.approx(np.median(every), rel=0.2)
+
+
+@pytest.mark.parametrize(("name", "reduce"), [("maximum", max), ("mean", np.mean), ("median", np.median)])
+def test_all_pixels_of_a_box(name: str, reduce: Callable[[list[float]], float]) -> None:
+    """Each pixel alone, as a box of one pixel; boxes of different sizes in one call."""
+    seen, small = frame(camera()), (40, 60, 43, 65)
+    pixels = [(x, y, x + 1, y + 1) for x in range(40, 43) for y in range(60, 65)]
+    expected = reduce([range_m("gp", seen, pixel) for pixel in pixels])
+    assert range_m("gp", seen, small, heuristic=name, all_pixels=True) == pytest.approx(expected, rel=1e-12)
+    both = ranges("gp", seen, [small, (40, 60, 41, 61)], heuristic=name, all_pixels=True)
+    assert both.ranges_m == pytest.approx([expected, range_m("gp", seen, (40, 60, 41, 61))])
+    assert len(ranges("gp", seen, [], heuristic=name, all_pixels=True).ranges_m) == 0

@@ -277,6 +277,36 @@ def test_lines_of_another_program(tmp_path: Path) -> None:
             read_lines(path, FrameLineModel, lambda line: line_to_result(line, 0.5))
 
 
+def test_results_of_coco(tmp_path: Path) -> None:
+    """As YOLOv5 writes them: corner, width and height, in any order; other categories and fields do not matter."""
+    path = tmp_path / "results.json"
+    first = {"image_id": 7, "category_id": 0, "bbox": [10, 20.5, 4, 6], "score": 0.25}
+    path.write_text(json.dumps([first, first | {"image_id": 3}, first | {"bbox": [0, 0, 1, 0], "score": 1}]))
+    found = read_predictions(path)
+    assert found.is_scored
+    assert found.boxes_xyxy_px[7].tolist() == [[10, 20.5, 14, 26.5], [0, 0, 1, 0]]
+    assert found.scores[7].tolist() == [0.25, 1.0]
+    assert found.boxes_xyxy_px[3].tolist() == [[10, 20.5, 14, 26.5]]
+    path.write_text("[]")
+    assert not read_predictions(path).boxes_xyxy_px
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"bbox": [0, 0, 4]}, "bbox"),
+        ({"bbox": [0, 0, -1, 4]}, "bbox"),
+        ({"score": 1.5}, "score"),
+        ({"image_id": "a"}, "image_id"),
+    ],
+)
+def test_broken_results_of_coco(fields: dict[str, Any], expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps([{"image_id": 7, "bbox": [0, 0, 4, 4], "score": 0.5} | fields]))
+    with pytest.raises(ValueError, match=rf"results\.json: 0\.{expected}"):
+        read_predictions(path)
+
+
 def test_which_files_have_tracks(tmp_path: Path) -> None:
     assert has_tracks(write_run(tmp_path / "frames.jsonl", tracks_of([])))
     assert not has_tracks(write_run(tmp_path / "frames.jsonl", None))

@@ -106,11 +106,17 @@ class TestPaper:
         assert history[-1].ages_s[0] == pytest.approx(8 * FRAME_S)
 
     def test_enlarged_boxes_meet_where_plain_ones_do_not(self) -> None:
-        """A box of 20 px that jumps by 21 px: the boxes of 30 px overlap by 9, an IoU of 0.18."""
-        frames: list[Rows] = [[LAMP], [moved(LAMP, dx=21)]]
+        """A box of 20 px that jumps by 18 px: enlarged to 30 px it overlaps the track by 7, an IoU of 0.12."""
+        frames: list[Rows] = [[LAMP], [moved(LAMP, dx=18)]]
         assert run(paper(), frames)[-1].ids.tolist() == [0]
         assert run(paper(enlargement=1.0), frames)[-1].ids.tolist() == [0, 1]
-        assert run(paper(min_iou=0.2), frames)[-1].ids.tolist() == [0, 1]
+        assert run(paper(min_iou=0.13), frames)[-1].ids.tolist() == [0, 1]
+
+    def test_only_detections_are_enlarged(self) -> None:
+        """A box of 20 px that jumps by 21 px: 0.07 if it alone is enlarged, 0.18 if the track is as well."""
+        frames: list[Rows] = [[LAMP], [moved(LAMP, dx=21)]]
+        assert run(paper(), frames)[-1].ids.tolist() == [0, 1]
+        assert run(paper(enlarge_tracks=True), frames)[-1].ids.tolist() == [0]
 
     def test_first_correction_by_hand(self) -> None:
         """Centre by half of the innovation, size by 0.3; the rate's share shows in the next prediction."""
@@ -260,8 +266,8 @@ class TestBoxes:
     def test_one_track_an_object(self) -> None:
         """A light is lost by a jump and found again beside its old track, which coasts into the new one."""
         frames: list[Rows] = [[LAMP]] * 5 + [[moved(LAMP, dx=14)]]
-        assert run(paper(min_iou=0.5), frames)[-1].ids.tolist() == [0, 1]
-        assert run(paper(min_iou=0.5, merge_iou=0.1), frames)[-1].ids.tolist() == [0]
+        assert run(paper(min_iou=0.5, enlargement=1.0), frames)[-1].ids.tolist() == [0, 1]
+        assert run(paper(min_iou=0.5, enlargement=1.0, merge_iou=0.1), frames)[-1].ids.tolist() == [0]
 
     def test_a_turn_is_compensated(self) -> None:
         """We begin to turn at 0.3 rad/s: the image jumps by 23 px a frame."""

@@ -30,7 +30,7 @@ _NUM_LOGITS = (1, 2, len(KINDS))
 
 
 class OnnxClassifier:
-    """Scores the crops of proposals with ONNX Runtime on the CPU.
+    """Scores the crops of proposals with ONNX Runtime.
 
     The model reads float32 crops of shape (N, C, S, S) in [0, 1], N free, and may read features of shape (N, F), as
     `classifier.inputs` makes them. It writes the logits of the five `KINDS`, shape (N, 5); or logits of being light of
@@ -51,7 +51,7 @@ class OnnxClassifier:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
         self._path = model_path(config.model)
-        self._session = open_session(self._path, config.num_threads)
+        self._session = open_session(self._path, config.num_threads, config.device)
         self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
         self._outputs = [_checked_output(self._path, self._session)]
         self._maker = InputMaker(self.spec)

@@ -7,7 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from foreglow.files import read_bytes, shortened
 from foreglow.protobuf import protobuf_fields
@@ -27,6 +27,9 @@ MAX_TENSOR_BYTES = 1 << 31
 LOOPS = frozenset({"Loop", "Scan", "SequenceMap"})
 """Operations that repeat others as often as a number in the file says."""
 
+CUDA = "CUDAExecutionProvider"
+"""ONNX Runtime's name for computing on NVIDIA's GPUs."""
+
 # Numbers of fields. Source: onnx.proto of ONNX.
 _GRAPH, _FUNCTIONS = 7, 25  # of a model
 _NODE = 1  # of a graph
@@ -34,12 +37,12 @@ _OPERATION, _ATTRIBUTE = 4, 5  # of a node
 _BRANCH = 6  # of an attribute: a graph
 
 
-def open_session(path: Path, num_threads: int) -> InferenceSession:
-    """A sequential session on the CPU that does not spin while it waits.
+def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = "cpu") -> InferenceSession:
+    """A sequential session that does not spin while it waits.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not an ONNX model that can be run, or is beyond a bound.
+        ValueError: If it is not an ONNX model that can be run, or is beyond a bound; or if there is no such device.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
@@ -59,10 +62,18 @@ def open_session(path: Path, num_threads: int) -> InferenceSession:
     options.add_session_config_entry("session.use_env_allocators", "1")
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    providers: list[str | tuple[str, dict[str, int]]] = ["CPUExecutionProvider"]
+    if device == "cuda":
+        if CUDA not in ort.get_available_providers():
+            raise ValueError("classifier.device: expected cpu, this ONNX Runtime is not onnxruntime-gpu; got cuda")
+        providers.insert(0, (CUDA, {"gpu_mem_limit": MAX_TENSOR_BYTES}))
     try:
-        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = ort.InferenceSession(str(path), options, providers=providers)
     except model_errors() as error:
         raise unusable(path, error) from error
+    if device == "cuda" and CUDA not in session.get_providers():  # it goes on without what it cannot load
+        raise ValueError("classifier.device: expected cpu, ONNX Runtime cannot use a GPU here; got cuda")
+    return session
 
 
 def model_errors() -> tuple[type[Exception], ...]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, folder, option, output_file, with_options
+from foreglow.options import argument, file, folder, option, output_file, with_options
 
 yolo = typer.Typer(no_args_is_help=True, help="Train and run a YOLO on the same boxes, for comparison.")
 app.add_typer(yolo, name="yolo")
@@ -48,15 +48,18 @@ def yolo_train(
     seed: Annotated[int, option("N", "Seed of weights, order and augmentation.")] = 0,
     device: Annotated[str, option("auto|cpu|N", "Device to train on; N is the number of a GPU.")] = "auto",
     backend: Annotated[str, option("libreyolo|ultralytics", "Library to train with.")] = "libreyolo",
+    weights: Annotated[
+        Path | None, file("Weights to start from, such as COCO's; with ultralytics (default: random).")
+    ] = None,
     preset: BoxesOption = None,
 ) -> None:
-    """Train a YOLO from random weights on the labelled boxes of DATA."""
+    """Train a YOLO on the labelled boxes of DATA."""
     from foreglow.config import validated
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.yolo import YoloConfig, train_yolo
 
     fields = {"backend": backend, "size": size, "epochs": epochs, "batch": batch, "seed": seed, "device": device}
-    config = validated(YoloConfig, fields | {"image_size_px": image_size}, "yolo train")
+    config = validated(YoloConfig, fields | {"image_size_px": image_size, "weights": str(weights or "")}, "yolo train")
     with StepProgress() as progress:
         run = train_yolo(data, out, config, preset_name=preset, progress=progress.of("images exported"))
     millions, billions = run.results.num_parameters / 1e6, run.results.num_multiply_adds / 1e9

@@ -121,6 +121,7 @@ def config_to_toml(config: PipelineConfig) -> str:
     model = "model.onnx"
     score_threshold = 0.5
     num_threads = 1
+    device = "cpu"
     """
     # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
     sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)

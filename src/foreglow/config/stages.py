@@ -126,12 +126,14 @@ class ClassifierConfig(FrozenModel):
             the value in the model's metadata, or the paper's M = 2 if there is none.
         score_threshold: A proposal is accepted if its score is above this.
         num_threads: Threads used for inference.
+        device: `cpu`, or `cuda` for a GPU where ONNX Runtime has it.
     """
 
     model: Annotated[Path, Field(strict=False)] | None = None
     support: Annotated[int | None, Field(ge=1, le=16)] = None
     score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1
+    device: Literal["cpu", "cuda"] = "cpu"
 
 
 class DistanceConfig(FrozenModel):
@@ -143,6 +145,8 @@ class DistanceConfig(FrozenModel):
             the frame has none.
         heuristic: How the ranges of a box's pixels become the range of the box (paper); `road_surface` has its own
             rule.
+        all_pixels: Whether `maximum`, `minimum`, `mean` and `median` go by every pixel of the box, as the paper's,
+            instead of 3 x 3 of them.
         pitch: The body's pitch against the road: `fixed` takes the calibration's, `motion` adds that of
             `Frame.motion`, `markings` estimates it from the markings in the image.
         align: Whether `road_surface` corrects our pose on the road: yaw and lateral offset from the markings in the
@@ -153,6 +157,7 @@ class DistanceConfig(FrozenModel):
 
     estimator: str = "gp"
     heuristic: Literal["centre", "maximum", "minimum", "lowest", "mean", "median"] = "centre"
+    all_pixels: bool = False
     pitch: Literal["fixed", "motion", "markings"] = "fixed"
     align: bool = False
     model: Annotated[Path, Field(strict=False)] | None = None
@@ -177,8 +182,9 @@ class TrackerConfig(FrozenModel):
         use_looming: Whether the growth of boxes also contributes to the range, if our speed is known; off in all
             presets, since glare does not grow like lamps.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
-        enlargement: Boxes are enlarged by this factor before they are compared (p).
-        min_iou: A detection may take a track if the IoU of their enlarged boxes is above this (p).
+        enlargement: Boxes of detections are enlarged by this factor before they are compared with tracks (p).
+        enlarge_tracks: Whether boxes of tracks are enlarged as well; not in the paper.
+        min_iou: A detection may take a track if the IoU of these boxes is above this (p).
         range_gate: And if their ranges are at most this many standard deviations apart; infinity for no gate.
         merge_iou: A track without a detection ends if its IoU with another track is above this; 1 for never.
         compensate_yaw: Whether predicted boxes are shifted by our yaw rate, if camera and motion are known.
@@ -211,6 +217,7 @@ class TrackerConfig(FrozenModel):
     use_looming: bool = False
     association: Literal["greatest_iou", "optimal"] = "greatest_iou"
     enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5
+    enlarge_tracks: bool = False
     min_iou: Annotated[float, Field(ge=0, lt=1)] = 0.1
     range_gate: Annotated[float, Field(gt=0, allow_inf_nan=True)] = inf
     merge_iou: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -247,6 +254,7 @@ OUR_TRACKER = TrackerConfig(
     clock="time",
     association="optimal",
     enlargement=2.0,
+    enlarge_tracks=True,
     merge_iou=0.5,
     compensate_yaw=True,
     max_misses=6,

@@ -1,16 +1,16 @@
 """From the ranges of a box's pixels to the range of the box: the paper's heuristics.
 
-`maximum`, `minimum`, `mean` and `median` use 3 x 3 sample points instead of every pixel, evenly spread from the centre
-of the first pixel to that of the last one along both axes. Ranges change smoothly over a box: the extremes of GP are at
-these points; an extreme of PSD may lie between them and be off by a few per cent in boxes of 20 pixels; mean and median
-weigh the rim a little more than all pixels would.
+`maximum`, `minimum`, `mean` and `median` use 3 x 3 sample points instead of every pixel (`all_pixels`), evenly spread
+from the centre of the first pixel to that of the last one along both axes. Ranges change smoothly over a box: the
+extremes of GP are at these points; an extreme of PSD may lie between them and be off by a few per cent in boxes of 20
+pixels; mean and median weigh the rim a little more than all pixels would.
 
 Source: Ewecker et al., arXiv 2107.11302, distance estimation (the heuristics; the sample points are ours).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -36,6 +36,11 @@ class Heuristic:
     shares: Floats
     reduce: Reduction
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it goes by a sample of the box's pixels, in place of all of them."""
+        return len(self.shares) > 1
+
     def pixels(self, boxes_xyxy_px: Boxes) -> Floats:
         """The sample points of the boxes, shape (N, K, 2), columns x and y, full-frame pixels.
 
@@ -45,6 +50,17 @@ class Heuristic:
         corners = boxes_xyxy_px.astype(np.float64)
         first, last = corners[:, None, :2] + 0.5, corners[:, None, 2:] - 0.5
         return np.asarray(first + self.shares * (last - first))
+
+
+def all_pixels(box_xyxy_px: Sequence[int]) -> Floats:
+    """The centres of all pixels of a box, shape (1, K, 2), columns x and y.
+
+    >>> all_pixels((10, 20, 12, 21)).tolist()
+    [[[10.5, 20.5], [11.5, 20.5]]]
+    """
+    x1, y1, x2, y2 = box_xyxy_px
+    grid = np.meshgrid(np.arange(x1, x2) + 0.5, np.arange(y1, y2) + 0.5)
+    return np.stack(grid, -1).reshape(1, -1, 2)
 
 
 def only(ranges_m: Floats, sigmas_m: Floats) -> tuple[Floats, Floats]:

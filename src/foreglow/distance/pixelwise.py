@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from foreglow.config import DistanceConfig
-from foreglow.distance.heuristics import HEURISTICS
+from foreglow.distance.heuristics import HEURISTICS, all_pixels
 from foreglow.distance.pitch import make_pitch_source
 from foreglow.geometry import Floats
 from foreglow.rays import RayCaster, Rays, calibrated
@@ -20,6 +20,7 @@ class PixelwiseEstimator(ABC):
     def __init__(self, config: DistanceConfig) -> None:
         """Raises ValueError if there is no source of the pitch that `config` asks for."""
         self._heuristic = HEURISTICS[config.heuristic]
+        self._uses_all_pixels = config.all_pixels and self._heuristic.is_sampled
         self._pitch = make_pitch_source(config.pitch)
         self._caster = RayCaster()
 
@@ -30,12 +31,20 @@ class PixelwiseEstimator(ABC):
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
         camera = calibrated(frame)
-        pixels = self._heuristic.pixels(detections.boxes_xyxy_px)
         pitch = self._pitch.pitch(frame)
-        rays = self._caster.cast(camera, pixels.reshape(-1, 2), pitch.rad, pitch.sigma_rad)
-        ranges_m, sigmas_m = self.pixel_ranges(frame, rays)
-        shape = pixels.shape[:2]
-        return Ranges(detections, *self._heuristic.reduce(ranges_m.reshape(shape), sigmas_m.reshape(shape)))
+
+        def box_ranges(pixels: Floats) -> tuple[Floats, Floats]:
+            rays = self._caster.cast(camera, pixels.reshape(-1, 2), pitch.rad, pitch.sigma_rad)
+            ranges_m, sigmas_m = self.pixel_ranges(frame, rays)
+            shape = pixels.shape[:2]
+            return self._heuristic.reduce(ranges_m.reshape(shape), sigmas_m.reshape(shape))
+
+        if not self._uses_all_pixels:
+            return Ranges(detections, *box_ranges(self._heuristic.pixels(detections.boxes_xyxy_px)))
+        # Boxes differ in their number of pixels.
+        boxes = [box_ranges(all_pixels(box)) for box in detections.boxes_xyxy_px.tolist()]
+        ranges_m, sigmas_m = zip(no_ranges(0), *boxes, strict=True)
+        return Ranges(detections, np.concatenate(ranges_m), np.concatenate(sigmas_m))
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""

@@ -1,4 +1,6 @@
-"""Predicted boxes from a file: a `frames.jsonl`, or the JSON of the published code, which is also written here."""
+"""Predicted boxes from a file: a `frames.jsonl`, COCO's results, or the JSON of the published code, which is also
+written here.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, RootModel
+from pydantic import BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from foreglow.datasets.json_files import read_json
@@ -74,8 +76,24 @@ class _PlainFile(RootModel[dict[str, list[Box]]]):
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-class _PublishedFile(RootModel[dict[str, Any]]):
-    """Either of the two."""
+class _CocoBox(BaseModel):
+    """An entry of COCO's results: x, y, width and height of a box."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    image_id: Annotated[int, Field(ge=0)]
+    bbox: Annotated[
+        tuple[float, float, Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], Field(strict=False)
+    ]
+    score: Annotated[float, Field(ge=0, le=1)]
+
+
+class _CocoFile(RootModel[list[_CocoBox]]):
+    """COCO's results: a box an entry, in any order."""
+
+
+class _JsonFile(RootModel[dict[str, Any] | list[Any]]):
+    """Any of the three."""
 
 
 def read_predictions(path: Path | str) -> Predictions:
@@ -84,7 +102,8 @@ def read_predictions(path: Path | str) -> Predictions:
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
     `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, `direct` and `light_kinds` in any.
     Any other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as
-    the published code writes.
+    the published code writes; or COCO's results, of which all categories count, a JSON list of
+    `{"image_id": ..., "bbox": [x, y, width, height], "score": ...}`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -125,7 +144,9 @@ def _from_lines(path: Path) -> Predictions:
 
 
 def _from_published(path: Path) -> Predictions:
-    entries = read_json(path, _PublishedFile).root
+    entries = read_json(path, _JsonFile).root
+    if isinstance(entries, list):
+        return _from_coco(path)
     is_scored = not entries or any(isinstance(entry, dict) for entry in entries.values())
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
@@ -145,6 +166,20 @@ def _from_published(path: Path) -> Predictions:
         except ValueError as error:
             raise ValueError(f"{path}: {key}: {error}") from error
     return Predictions(boxes, scores, is_scored)
+
+
+def _from_coco(path: Path) -> Predictions:
+    found: dict[int, list[_CocoBox]] = {}
+    for entry in read_json(path, _CocoFile).root:
+        found.setdefault(entry.image_id, []).append(entry)
+    corners = {
+        image_id: [[x, y, x + width, y + height] for x, y, width, height in (entry.bbox for entry in entries)]
+        for image_id, entries in found.items()
+    }
+    return Predictions(
+        {image_id: np.array(boxes, np.float64) for image_id, boxes in corners.items()},
+        {image_id: np.array([entry.score for entry in entries]) for image_id, entries in found.items()},
+    )
 
 
 def _as_boxes(boxes: list[Box]) -> NDArray[np.float64]:

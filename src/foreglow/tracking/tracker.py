@@ -123,13 +123,14 @@ class AlphaBetaTracker:
         states, config = self._states, self._config
         if not (len(states) and len(found)):
             return np.full(len(states), UNASSIGNED)
-        overlap = self._overlaps(found.values, found.sigmas_m, config.enlargement)
+        enlargements = (config.enlargement if config.enlarge_tracks else 1.0, config.enlargement)
+        overlap = self._overlaps(found.values, found.sigmas_m, enlargements)
         return self._assign(overlap, config.min_iou)
 
-    def _overlaps(self, values: Floats, sigmas_m: Floats, enlargement: float = 1.0) -> Floats:
-        """Overlap of each track with each of the boxes `values`; 0 where their ranges are too far apart."""
+    def _overlaps(self, values: Floats, sigmas_m: Floats, enlargements: tuple[float, float] = (1.0, 1.0)) -> Floats:
+        """Overlap of each track with each box of `values`, both enlarged; 0 where their ranges are too far apart."""
         states, gate = self._states, self._config.range_gate
-        overlap = overlaps(corners(states.values, enlargement), corners(values, enlargement))
+        overlap = overlaps(corners(states.values, enlargements[0]), corners(values, enlargements[1]))
         if np.isfinite(gate):
             ranges_m = (states.values[:, RANGE], values[:, RANGE])
             overlap[is_range_apart(ranges_m, (states.sigmas_m, sigmas_m), gate)] = 0.0

@@ -20,13 +20,13 @@ BOXES = np.array([HERE, THERE])
 
 
 def tracks_of(*rows: tuple[int, TrackState, int]) -> Tracks:
-    """Rows of id, state and place of the detection."""
+    """Rows of id, state and index of the detection; the box of track 0 is here, those of others are there."""
     count = len(rows)
-    ids, states, places = np.array(rows, np.int64).reshape(-1, 3).T
+    ids, states, detections = np.array(rows, np.int64).reshape(-1, 3).T
     ones, zeros = np.ones(count, np.int64), np.zeros(count)
-    boxes = np.tile([0.0, 0.0, 1.0, 1.0], (count, 1))
+    boxes = np.where(ids[:, None] == 0, HERE, THERE)
     unknown = np.full(count, np.nan)
-    return Tracks(ids, states, boxes, zeros, ones, ones, zeros, unknown, unknown, places)
+    return Tracks(ids, states, boxes, zeros, ones, ones, zeros, unknown, unknown, detections)
 
 
 def matched(
@@ -50,6 +50,16 @@ def test_first_confirmation_and_false_tracks() -> None:
     (vehicle,) = one.vehicles
     assert (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.num_frames) == (0.0, 1.0, 0.0, 2.0)
     assert (one.num_plausible, one.num_false, one.duration_s) == (2, 1, 2.0)
+
+
+def test_the_box_of_a_plausible_track_must_hold_the_light() -> None:
+    """Its detection held the light before; its own box does so in the second image only."""
+    (one,) = matched(
+        {0: [light(0, 55, 5)], 1: [light(1, 5, 5)]},
+        {0: tracks_of((0, CONFIRMED, 1)), 1: tracks_of((0, COASTING, -1))},
+    )
+    (vehicle,) = one.vehicles
+    assert (vehicle.found_s, vehicle.num_frames, one.num_false) == (0.5, 1.0, 0)
 
 
 def test_tentative_tracks_are_not_false() -> None:

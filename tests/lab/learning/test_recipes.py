@@ -30,7 +30,7 @@ def test_the_published_recipe() -> None:
         0.9,
         5,
     )
-    assert (paper.positive_weight, paper.best_by) == ("balanced", "loss")
+    assert (paper.positive_weight, paper.best_by, paper.calibration) == ("balanced", "loss", "none")
     augmentation = paper.augmentation
     assert (augmentation.flip, augmentation.rotation_deg, augmentation.min_area) == (0.5, 20.0, 0.8)
     assert (augmentation.max_ratio, augmentation.gamma, augmentation.normalise) == (1.5, 0.2, True)

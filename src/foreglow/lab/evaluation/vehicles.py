@@ -197,8 +197,8 @@ class SequenceTracks:
         num_false: Those of them that never held a light, neither labelled nor doubtful, as long as they lived.
         empty_s: Time in images without any vehicle's light, labelled or doubtful.
         num_false_empty: Those false ones that first were plausible in such an image: nobody was there at all.
-        vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the first
-            track that has held a light of it is plausible.
+        vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the box of
+            a plausible track first holds a light of it, as in the paper.
     """
 
     sequence_id: int
@@ -234,12 +234,10 @@ def _match_sequence(
     """What the tracks of one sequence, with its images in the order of time, are worth."""
     plausible: dict[int, int] = {}  # by track, the image in which it first was
     lit: set[int] = set()  # tracks that have held any light
-    vehicles_of: dict[int, set[int]] = {}  # by track
     firsts: dict[int, dict[str, float]] = {}  # by vehicle, times and indices of images
     for index, image_id in enumerate(image_ids):
         in_image, now_s = tracks[image_id], labels.time_s[image_id]
-        plausible_now = set(in_image.ids[in_image.is_plausible].tolist())
-        plausible = dict.fromkeys(plausible_now, image_id) | plausible
+        plausible = dict.fromkeys(in_image.ids[in_image.is_plausible].tolist(), image_id) | plausible
         is_detected = in_image.detections >= 0
         ids = in_image.ids[is_detected].tolist()
         boxes = boxes_xyxy_px[image_id][in_image.detections[is_detected]]
@@ -251,14 +249,12 @@ def _match_sequence(
                 first = firsts.setdefault(light.vehicle_id, {"light": now_s, "light_index": index})
                 if light.is_direct:
                     first.setdefault("lamp", now_s)
-        for point, box in _held(points_px, boxes):
-            light, track_id = lights[point], ids[box]
-            lit.add(track_id)
-            if not light.is_rear:
-                vehicles_of.setdefault(track_id, set()).add(light.vehicle_id)
-        for vehicle_id in set().union(*(vehicles_of.get(track_id, ()) for track_id in plausible_now)):
-            firsts[vehicle_id].setdefault("found", now_s)
-            firsts[vehicle_id].setdefault("found_index", index)
+        lit |= {ids[box] for _, box in _held(points_px, boxes)}
+        for point, _ in _held(points_px, in_image.boxes_xyxy_px[in_image.is_plausible]):
+            if not lights[point].is_rear:
+                first = firsts[lights[point].vehicle_id]
+                first.setdefault("found", now_s)
+                first.setdefault("found_index", index)
     sequence_id = labels.sequence_of[image_ids[0]]
     false = plausible.keys() - lit
     return SequenceTracks(

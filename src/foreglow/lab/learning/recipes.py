@@ -137,6 +137,7 @@ RECIPES: dict[str, Recipe] = {
         weight_decay=0.01,
         schedule="plateau",
         augmentation=Augmentation(flip=0.5, rotation_deg=20.0, min_area=0.8, max_ratio=1.5, gamma=0.2, normalise=True),
+        calibration="none",
     ),
     "foreglow": Recipe(
         network="compact",

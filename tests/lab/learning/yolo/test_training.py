@@ -167,6 +167,20 @@ def test_a_library_that_is_not_installed_is_missed_at_once(
     assert not (tmp_path / "run").exists()
 
 
+def test_given_weights_are_started_from(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    calls = Calls("")
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(calls))
+    weights = tmp_path / "yolov5su.pt"
+    with pytest.raises(FileNotFoundError, match=r"yolov5su\.pt: no such file, expected weights to start from"):
+        train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(weights)))
+    weights.write_bytes(b"")
+    train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(weights)))
+    assert calls.made[0] == (str(weights),)
+    assert calls.trained[0]["pretrained"] is True
+    with pytest.raises(ValueError, match="weights: expected none with libreyolo"):
+        config("libreyolo", weights=str(weights))
+
+
 def test_unknown_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
     with pytest.raises(ValueError, match="size: expected one of n, s, m, l, x for ultralytics, got 't'"):

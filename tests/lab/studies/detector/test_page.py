@@ -95,6 +95,7 @@ def test_numbers_and_their_ceilings() -> None:
     row = RowResult(
         name="paper",
         title="Paper",
+        image_size_px=(640, 480),
         num_parameters=941761,
         num_multiply_adds=195_421_568,
         num_multiply_adds_frame=1.4e9,
@@ -105,7 +106,7 @@ def test_numbers_and_their_ceilings() -> None:
     )
     (cells,) = main_table([row]).rows
     assert cells == [
-        *("Paper", "942 k", "195 M", "1.4 G", "1.23 ± 0.50", "1.00", "250"),
+        *("Paper", "640x480", "942 k", "195 M", "1.4 G", "1.23 ± 0.50", "1.00", "250"),
         *(".500 (1.00)", "– (.500)", ".500 (.500)", ".500 (–)", ".500 ± .250 (.500)", ".500 ± .000 (.500)", "2.50"),
     ]
 

@@ -14,10 +14,18 @@ from foreglow.config import PRESETS, preset
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
-from foreglow.lab.studies.detector.models import ROWS, DetectorPlan, missing_reason, split_digest
+from foreglow.lab.studies.detector.models import (
+    ROWS,
+    DetectorPlan,
+    Workspace,
+    classifier_model,
+    missing_reason,
+    split_digest,
+)
 from foreglow.lab.studies.detector.page import choose, pictures
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
+from foreglow.proposals.reference import ReferenceProposer
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
 
@@ -50,6 +58,12 @@ def without_times(results: DetectorResults) -> dict[str, Any]:
     for row in document["rows"]:
         row["run_time_ms"] = row["examination"]["run_time_ms"] = None
     return document
+
+
+def test_the_published_weights_run_on_the_boxes_of_the_baseline(tmp_path: Path) -> None:
+    plan = DetectorPlan(rows=("published",), given=given(tmp_path, "published"), may_train=False)
+    config, _ = classifier_model("published", Workspace(tmp_path, tmp_path / "out", plan))
+    assert config.proposals == preset("baseline").proposals != preset("paper").proposals
 
 
 def test_a_row_of_a_given_model(tmp_path: Path) -> None:
@@ -167,9 +181,15 @@ def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     results = run_experiment(data, tmp_path / "out", plan)
     paper, yolo = results.rows
     assert yolo.note == (
-        "libreyolo, size s, 64 px, 3 epochs (paper: 960 px and 300 epochs), boxes: preset paper, seed 1"
+        "libreyolo, size s, 64 px, 3 epochs (paper: 960 px; its repository: 200 epochs from COCO weights), "
+        "boxes: preset paper, seed 1"
     )
     assert yolo.ceiling == paper.ceiling
+    first = next(iter(PVDN(data / "test"))).image
+    stages = ReferenceProposer(preset("paper").proposals).stages(first)
+    assert stages is not None
+    assert paper.image_size_px == stages.blurred.shape[::-1]
+    assert yolo.image_size_px == (64, 64)
     assert (yolo.num_parameters, yolo.num_multiply_adds) == (8, 64 * 64 * 6)
     assert (yolo.num_boxes, yolo.num_proposals) == (1, 2)  # scores 0.75 and 0.25 in every image
     (trained,) = calls.trained

@@ -29,12 +29,14 @@ def test_the_folder(results: DistanceResults, tmp_path: Path) -> None:
     assert report == tmp_path / "out" / "report.html"
     figures = {"methods", "series", "range", "localisation", "terrain", "pitch", "heuristics_gp", "heuristics_psd_2d"}
     files = {"report.html", "results.json", "lights.csv", "config.toml", "tables.md"}
-    assert {path.name for path in report.parent.iterdir()} == files | {f"{name}.png" for name in figures}
+    assert {path.name for path in report.parent.iterdir()} == files | {f"{name}.png" for name in figures} | {
+        "lidar.jpg"
+    }
     assert read_config(report.parent / "config.toml") == preset("foreglow")
     record = json.loads((report.parent / "results.json").read_text())
     assert (record["num_lights"], record["made_with"]["seed"], len(record["findings"])) == (12, 1, len(find(results)))
     page = report.read_text()
-    assert page.count("<img ") == len(figures)
+    assert page.count("<img ") == len(figures) + 1
     assert "positive where the light seems too far" in page
     assert "paper +0.12" in page
 

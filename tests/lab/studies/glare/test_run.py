@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Never
 
 import numpy as np
 import pytest
@@ -25,8 +26,10 @@ from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, ex
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
 from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
+from foreglow.parallel import Local
 from foreglow.photometry import NUM_LEDS, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
+from tests.lab.studies.detector_data import make_model
 
 pytestmark = [pytest.mark.renderer, pytest.mark.slow]
 
@@ -209,6 +212,40 @@ def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkey
     assert summary_lines(experiment.results)[0].startswith("tests.test_plugins:AllLight: glare dose of ")
     setting_run = read_glare_drive(tmp_path / "out" / "drives" / "S00001.npz").runs[setting.name]
     assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
+
+
+def test_the_papers_car_has_its_whole_chain(tmp_path: Path) -> None:
+    """Its detector accepts above 0.5 and all of its boxes, ours above 0.24; without its model it has ours."""
+    pytest.importorskip("onnx")
+    model = make_model(tmp_path / "all.onnx")
+    for given, threshold in ((model, 0.5), (None, 0.24)):
+        plan = GlarePlan(quality="fast", paper_model=given)
+        paper, ours = next(plan.drives(plan.delays.known_to(config())).pairs(scene()))
+        assert paper.result.detections is not None
+        assert ours.result.detections is not None
+        assert paper.result.detections.score_threshold == threshold
+        assert ours.result.detections.score_threshold == 0.24
+        assert len(paper.command.levels) == 2
+
+
+def test_a_folder_is_of_one_paper_chain(tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    scenes, out, model = write_scenes_of(tmp_path, scene()), tmp_path / "out", make_model(tmp_path / "all.onnx")
+
+    def begin(paper_model: Path | None) -> None:
+        plan = GlarePlan(quality="fast", paper_model=paper_model)
+        run_experiment(scenes, config(), plan, out, workers=Stopped(), progress=lambda *_: None)
+
+    for given in (None, None):
+        with pytest.raises(KeyboardInterrupt):
+            begin(given)
+    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+        begin(model)
 
 
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:

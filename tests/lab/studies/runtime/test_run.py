@@ -17,6 +17,7 @@ from foreglow.lab.studies.runtime import run as runtime
 from foreglow.lab.studies.runtime.page import summary_lines, write_report
 from foreglow.lab.studies.runtime.run import COMPLETE, KINDS, PARTS, NetworkTimes, frames_by_proposals, run_experiment
 from tests.cli.commands import complaint, foreglow_command, names
+from tests.lab.studies.detector_data import make_data, make_model
 
 pytestmark = pytest.mark.slow
 
@@ -88,9 +89,27 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert written["missing"].keys() == {"ROS 2, one node", "ROS 2, five processes"}
     text = report.read_text()
     assert "rclpy is not installed" in text
+    assert "mean of CP" in text
+    assert written["networks"][0]["parts_ms"]["CP"]["mean"] == 1.5
+    assert written["networks"][1]["parts_ms"]["CP"]["mean"] == 90.0  # of the frames that were not lost
+    assert "| paper, with a GPU, on PVDN | 7030 |" in text
     assert "| 0 to 9 | 1 | 1.00 | 1.00 |" in text
     assert (tmp_path / "frames.csv").read_text().splitlines()[1] == "one,0,3,1.0000"
     assert "100.00% within 55.6 ms, 0 dropped" in summary_lines(results)[0]
+
+
+def test_the_papers_whole_chain_has_a_row(tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    pytest.importorskip("matplotlib")
+    data, model = make_data(tmp_path / "data"), make_model(tmp_path / "all.onnx")
+    out = tmp_path / "out"
+    arguments = ("experiment", "runtime", data, "--out", out, "--on", "process", "--paper-model", model)
+    done = foreglow_command(*arguments)
+    assert done.exit_code == 0, done.output
+    ours, paper = json.loads((out / "results.json").read_text())["networks"]
+    assert (ours["name"], paper["name"]) == ("in process", "in process, paper's whole chain")
+    assert paper["num_frames"] == ours["num_frames"]
+    assert paper["parts_ms"].keys() == ours["parts_ms"].keys() == {"CP", "PG", "PC", "OT", "BC"}  # not calibrated
 
 
 @pytest.mark.ros

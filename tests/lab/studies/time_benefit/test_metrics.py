@@ -11,7 +11,7 @@ from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, shipped_drive
 from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.vehicles import Encounter, first_found, read_encounters
-from foreglow.lab.studies.time_benefit.metrics import detection_times_s, time_benefit
+from foreglow.lab.studies.time_benefit.metrics import detection_times_s, mean_timeline, time_benefit
 from tests.datasets.tiny_pvdn import labelled_vehicle, make_pvdn, write
 from tests.lab.evaluation.scored_boxes import predictions_of
 
@@ -86,3 +86,13 @@ def test_no_encounter() -> None:
     result = time_benefit("tracker", [], [])
     assert (result.delays_s.num, result.num_missed) == (0, 0)
     assert math.isnan(result.provident_share)
+
+
+def test_the_timeline_is_of_the_vehicles_that_all_detect() -> None:
+    encounters = [encounter(1.0, 2.0, 4.0), encounter(3.0, 3.0, 4.0), encounter(2.0, 4.0, NAN)]
+    rows = {"tracker": [1.5, 4.0, 9.0], "production system": [4.0, 4.0, NAN]}
+    methods = [time_benefit(name, encounters, detected_s) for name, detected_s in rows.items()]
+    assert mean_timeline(encounters, methods) == (2, {"tracker": 0.75, "production system": 2.0})
+    num, times_s = mean_timeline(encounters[2:], [time_benefit("tracker", encounters[2:], [NAN])])
+    assert num == 0
+    assert math.isnan(times_s["tracker"])

@@ -7,11 +7,13 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from foreglow.config import TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.files import to_json
+from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.lab.studies.time_benefit.metrics import FalseTracks, Method, least_delay_s, time_benefit
 from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
 from foreglow.lab.studies.time_benefit.run import (
@@ -23,13 +25,14 @@ from foreglow.lab.studies.time_benefit.run import (
 )
 from foreglow.pipeline import Pipeline
 from tests.datasets.tiny_pvdn import make_pvdn, write
+from tests.lab.studies.detector_data import make_model
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(name="results", scope="module")
 def fixture_results() -> TimeBenefitResults:
-    return run_experiment(PVDN(shipped_drive()), preset("foreglow"))
+    return run_experiment([PVDN(shipped_drive())], preset("foreglow"))
 
 
 def test_every_method_has_a_row(results: TimeBenefitResults) -> None:
@@ -57,6 +60,29 @@ def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResul
     assert false.num <= false.num_plausible
     assert false.minutes == pytest.approx(len(dataset) / 18.0 / 60.0)
     assert 0.03 < false.km < 0.2
+
+
+def test_splits_are_pooled(tmp_path: Path) -> None:
+    """The drive and a second split, PVDN's layout alone; what either has alone stays as it is."""
+    root = make_pvdn(tmp_path)
+    alone = [run_experiment([dataset], preset("foreglow")) for dataset in (PVDN(shipped_drive()), PVDN(root))]
+    pooled = run_experiment([PVDN(shipped_drive()), PVDN(root)], preset("foreglow"))
+    assert pooled.num_sequences == sum(results.num_sequences for results in alone)
+    assert pooled.name == " and ".join(results.name for results in alone)
+    for name in ("single frame", "tracker, ours", "production system"):
+        detected_s = [time_s for results in alone for time_s in results.method(name).benefit.detected_s]
+        np.testing.assert_array_equal(pooled.method(name).benefit.detected_s, detected_s)
+    falses = [results.method("tracker, ours").false for results in (pooled, *alone)]
+    numbers = [false.num_plausible for false in falses if false is not None]
+    assert numbers[0] == numbers[1] + numbers[2]
+    assert len({met.sequence for met in pooled.encounters}) == len(pooled.encounters)
+
+
+def test_a_tracker_waits_after_a_single_frame(results: TimeBenefitResults) -> None:
+    (single_s,) = results.method("single frame").benefit.detected_s
+    (tracker_s,) = results.method("tracker, paper").benefit.detected_s
+    assert results.method("tracker, paper").plausibility_s == (tracker_s - single_s,)
+    assert results.method("human").plausibility_s == ()
 
 
 def test_more_frames_confirm_later_and_less(results: TimeBenefitResults) -> None:
@@ -89,12 +115,12 @@ def test_a_set_without_a_vehicle(tmp_path: Path) -> None:
     for path in (root / "labels/keypoints").glob("*.json"):
         write(path, {"image_id": int(path.stem), "annotations": []})
     with pytest.raises(ValueError, match="expected a vehicle whose light is annotated, found none"):
-        run_experiment(PVDN(root), preset("foreglow"))
+        run_experiment([PVDN(root)], preset("foreglow"))
 
 
 def test_a_configuration_without_a_model() -> None:
     with pytest.raises(ValueError, match=r"classifier\.model: expected one, the configuration has none"):
-        run_experiment(PVDN(shipped_drive()), preset("paper"))
+        run_experiment([PVDN(shipped_drive())], preset("paper"))
 
 
 def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
@@ -103,10 +129,15 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "results.json", "config.toml", "sequences.csv", "report.md", "benefit.png", "sequences.png", "confirmation.png",
+        "timeline.png",
     }  # fmt: skip
     text = report.read_text()
     assert "| tracker, ours |" in text
     assert "| S00001 | curve | car |" in text
+    assert "| single frame, paper on PVDN | – | 2.10 |" in text
+    category_s = results.categories["6, first trigger low beam"][0]
+    assert category_s == results.encounters[0].production_s
+    assert f"| 6, first trigger low beam | 1 | {category_s - results.encounters[0].light_s:.2f} |" in text
     (row,) = csv.DictReader((tmp_path / "sequences.csv").read_text().splitlines())
     assert float(row["light_s"]) == pytest.approx(results.encounters[0].light_s, abs=1e-4)
     stored = json.loads((tmp_path / "results.json").read_text())
@@ -123,7 +154,7 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     vehicle = {"pos": [20, 30], "oid": 7, "direct": True, "instances": [lamp]}
     for image_id in (11, 12, 13):
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
-    results = run_experiment(PVDN(root), preset("foreglow"))
+    results = run_experiment([PVDN(root)], preset("foreglow"))
     one = next(encounter for encounter in results.encounters if encounter.sequence == "S00003")
     assert (one.vehicle, one.scenario, one.production_s) == ("vehicle", "", 2 / 18)
     false = results.method("tracker, ours").false
@@ -138,8 +169,26 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
 def test_a_tracker_of_ones_own_has_a_row() -> None:
     own = TrackerConfig(min_hits=2)
     config = preset("foreglow").model_copy(update={"tracker": own})
-    results = run_experiment(PVDN(shipped_drive()), config)
+    results = run_experiment([PVDN(shipped_drive())], config)
     two_frames, five_frames = (results.method(name).false for name in ("tracker, configured", "tracker, paper"))
     assert two_frames is not None
     assert five_frames is not None
     assert two_frames.num_plausible > five_frames.num_plausible
+
+
+def test_the_papers_whole_chain_has_rows(tmp_path: Path) -> None:
+    """Its model accepts every proposal; all other rows stay as they are without it."""
+    pytest.importorskip("onnx")
+    root = make_pvdn(tmp_path)
+    alone = run_experiment([PVDN(root)], preset("foreglow"))
+    both = run_experiment([PVDN(root)], preset("foreglow"), paper=paper_chain(make_model(tmp_path / "all.onnx")))
+    names = [method.benefit.name for method in both.methods]
+    assert [name for name in names if name not in {one.benefit.name for one in alone.methods}] == [
+        "single frame, paper's whole chain", "tracker, paper's whole chain",
+    ]  # fmt: skip
+    for method in alone.methods:
+        np.testing.assert_array_equal(both.method(method.benefit.name).benefit.detected_s, method.benefit.detected_s)
+    pytest.importorskip("matplotlib")
+    assert "| tracker, paper's whole chain |" in write_report(both, tmp_path / "report").read_text()
+    with pytest.raises(FileNotFoundError, match=r"none\.onnx: no such model, given with --paper-model"):
+        paper_chain(tmp_path / "none.onnx")

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
 
@@ -46,6 +46,7 @@ class YoloConfig(FrozenModel):
         batch: Images in one step.
         seed: Seed of the initial weights, the order and the augmentation.
         device: `auto`, `cpu`, or the number of a GPU such as `0`.
+        weights: File of weights to start from, such as those that ultralytics trained on COCO; empty for random ones.
     """
 
     backend: Literal["libreyolo", "ultralytics"] = "libreyolo"
@@ -55,6 +56,13 @@ class YoloConfig(FrozenModel):
     batch: Annotated[int, Field(ge=1, le=4096)] = 16
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     device: Annotated[str, Field(pattern=r"^(auto|cpu|\d+)$")] = "auto"
+    weights: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> YoloConfig:
+        if self.weights and self.backend != "ultralytics":
+            raise ValueError(f"weights: expected none with {self.backend}, only ultralytics starts from given ones")
+        return self
 
 
 class Detector(Protocol):
@@ -82,7 +90,7 @@ class Backend(ABC):
 
     @abstractmethod
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
-        """Trains from random weights, or continues a training in `folder`; returns the path of the best weights.
+        """Trains from random or the given weights, or continues a training in `folder`; returns the best weights' path.
 
         Raises:
             ValueError: If the library does not have this size, or a checkpoint in `folder` is broken.
@@ -165,7 +173,7 @@ class UltralyticsBackend(Backend):
         run = folder / "run"
         best, checkpoint = run / "weights" / "best.pt", run / "weights" / "last.pt"
         if not checkpoint.exists():
-            make_network(f"yolov5{config.size}.yaml").train(
+            make_network(config.weights or f"yolov5{config.size}.yaml").train(
                 **training_arguments(config, data_file, run), device=_device(config), plots=False
             )
         else:
@@ -200,7 +208,7 @@ def training_arguments(config: YoloConfig, data_file: Path, run: Path) -> dict[s
         "project": str(run.parent.resolve()),
         "name": run.name,
         "exist_ok": True,
-        "pretrained": False,
+        "pretrained": bool(config.weights),
         "epochs": config.epochs,
         "batch": config.batch,
         "imgsz": config.image_size_px,

@@ -201,7 +201,17 @@ def _page(results: DetectorResults) -> Page:
 
 def main_table(rows: Sequence[RowResult]) -> Table:
     """The paper's table: size, run-time and metrics, in parentheses those of the labelled boxes themselves."""
-    head = ["parameters", "multiply-adds", "a frame", "ms a frame", "median", "p99", *METRICS.values(), "boxes a frame"]
+    head = [
+        "image",
+        "parameters",
+        "multiply-adds",
+        "a frame",
+        "ms a frame",
+        "median",
+        "p99",
+        *METRICS.values(),
+        "boxes a frame",
+    ]
     return _table(head, rows, _main_cells)
 
 
@@ -275,7 +285,8 @@ def _main_cells(row: RowResult) -> Cells:
         rates.append(f"{_rate(quality[name])}{spread} ({_rate(row.ceiling[name])})")
     counts = (row.num_parameters, row.num_multiply_adds, row.num_multiply_adds_frame)
     times_ms = (f"{_ms(times['mean'])} ± {_ms(times['std'])}", _ms(times["median"]), _ms(times["p99"]))
-    return [*map(count, counts), *times_ms, *rates, f"{row.num_boxes:.2f}"]
+    width_px, height_px = row.image_size_px
+    return [f"{width_px}x{height_px}", *map(count, counts), *times_ms, *rates, f"{row.num_boxes:.2f}"]
 
 
 def _groups(row: RowResult) -> dict[tuple[str, str], dict[str, Any]]:

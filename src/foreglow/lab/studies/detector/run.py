@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from foreglow.config import preset
+from foreglow.config import ProposalConfig, preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import to_json, write_atomic
@@ -43,8 +43,10 @@ from foreglow.lab.studies.detector.models import (
 from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
 from foreglow.proposals import make_proposer
+from foreglow.proposals.reference import working_sizes
 from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
+from foreglow.types import Frame
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress
@@ -59,6 +61,7 @@ class RowResult(Record):
         reason: Why it could not be made; None if it was. All below are empty then.
         key: Digest of what decides its figures.
         note: How the model came about.
+        image_size_px: Width and height of the image that proposals are found in, or of a YOLO's.
         num_multiply_adds: For one crop, or for one image of a YOLO.
         num_multiply_adds_frame: For one frame: a crop's times the mean number of proposals, or a YOLO's.
         run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
@@ -73,6 +76,7 @@ class RowResult(Record):
     reason: str | None = None
     key: str = ""
     note: str = ""
+    image_size_px: Annotated[tuple[int, int], Field(strict=False)] = (0, 0)
     num_parameters: int = 0
     num_multiply_adds: int = 0
     num_multiply_adds_frame: float = 0.0
@@ -162,13 +166,15 @@ def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, la
     assert config.classifier.model is not None
     counts = count_model(config.classifier.model)
     pipeline = Pipeline(config.detector_only)
-    pipeline.step(dataset.read(dataset.frame_ids[0]))  # buffers are made with the first frame
+    first = dataset.read(dataset.frame_ids[0])
+    pipeline.step(first)  # buffers are made with the first frame
     progress, done = workspace.progress_of(f"{name}: images"), itertools.count(1)
     run = run_split(dataset, pipeline, progress and (lambda *_: progress(next(done), len(dataset))))
     row = _measured(name, run.predictions, run.total_ms, workspace, labels)
     return row.model_copy(
         update={
             "note": note,
+            "image_size_px": _working_size_px(config.proposals, first),
             "num_parameters": counts.num_parameters,
             "num_multiply_adds": counts.num_multiply_adds,
             "num_multiply_adds_frame": counts.num_multiply_adds * row.num_proposals,
@@ -187,12 +193,19 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
     return _measured(name, found.predictions, found.frame_ms, workspace, labels).model_copy(
         update={
             "note": yolo_note(trained),
+            "image_size_px": (trained.settings.training.image_size_px,) * 2,
             "num_parameters": trained.results.num_parameters,
             "num_multiply_adds": trained.results.num_multiply_adds,
             "num_multiply_adds_frame": float(trained.results.num_multiply_adds),
             "ceiling": _ceiling(_unscored(proposed), labels),
         }
     )
+
+
+def _working_size_px(config: ProposalConfig, frame: Frame) -> tuple[int, int]:
+    """Width and height of the reduced image, in which proposals are found."""
+    reduction = working_sizes(config, frame.width_px).reduction
+    return frame.width_px // reduction, frame.height_px // reduction
 
 
 def _measured(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.bootstrap import resampled
 from foreglow.lab.evaluation.boxes.breakdown import range_bins
 from foreglow.lab.evaluation.ratios import median, percentiles, share
-from foreglow.lab.studies.distance.run import TILTS_DEG, DistanceResults, Method
+from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, TILTS_DEG, DistanceResults, Method
 from foreglow.street import ERROR_BOUNDS_M
 
 NUM_RESAMPLES = 1000
@@ -28,6 +28,12 @@ REACH_M = 200.0
 
 PAPERS_GP = {"direct": 0.12, "indirect": -0.32}
 """Median relative error of GP. Source: Ewecker et al., arXiv 2107.11302."""
+
+PAPERS_MEAN_RANGE_M = {"direct": 83.0, "indirect": 63.0}
+"""Mean range of the lights there."""
+
+PAPERS_METHODS = ("gp", "psd_3d", "psd_3d_plus", "psd_2d")
+"""Its estimators, of which it finds GP the best."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +135,8 @@ class Finding:
 
     Attributes:
         axis: What the groups differ in: `range`, `reach`, `series`, `tracks`, `pitch`, `localisation`, `terrain`,
-            `kind`, or `vehicle`, where the truth is the range of the vehicle and not that of the light.
+            `kind`, or `vehicle` or `lidar`, where the truth is the range of the vehicle, or the median of the LiDAR's
+            depths in the box.
         light: `direct`, `indirect` or `all`.
         group: Within the axis, such as `30-60 m`; `all` of it.
     """
@@ -158,6 +165,46 @@ def light_sorts(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
     """Which of the lights are direct, indirect, and all of them; shape (N,) each."""
     is_direct = results.column("is_direct").astype(np.bool_)
     return {"direct": is_direct, "indirect": ~is_direct, ALL: np.ones_like(is_direct)}
+
+
+def beside_paper(results: DistanceResults, findings: Sequence[Finding]) -> Iterator[str]:
+    """What the paper states beside its medians, and whether it holds here: a line each."""
+    sorts = light_sorts(results)
+    means = (
+        f"{results.column('truth_m')[sorts[light]].mean():.0f} m {light} (paper {papers:.0f} m)"
+        for light, papers in PAPERS_MEAN_RANGE_M.items()
+        if sorts[light].any()
+    )
+    yield f"Mean range: {', '.join(means)}"
+    errors = {
+        (found.method.estimator, found.method.heuristic, found.light): found.errors
+        for found in findings
+        if found.axis == "range" and found.group == ALL and not math.isnan(found.errors.median_absolute)
+    }
+    for light in PAPERS_GP:
+        medians = {
+            name: errors[name, DEFAULT_HEURISTIC, light].median_absolute
+            for name in PAPERS_METHODS
+            if (name, DEFAULT_HEURISTIC, light) in errors
+        }
+        if len(medians) > 1 and "gp" in medians:
+            best = min(medians, key=lambda name: medians[name])
+            yield (
+                f"Of the paper's methods, {light} light: {best} has the least median absolute error, "
+                f"{medians[best]:.2f}; gp {medians['gp']:.2f}. {_verdict(best == 'gp')}, in which gp is the best"
+            )
+    centre, maximum = (errors.get(("gp", heuristic, "indirect")) for heuristic in (DEFAULT_HEURISTIC, "maximum"))
+    if centre is not None and maximum is not None:
+        is_better = maximum.median_absolute < centre.median_absolute
+        yield (
+            f"gp with the maximum of the box, indirect light: median {maximum.median:+.2f}, absolute "
+            f"{maximum.median_absolute:.2f}; with the centre {centre.median:+.2f}, {centre.median_absolute:.2f}. "
+            f"{_verdict(is_better)}, in which only the maximum improves it"
+        )
+
+
+def _verdict(holds: bool) -> str:
+    return "As in the paper" if holds else "This contradicts the paper"
 
 
 def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_]) -> Iterator[Finding]:
@@ -190,9 +237,14 @@ def _findings(results: DistanceResults, light: str, is_light: NDArray[np.bool_])
             for group, is_member in groups.items():
                 if (is_light & is_member).any():
                     yield Finding(axis, method, light, group, errors_of_group(method, is_member))
-    for method in main_methods:
-        to_vehicle = errors(results.ranges_m[method], None, results.column("vehicle_range_m"))
-        yield Finding("vehicle", method, light, ALL, to_vehicle)
+    for axis, column in {"vehicle": "vehicle_range_m", "lidar": "lidar_m"}.items():
+        others_m = results.column(column)
+        chosen = is_light & ~np.isnan(others_m)
+        for method in main_methods if not np.isnan(others_m).all() else ():
+            # A sigma is that of the range to the light, not to its vehicle.
+            its_sigmas_m = results.sigmas_m[method][chosen] if axis == "lidar" else None
+            to_other = summarise(others_m[chosen], results.ranges_m[method][chosen], its_sigmas_m)
+            yield Finding(axis, method, light, ALL, to_other)
     for main in main_methods:
         for tilt_deg in TILTS_DEG:
             method = dataclasses.replace(main, tilt_deg=tilt_deg)
@@ -211,6 +263,6 @@ def _groups(results: DistanceResults) -> Mapping[str, Mapping[str, NDArray[np.bo
     classes, scenarios, kinds = (results.column(name) for name in ("error_class", "scenario", "kind"))
     return {
         "localisation": {f"{bound:g} m": classes == number for number, bound in enumerate(ERROR_BOUNDS_M)},
-        "terrain": {str(name): scenarios == name for name in np.unique(scenarios)},
+        "terrain": {str(name): scenarios == name for name in np.unique(scenarios) if name},
         "kind": {str(name): kinds == name for name in np.unique(kinds)},
     }

@@ -7,29 +7,35 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from foreglow.config import config_to_toml
+from foreglow.display.tone import Tone
 from foreglow.geometry import Floats
-from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, box_plot, legend_above, png, subplots
+from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, box_plot, jpeg, legend_above, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number, percent, signed
+from foreglow.lab.studies.distance.lights import RangedLight, Sample
 from foreglow.lab.studies.distance.metrics import (
     ALL,
     PAPERS_GP,
     REACH_M,
     ErrorSummary,
     Finding,
+    beside_paper,
     find,
     light_sorts,
     relative_errors,
 )
-from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, DistanceResults, RangedLight
+from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, DistanceResults
 from foreglow.provenance import processor_name
 
 LIGHTS = {"direct": AMBER, "indirect": BLUE}
 CURVES = (AMBER, BLUE, "#4c9a57", "#9a4c8f", GREY, INK)
 WHISKERS = (5, 95)
 LIMITS = (-1.05, 2.5)
+DIRECT_BGR, INDIRECT_BGR = (80, 220, 80), (200, 100, 255)
+PICTURE_WIDTH_PX, JPEG_QUALITY = 1920, 85
 
 
 def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> list[Figure]:
@@ -59,6 +65,11 @@ def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> l
         Figure(_bars(findings, "terrain"), "By scenario", "terrain.png"),
         Figure(_pitch(findings), "Median relative error when the calibration's pitch is wrong by so much", "pitch.png"),
     ]
+    if results.example is not None:
+        words = (
+            "An image with the LiDAR's depths (brighter: farther), its lights' boxes (green: direct), and the depths"
+        )
+        figures.insert(0, Figure(_lidar_picture(results.example), words, "lidar.jpg"))
     for estimator in results.plan.estimators:
         methods_of = [method for method in results.methods if method.estimator == estimator]
         columns = {method.heuristic: ranges_m[method] for method in methods_of}
@@ -84,6 +95,24 @@ def _error_boxes(results: DistanceResults, columns: Mapping[str, Floats]) -> byt
     axes.set_xticks(positions, list(columns))
     figure.legend(handles, list(LIGHTS), frameon=False, loc="outside upper center", ncols=2)
     return png(figure)
+
+
+def _lidar_picture(sample: Sample) -> bytes:
+    """The image with depths drawn over it, with its lights' boxes, and the depths alone, side by side."""
+    assert sample.depth_m is not None
+    grey = Tone.of(sample.frame.image).apply(sample.frame.image)
+    panels = [np.repeat(grey[..., None], 3, axis=2) for _ in range(2)]
+    farthest_m = np.nan_to_num(sample.depth_m).max(initial=1.0)
+    levels = np.nan_to_num(sample.depth_m / farthest_m * 200.0 + 55.0).astype(np.uint8)
+    thick_px = max(1, grey.shape[1] // 640)
+    depths = cv2.dilate(levels, np.ones((thick_px + 1, thick_px + 1), np.uint8))
+    panels[0][depths > 0] = depths[depths > 0][:, None] * np.array([0, 1, 0], np.uint8)
+    for light in sample.lights:
+        x1, y1, x2, y2 = light.box_xyxy_px
+        colour = DIRECT_BGR if light.is_direct else INDIRECT_BGR
+        cv2.rectangle(panels[1], (x1, y1), (x2 - 1, y2 - 1), colour, thick_px)
+    panels.append(np.repeat(depths[..., None], 3, axis=2))
+    return jpeg(np.hstack(panels), PICTURE_WIDTH_PX, JPEG_QUALITY)
 
 
 def _pitch(findings: Sequence[Finding]) -> bytes:
@@ -137,6 +166,10 @@ SECTIONS = {
     "range": ("By range", "Bins of the true range, the lower edge inclusive."),
     "reach": (f"Up to {REACH_M:g} m", "All lights, and those for which each of the methods here has a range."),
     "vehicle": ("Against the vehicle's range", "What the same estimates are worth as the distance of the vehicle."),
+    "lidar": (
+        "Against the LiDAR",
+        "As the paper measured: the truth is the median of the depths in the box. Light without a depth is left out.",
+    ),
     "tracks": (
         "Tracks",
         "The range of the plausible track on a light's box, by our tracker with each of its filters, and that of the "
@@ -186,9 +219,13 @@ def headline(findings: Sequence[Finding]) -> list[str]:
         for found in findings
         if found.method.estimator == "gp" and found.method.is_default and found.group == ALL
     }
+    others = {"vehicle": "of that to the vehicle", "lidar": "of what the LiDAR measures"}
     return [
-        f"GP, {light}: median relative error {signed(medians['range', light], 3)} of the range to the light, "
-        f"{signed(medians['vehicle', light], 3)} of that to the vehicle (paper {papers:+.2f})"
+        f"GP, {light}: median relative error {signed(medians['range', light], 3)} of the range to the light"
+        + "".join(
+            f", {signed(medians[axis, light], 3)} {words}" for axis, words in others.items() if (axis, light) in medians
+        )
+        + f" (paper {papers:+.2f})"
         for light, papers in PAPERS_GP.items()
         if ("range", light) in medians
     ]
@@ -217,11 +254,12 @@ def _page(results: DistanceResults, findings: Sequence[Finding], figures: Iterab
     page.text(
         f"{len(results.lights)} labelled lights in {results.num_images} images, {results.rate_hz:g} a second; "
         f"left out: {left_out}.",
-        "A light's box is the smallest proposal that holds its keypoint; its true range is that along the viewing ray.",
+        "A light's box is the smallest proposal that holds its keypoint, or drawn by hand;",
+        "its true range is that along the viewing ray, or the median of the LiDAR's depths in a box drawn by hand.",
         SIGN,
         f"Where nothing else is said, the heuristic is {DEFAULT_HEURISTIC}.",
     )
-    page.items(headline(findings))
+    page.items([*headline(findings), *(beside_paper(results, findings) if findings else ())])
     for figure in figures:
         page.figure(figure)
     page.section("All methods", "In brackets: 95 % of the resamples of drives.")
@@ -232,7 +270,7 @@ def _page(results: DistanceResults, findings: Sequence[Finding], figures: Iterab
             chosen = [found for found in chosen if found.light != ALL]
         if chosen:
             page.section(heading, remark)
-            page.table(_table(chosen, with_group=axis != "vehicle"))
+            page.table(_table(chosen, with_group=axis not in ("vehicle", "lidar")))
     return page
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,83 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, DistanceConfig, PipelineConfig, TrackerConfig, preset
-from foreglow.datasets import SplitName, open_labelled, split_in
-from foreglow.datasets.simulated import SequenceTruth, has_truth, read_truth
+from foreglow.datasets import SplitName, split_in
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
 from foreglow.distance.series import SERIES, over_frames
 from foreglow.geometry import Camera, Floats, Pose, rotation
-from foreglow.lab.evaluation.boxes.matching import smallest_box
+from foreglow.lab.studies.distance.lights import LidarLights, RangedLight, Sample, SimulatedLights
 from foreglow.lab.studies.progress import Progress
-from foreglow.pipeline import Pipeline
 from foreglow.tracking import make_tracker
-from foreglow.types import Boxes, Detections, Frame, Ranges, Tracks
-
-NO_DEPTH, NO_BOX, DOUBTFUL = "without a depth", "in no box", "doubtful"
-"""Reasons to leave a light out."""
-
-
-@dataclass(frozen=True, slots=True)
-class RangedLight:
-    """A labelled light with a box and a known range.
-
-    Attributes:
-        instance_id: Identifies the light throughout the drive.
-        vehicle_range_m: From the camera to the vehicle that causes it.
-        error_class: Of the street message's longitudinal error.
-        box: Index, among the proposals of the image, of the smallest one that holds its keypoint.
-        box_xyxy_px: That proposal.
-    """
-
-    image_id: int
-    sequence_id: int
-    instance_id: int
-    is_direct: bool
-    kind: str
-    truth_m: float
-    vehicle_range_m: float
-    scenario: str
-    error_class: int
-    box: int
-    box_xyxy_px: tuple[int, int, int, int]
-
-
-def ranged_lights(
-    image_id: int, truth: SequenceTruth, boxes_xyxy_px: Boxes, left_out: Counter[str]
-) -> tuple[RangedLight, ...]:
-    """The lights of an image with a range and one of its proposals; the others are counted in `left_out`.
-
-    Raises:
-        ValueError: If the image is none of the sequence.
-    """
-    known = truth.frame(image_id)
-    lights = []
-    for vehicle, artifact in ((seen, artifact) for seen in known.vehicles for artifact in seen.artifacts):
-        box = smallest_box(artifact.position_px, boxes_xyxy_px)
-        if artifact.is_doubtful:
-            left_out[DOUBTFUL] += 1
-        elif np.isnan(artifact.depth_m):
-            left_out[NO_DEPTH] += 1
-        elif box is None:
-            left_out[NO_BOX] += 1
-        else:
-            lights.append(
-                RangedLight(
-                    image_id=image_id,
-                    sequence_id=truth.sequence_id,
-                    instance_id=artifact.instance_id,
-                    is_direct=artifact.is_direct,
-                    kind=artifact.kind,
-                    truth_m=artifact.depth_m,
-                    vehicle_range_m=vehicle.range_m,
-                    scenario=truth.scenario,
-                    error_class=known.street.error_class,
-                    box=box,
-                    box_xyxy_px=tuple(boxes_xyxy_px[box].tolist()),
-                )
-            )
-    return tuple(lights)
+from foreglow.types import Detections, Frame, Ranges, Tracks
 
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:
@@ -200,6 +132,7 @@ class DistanceResults:
         series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
         tracked: By name of `TRACKERS`, or `box alone`, and method, the estimates of the plausible track that follows
             a light's box; none where no track does.
+        example: The image with a LiDAR's depth that has the most lights; None without a LiDAR.
     """
 
     name: str
@@ -212,6 +145,7 @@ class DistanceResults:
     sigmas_m: Mapping[Method, Floats]
     series_m: Mapping[tuple[str, Method], Floats]
     tracked: Mapping[tuple[str, Method], Estimates]
+    example: Sample | None = None
 
     def column(self, name: str) -> NDArray[Any]:
         """Shape (N,): a field of the lights."""
@@ -228,69 +162,68 @@ class DistanceResults:
         return tuple(method for method in self.methods if method.is_default)
 
 
-def run_experiment(data: Path, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
-    """Ranges for every labelled light of a simulated split whose range is known, from the smallest box around it.
+def run_experiment(source: Path | LidarLights, plan: DistancePlan, progress: Progress | None = None) -> DistanceResults:
+    """Ranges for every light whose range is known.
+
+    Args:
+        source: The folder of a simulated set or split, or what a LiDAR measured.
+        plan: What is asked for.
+        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If a file of the data set is missing.
-        ValueError: If one is broken, or the set has no ranges, calibration and road beside its labels.
+        ValueError: If one is broken, or a simulated set has no ranges, calibration and road beside its labels.
     """
-    dataset = open_labelled(split_in(data, plan.split))
-    if not has_truth(dataset.root):
-        raise ValueError(
-            f"{dataset.root}: expected the range of each light, a calibration and the road ahead beside the labels, "
-            "as simulated drives have them in simulation/; found none"
-        )
-    truth = read_truth(dataset.root)
-    detector = Pipeline(plan.config.detector_only)
+    samples = source if isinstance(source, LidarLights) else SimulatedLights(split_in(source, plan.split), plan.config)
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
     main = [method for method in methods if method.is_default and not method.tilt_deg]
     trackers = {(name, method): make_tracker(config) for method in main for name, config in TRACKERS.items()}
-    stages: list[Any] = [detector, *methods.values(), *trackers.values()]
-    left_out: Counter[str] = Counter()
+    stages: list[Any] = [*methods.values(), *trackers.values()]
     lights: list[RangedLight] = []
     found: dict[Method, list[Estimates]] = {method: [] for method in methods}
     tracked: dict[tuple[str, Method], list[Estimates]] = defaultdict(list)
-    num_done = itertools.count(1)
-    for sequence in dataset.sequences:
-        drive = truth.sequence(sequence.id)
-        for stage in stages:
-            stage.reset()
-        for image in drive.frames:
-            frame = dataset.read(image.image_id)
-            detections = _detections(detector, frame)
-            in_image = ranged_lights(image.image_id, drive, detections.boxes_xyxy_px, left_out)
-            lights += in_image
-            boxes = np.array([light.box for light in in_image], np.intp)
-            for method, ranges in _estimated(frame, detections, methods):
-                of_boxes = ranges.ranges_m[boxes], ranges.sigmas_m[boxes]
-                found[method].append(of_boxes)
-                if method not in main:
-                    continue
-                for name in TRACKERS:
-                    tracks = trackers[name, method].update(frame, detections, ranges)
-                    rows = _tracks_of(boxes, tracks)
-                    # -1 as an index is what is put behind them.
-                    of_tracks = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
-                    tracked[name, method].append(of_tracks)
-                is_tracked = rows >= 0  # by any of the trackers: they differ in the filter of the range alone
-                alone = np.where(is_tracked, of_boxes[0], np.nan), np.where(is_tracked, of_boxes[1], np.inf)
-                tracked[BOX_ALONE, method].append(alone)
-            if progress is not None:
-                progress("images", next(num_done), len(dataset))
+    scene: int | None = None
+    example: Sample | None = None
+    for num_done, sample in enumerate(samples, start=1):
+        frame, detections, in_image = sample.frame, sample.detections, sample.lights
+        if sample.depth_m is not None and (example is None or len(in_image) > len(example.lights)):
+            example = sample
+        if sample.scene_id != scene:
+            scene = sample.scene_id
+            for stage in stages:
+                stage.reset()
+        lights += in_image
+        boxes = np.array([light.box for light in in_image], np.intp)
+        for method, ranges in _estimated(frame, detections, methods):
+            of_boxes = ranges.ranges_m[boxes], ranges.sigmas_m[boxes]
+            found[method].append(of_boxes)
+            if method not in main:
+                continue
+            for name in TRACKERS:
+                tracks = trackers[name, method].update(frame, detections, ranges)
+                rows = _tracks_of(boxes, tracks)
+                # -1 as an index is what is put behind them.
+                of_tracks = np.append(tracks.ranges_m, np.nan)[rows], np.append(tracks.sigmas_m, np.inf)[rows]
+                tracked[name, method].append(of_tracks)
+            is_tracked = rows >= 0  # by any of the trackers: they differ in the filter of the range alone
+            alone = np.where(is_tracked, of_boxes[0], np.nan), np.where(is_tracked, of_boxes[1], np.inf)
+            tracked[BOX_ALONE, method].append(alone)
+        if progress is not None:
+            progress("images", num_done, samples.num_images)
     estimates = {method: _joined(parts) for method, parts in found.items()}
     ranges_m = {method: ranges_m for method, (ranges_m, _) in estimates.items()}
     return DistanceResults(
-        name=dataset.name,
+        name=samples.name,
         plan=plan,
-        num_images=len(dataset),
-        rate_hz=dataset.rate_hz,
-        left_out=dict(left_out),
+        num_images=samples.num_images,
+        rate_hz=samples.rate_hz,
+        left_out=dict(samples.left_out),
         lights=tuple(lights),
         ranges_m=ranges_m,
         sigmas_m={method: sigmas_m for method, (_, sigmas_m) in estimates.items()},
         series_m=dict(_series(lights, ranges_m)),
         tracked={key: _joined(parts) for key, parts in tracked.items()},
+        example=example,
     )
 
 
@@ -303,14 +236,6 @@ def _methods(estimators: Sequence[str]) -> Iterator[Method]:
         for tilt_deg in TILTS_DEG:
             if tilt_deg:
                 yield Method(name, DEFAULT_HEURISTIC if by_pixels else OWN_RULE, tilt_deg)
-
-
-def _detections(detector: Pipeline, frame: Frame) -> Detections:
-    """All boxes of the frame, as the stage of distance gets them; without a model all with the score 1."""
-    result = detector.step(frame)
-    if result.detections is not None:
-        return result.detections
-    return Detections(result.proposals, np.ones(len(result.proposals), np.float32), score_threshold=0.5)
 
 
 def _estimated(

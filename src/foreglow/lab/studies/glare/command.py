@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foreglow.options import BeamOptions, PipelineOptions, QualityOption, WorkerOptions, argument, folder, option
+from foreglow.options import (
+    BeamOptions,
+    PaperModelOption,
+    PipelineOptions,
+    QualityOption,
+    WorkerOptions,
+    argument,
+    folder,
+    option,
+)
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -20,6 +29,7 @@ def command(
     lamps: BeamOptions,
     pipeline: PipelineOptions,
     work: WorkerOptions,
+    paper_model: PaperModelOption = None,
     num: Annotated[int | None, option("N", "Only the first N scenes.", "--scenes", min=1)] = None,
     empty: Annotated[int, option("N", "Also drive the first N scenes without traffic.", min=0)] = 0,
     camera_delay: Annotated[
@@ -40,7 +50,9 @@ def command(
     require_matplotlib()
     workers = work.workers()
     delays = Delays(camera_s=camera_delay, lamp_s=lamp_delay)
-    plan = GlarePlan(num_scenes=num, num_empty=empty, delays=delays, quality=quality, seed=seed)
+    plan = GlarePlan(
+        num_scenes=num, num_empty=empty, delays=delays, quality=quality, seed=seed, paper_model=paper_model
+    )
     chosen = named_scenes(scenes, plan)
     filmed = [named for named in chosen if named.name == video]
     if video is not None and not filmed:
@@ -56,10 +68,10 @@ def command(
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:
     from foreglow.lab.studies.glare.film import write_film
-    from foreglow.lab.studies.glare.simulate import Drives, own_name
+    from foreglow.lab.studies.glare.simulate import own_name
     from foreglow.photometry import read_headlamps
 
-    drives = Drives(plan.delays.known_to(config), plan.delays, plan.quality)
+    drives = plan.drives(plan.delays.known_to(config))
     titles, rate_hz = ("paper", own_name(config)), named.scene.rate_hz
     headlamps = read_headlamps(config.beam.headlamps)
     write_film(drives.pairs(named.scene), titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")

@@ -97,14 +97,16 @@ class OurCar:
 
 
 class PaperCar:
-    """The paper's: our detector, its tracker and policy; a production system has the beam while it sees someone.
+    """The paper's: its whole chain, or our detector with its tracker and policy where its network is not given.
+
+    A production system has the beam while it sees someone.
 
     Source: Ewecker et al., arXiv 2107.11302, section on the use case.
     """
 
-    def __init__(self, config: PipelineConfig) -> None:
+    def __init__(self, config: PipelineConfig, chain: PipelineConfig | None = None) -> None:
         headlamps = read_headlamps(config.beam.headlamps)
-        self._pipeline = Pipeline(paper_config(config))
+        self._pipeline = Pipeline(paper_config(chain or config))
         self._policy = PaperPolicy(config.beam, headlamps)
         self._production = ProductionCar(config.beam, headlamps)
 

@@ -23,6 +23,7 @@ from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
+from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 
@@ -37,6 +38,7 @@ class GlarePlan(FrozenModel):
         num_scenes: How many of the scenes, from the first on; None for all.
         num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
         quality: Of the renderer: `fast`, `training` or `fine`.
+        paper_model: The paper's network, with which its row is its whole chain; None for our detector in it.
     """
 
     num_scenes: int | None = None
@@ -44,6 +46,17 @@ class GlarePlan(FrozenModel):
     delays: Delays = Delays()
     quality: str = "training"
     seed: int = 1
+    paper_model: Path | None = None
+
+    def drives(self, config: PipelineConfig) -> Drives:
+        """What drives the scenes, with `config` for our pipeline.
+
+        Raises:
+            FileNotFoundError: If there is no such model of the paper.
+            ValueError: If the headlamps do not fit.
+        """
+        chain = None if self.paper_model is None else paper_chain(self.paper_model)
+        return Drives(config, self.delays, self.quality, chain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +147,16 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
     """Digest of everything that decides what a finished scene holds; more scenes may be added later."""
     parts: list[Any] = [config.model_dump(mode="json"), plan.delays.model_dump(mode="json"), plan.quality]
+    if plan.paper_model is not None:
+        chain = paper_chain(plan.paper_model)
+        assert chain.classifier.model is not None
+        parts.append(hashlib.sha256(chain.classifier.model.read_bytes()).hexdigest())
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[int, NamedScene], parent: Parent) -> None:
     number, named = item
-    drives = Drives(config, plan.delays, plan.quality)
+    drives = plan.drives(config)
 
     def pairs() -> Iterator[tuple[Shone, Shone]]:
         for num_done, pair in enumerate(drives.pairs(named.scene), start=1):
@@ -164,10 +181,11 @@ def _sightings_file(folder: Path, name: str) -> Path:
 def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
     settings = settings_of(plan.delays)
     names = {setting.name for setting in settings}
+    name = folder.name if plan.paper_model is None else f"{folder.name}, the paper's row by its whole chain"
     scored = []
     for limits in (FMVSS_108, R123):
         drives = (read_glare_drive(_drive_file(folder, named.name)) for named in wanted)
-        scored.append(score_glare(folder.name, drives, limits, seed=plan.seed))
+        scored.append(score_glare(name, drives, limits, seed=plan.seed))
     points = tuple(
         SensitivityPoint.of(setting.parameter, setting.unit, setting.value, scored[0].policy(setting.name), own)
         for setting in settings

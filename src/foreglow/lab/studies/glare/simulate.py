@@ -208,9 +208,14 @@ def own_name(config: PipelineConfig) -> str:
 class Drives:
     """Drives scenes."""
 
-    def __init__(self, config: PipelineConfig, delays: Delays, quality: str = "training") -> None:
-        """Takes the configuration, with a beam policy, and the delays from camera to beam."""
-        self._config, self._delays, self._quality = config, delays, quality
+    def __init__(
+        self, config: PipelineConfig, delays: Delays, quality: str = "training", paper: PipelineConfig | None = None
+    ) -> None:
+        """Takes our configuration, with a beam policy, the delays from camera to beam, and the paper's whole chain.
+
+        Without the latter the paper's car has our detector.
+        """
+        self._config, self._delays, self._quality, self._paper = config, delays, quality, paper
         self._headlamps = read_headlamps(config.beam.headlamps)
         if self._headlamps.num_leds != NUM_LEDS:
             raise ValueError(
@@ -222,7 +227,7 @@ class Drives:
         """Both closed loops side by side, frame by frame: the paper's and ours."""
         loops = (
             closed_loop(scene, car, self._delays, self._quality, self._headlamps)
-            for car in (PaperCar(self._config), OurCar(self._config))
+            for car in (PaperCar(self._config, self._paper), OurCar(self._config))
         )
         return zip(*loops, strict=True)
 

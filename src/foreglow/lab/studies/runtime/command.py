@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from foreglow.options import PipelineOptions, ReportOption, SplitOptions, option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, SplitOptions, option
 
 
 def command(
@@ -16,17 +16,20 @@ def command(
     on: Annotated[
         list[str] | None, option("process|live|node|ros2", "Measure only this; repeatable (default: all four).")
     ] = None,
+    paper_model: PaperModelOption = None,
     frames: Annotated[int, option("N", "Number of frames for what runs at the frames' own rate.", min=1)] = 1000,
 ) -> None:
     """Measure the run-time of each stage, as in the paper's figure: in process, live, and over a ROS 2 network."""
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.paper_chain import paper_chain
     from foreglow.lab.studies.runtime.page import summary_lines, write_report
     from foreglow.lab.studies.runtime.run import KINDS, run_experiment
 
     require_matplotlib()
     root, configuration = data.root(), pipeline.configuration()
+    paper = None if paper_model is None else paper_chain(paper_model)
     with StepProgress() as progress:
-        results = run_experiment(root, configuration, on or list(KINDS), frames, progress)
+        results = run_experiment(root, configuration, on or list(KINDS), frames, progress, paper)
     report = write_report(results, out)
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

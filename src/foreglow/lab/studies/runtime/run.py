@@ -94,6 +94,7 @@ NUM_WARM_UP = 20
 """Frames that are run before the first that counts: in a car, too, the pipeline has run before it matters."""
 
 IN_PROCESS, LIVE, ONE_NODE, NETWORK = "in process", "live", "ROS 2, one node", "ROS 2, five processes"
+PAPER_IN_PROCESS = "in process, paper's whole chain"
 KINDS = {"process": IN_PROCESS, "live": LIVE, "node": ONE_NODE, "ros2": NETWORK}
 """What can be measured, by the name of the option."""
 
@@ -116,12 +117,18 @@ class RuntimeResults:
 
 
 def run_experiment(
-    split: Path, config: PipelineConfig, kinds: Sequence[str], num_paced: int, progress: Progress
+    split: Path,
+    config: PipelineConfig,
+    kinds: Sequence[str],
+    num_paced: int,
+    progress: Progress,
+    paper: PipelineConfig | None = None,
 ) -> RuntimeResults:
     """Measures each of `kinds` on the sequences of `split`, one after the other, with one thread for computing.
 
     In process all frames are run, from memory; elsewhere, where they come at their own rate, the first `num_paced`.
-    A ROS 2 network that is not installed is left out, and the results say why.
+    A ROS 2 network that is not installed is left out, and the results say why. With `paper`, the paper's whole chain,
+    that is measured in process as well.
 
     Raises:
         FileNotFoundError: If there is no such split.
@@ -141,6 +148,8 @@ def run_experiment(
         progress(KINDS[kind], 0, 1)
         if kind == "process":
             networks.append(in_process(dataset, config, progress))
+            if paper is not None:
+                networks.append(in_process(dataset, paper.commanding(), progress, PAPER_IN_PROCESS))
         elif kind == "live":
             networks.append(live(dataset, config, num_paced))
         else:
@@ -151,7 +160,9 @@ def run_experiment(
     )
 
 
-def in_process(dataset: LabelledSource, config: PipelineConfig, progress: Progress) -> NetworkTimes:
+def in_process(
+    dataset: LabelledSource, config: PipelineConfig, progress: Progress, name: str = IN_PROCESS
+) -> NetworkTimes:
     """The pipeline on every frame, from the array to the beam command; frames are decoded before."""
     pipeline = Pipeline(config)
     rows: list[dict[str, float]] = []
@@ -168,8 +179,8 @@ def in_process(dataset: LabelledSource, config: PipelineConfig, progress: Progre
                 taken_ms = (time.perf_counter_ns() - before_ns) / 1e6
                 rows.append({COMPLETE: taken_ms, **_stages(result.stage_ms)})
                 counts.append(len(result.proposals))
-        progress(f"{IN_PROCESS}, {sequence}", len(rows), dataset.num_frames)
-    return _times(IN_PROCESS, rows, counts, 0)
+        progress(f"{name}, {sequence}", len(rows), dataset.num_frames)
+    return _times(name, rows, counts, 0)
 
 
 class TimesSink:

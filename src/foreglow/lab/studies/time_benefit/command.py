@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, cast
 
 import typer
 
-from foreglow.options import PipelineOptions, ReportOption, SplitOptions, option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, argument, option
 
 
 def command(
-    data: SplitOptions,
+    data: Annotated[Path, argument("DATA", "A data set at its full frame rate, or one of its splits.")],
     out: ReportOption,
     pipeline: PipelineOptions,
+    split: Annotated[
+        str, option("NAMES", "Splits to measure on together, if DATA is a whole data set, such as val,test.")
+    ] = "test",
+    paper_model: PaperModelOption = None,
     production_category: Annotated[
         int, option("N", "PVDN's image category for the production system's detection.", min=0, max=7)
     ] = 6,
 ) -> None:
     """Measure how long before a production system and a human the first vehicle of each sequence is detected."""
-    from foreglow.datasets import CategoryConfig, ImageCategory, open_labelled
+    from foreglow.datasets import CategoryConfig, ImageCategory, SplitName, open_labelled, split_in
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.paper_chain import paper_chain
     from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
     from foreglow.lab.studies.time_benefit.run import run_experiment
 
     require_matplotlib()
-    dataset = open_labelled(data.root())
+    paper = None if paper_model is None else paper_chain(paper_model)
+    folders = dict.fromkeys(split_in(data, cast("SplitName", name.strip())) for name in split.split(","))
+    datasets = [open_labelled(folder) for folder in folders]
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
-        results = run_experiment(dataset, pipeline.configuration(), categories, progress)
+        results = run_experiment(datasets, pipeline.configuration(), categories, progress, paper)
     report = write_report(results, out)
     typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

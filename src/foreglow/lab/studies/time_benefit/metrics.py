@@ -20,6 +20,10 @@ from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.evaluation.ratios import mean, ratio, share
 from foreglow.lab.evaluation.vehicles import Encounter, FirstFound, SequenceTracks
 
+HUMAN_AFTER_PRODUCTION_S = 0.2
+"""By how much a human who waits for direct sight reports a vehicle later than a production system, on average (paper,
+from a study with a test group)."""
+
 
 @dataclass(frozen=True, slots=True)
 class MeanAndSpread(Spread):
@@ -122,15 +126,19 @@ class Method:
         false: Its false confirmed tracks; None for what is no tracker.
         delay_s: Mean time from the first annotated artifact, where a vehicle that is not detected before the production
             system reports it, or the sequence ends, counts as detected then: missing a vehicle makes no rule quick.
+        plausibility_s: Of a tracker, how much later it detects each vehicle than the first single frame, for those that
+            both detect; empty for what is no tracker.
     """
 
     benefit: TimeBenefit
     false: FalseTracks | None
     delay_s: float
+    plausibility_s: tuple[float, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """All fields by name, those of the benefit on the same level."""
-        return fields_to_json(self.benefit) | {"false": self.false, "delay_s": self.delay_s}
+        others = {name: getattr(self, name) for name in ("false", "delay_s", "plausibility_s")}
+        return fields_to_json(self.benefit) | others
 
 
 def detection_times_s(encounters: Sequence[Encounter], found: Iterable[FirstFound]) -> tuple[float, ...]:
@@ -164,6 +172,17 @@ def mean_delay_s(encounters: Sequence[Encounter], detected_s: Sequence[float]) -
     light_s, _, production_s, _ = _columns(encounters)
     latest_s = np.fmax(light_s, np.where(np.isnan(production_s), [met.duration_s for met in encounters], production_s))
     return float((np.fmin(detected_s, latest_s) - light_s).mean())
+
+
+def mean_timeline(encounters: Sequence[Encounter], methods: Iterable[TimeBenefit]) -> tuple[int, dict[str, float]]:
+    """The number of vehicles that all `methods` detect, and after which mean time each method detects these, by name.
+
+    Times are from the first annotated artifact, seconds; NaN without such a vehicle.
+    """
+    light_s, *_ = _columns(encounters)
+    delays_s = {method.name: np.array(method.detected_s) - light_s for method in methods}
+    is_known = ~np.isnan(list(delays_s.values())).any(axis=0)
+    return int(is_known.sum()), {name: mean(delays[is_known].tolist()) for name, delays in delays_s.items()}
 
 
 def least_delay_s(curve: Sequence[Method], max_false_per_minute: float) -> float:

@@ -1,7 +1,8 @@
-"""The experiment on the time benefit: one pass over a split, any number of trackers on the same detections."""
+"""The experiment on the time benefit: one pass over the images, any number of trackers on the same detections."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
-from foreglow.datasets import CategoryConfig, LabelledSource
+from foreglow.datasets import CategoryConfig, ImageCategory, LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
-from foreglow.lab.evaluation.vehicles import Encounter, first_found, match_tracks, read_encounters
+from foreglow.lab.evaluation.vehicles import Encounter, SequenceTracks, first_found, match_tracks, read_encounters
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.lab.studies.time_benefit.metrics import (
     FalseTracks,
@@ -69,13 +70,21 @@ FIVE_FRAMES = "5 frames"
 """The paper's setting, on the curve of its rule."""
 
 
+SINGLE_FRAME = "single frame"
+
+PAPER_SINGLE_FRAME, PAPER_CHAIN = "single frame, paper's whole chain", "tracker, paper's whole chain"
+
+
 @dataclass(frozen=True, slots=True)
 class TimeBenefitResults:
     """Everything that the report shows.
 
     Attributes:
+        name: Of the split, or of all splits.
         encounters: The first vehicle of each sequence with one.
         curves: By rule of confirmation, one row a setting.
+        categories: By the name of an image category, when the first image in it was taken, one time an encounter, in
+            their order; NaN for never. Categories without any image are left out.
     """
 
     name: str
@@ -84,6 +93,7 @@ class TimeBenefitResults:
     num_sequences: int
     methods: tuple[Method, ...]
     curves: Mapping[str, tuple[Method, ...]]
+    categories: Mapping[str, tuple[float, ...]]
 
     def method(self, name: str) -> Method:
         """The row called `name`."""
@@ -91,23 +101,43 @@ class TimeBenefitResults:
 
     def to_json(self) -> dict[str, Any]:
         """All figures by name, without the configuration."""
-        names = ("name", "num_sequences", "encounters", "methods", "curves")
+        names = ("name", "num_sequences", "encounters", "methods", "curves", "categories")
         return {name: getattr(self, name) for name in names}
 
 
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """What was measured on one split.
+
+    Attributes:
+        detected_s: By method, one time an encounter.
+        tracks: By tracker, what its tracks are worth.
+    """
+
+    name: str
+    encounters: tuple[Encounter, ...]
+    num_sequences: int
+    detected_s: Mapping[str, tuple[float, ...]]
+    tracks: Mapping[str, tuple[SequenceTracks, ...]]
+    km: float
+    categories: Mapping[str, tuple[float, ...]]
+
+
 def run_experiment(
-    dataset: LabelledSource,
+    datasets: Sequence[LabelledSource],
     config: PipelineConfig,
     categories: CategoryConfig | None = None,
     progress: Progress | None = None,
+    paper: PipelineConfig | None = None,
 ) -> TimeBenefitResults:
-    """Runs the detector of `config` over `dataset` once, and all trackers on what it finds.
+    """Runs the detector of `config` over `datasets` once, and all trackers on what it finds.
 
     Args:
-        dataset: Images with labels.
+        datasets: Splits with labels; their sequences are pooled.
         config: Detector and distance; its tracker has a row of its own where it is none of `TRACKERS`.
         categories: Which image category marks the production system's report, where the set is not simulated.
         progress: Called after each image.
+        paper: The paper's whole chain, whose detector and tracker have rows of their own; None for none.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -115,39 +145,111 @@ def run_experiment(
     """
     if config.classifier.model is None:
         raise ValueError("experiment time-benefit: classifier.model: expected one, the configuration has none")
-    labels = read_split_labels(dataset)
-    encounters = read_encounters(dataset, labels, categories)
-    if not encounters:
-        raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
     trackers = dict(TRACKERS)
     if config.tracker.method != "none" and config.tracker not in trackers.values():
         trackers[CONFIGURED] = config.tracker
     settings = {name: tracker for curve in RULES.values() for name, tracker in curve.items()} | trackers
-    predictions, tracks, km = _run(dataset, config, settings, progress)
+    chains = {SINGLE_FRAME: (config, settings)}
+    if paper is not None:
+        chains[PAPER_SINGLE_FRAME] = (paper, {PAPER_CHAIN: paper.tracker})
+    splits = [_measure(dataset, chains, categories, progress) for dataset in datasets]
+    encounters = tuple(
+        dataclasses.replace(met, sequence=f"{split.name}/{met.sequence}") if len(splits) > 1 else met
+        for split in splits
+        for met in split.encounters
+    )
+    if not encounters:
+        roots = ", ".join(str(dataset.root) for dataset in datasets)
+        raise ValueError(f"{roots}: expected a vehicle whose light is annotated, found none")
+    km = sum(split.km for split in splits)
 
-    def method(name: str, detected_s: Sequence[float], false: FalseTracks | None = None) -> Method:
-        return Method(time_benefit(name, encounters, detected_s), false, mean_delay_s(encounters, detected_s))
+    def pooled(name: str) -> list[float]:
+        return [time_s for split in splits for time_s in split.detected_s[name]]
 
-    def tracker_method(name: str) -> Method:
-        quality = match_tracks(labels, tracks[name], predictions.boxes_xyxy_px)
-        found = [vehicle for sequence in quality for vehicle in sequence.vehicles]
-        return method(name, detection_times_s(encounters, found), FalseTracks.of(quality, km))
+    def method(
+        name: str, detected_s: Sequence[float], false: FalseTracks | None = None, plausibility_s: tuple[float, ...] = ()
+    ) -> Method:
+        benefit = time_benefit(name, encounters, detected_s)
+        return Method(benefit, false, mean_delay_s(encounters, detected_s), plausibility_s)
 
-    singles = first_found(labels, match_lights(labels, predictions), config.classifier.score_threshold)
+    def tracker_method(name: str, single: str = SINGLE_FRAME) -> Method:
+        tracks = [sequence for split in splits for sequence in split.tracks[name]]
+        waits_s = np.subtract(pooled(name), pooled(single))
+        return method(name, pooled(name), FalseTracks.of(tracks, km), tuple(waits_s[~np.isnan(waits_s)].tolist()))
+
+    papers: list[Method] = []
+    if paper is not None:
+        papers = [
+            method(PAPER_SINGLE_FRAME, pooled(PAPER_SINGLE_FRAME)),
+            tracker_method(PAPER_CHAIN, PAPER_SINGLE_FRAME),
+        ]
     return TimeBenefitResults(
-        name=dataset.name,
+        name=" and ".join(split.name for split in splits),
         config=config,
         encounters=encounters,
-        num_sequences=len(dataset.sequences),
+        num_sequences=sum(split.num_sequences for split in splits),
         methods=(
-            method("single frame", detection_times_s(encounters, singles)),
+            method(SINGLE_FRAME, pooled(SINGLE_FRAME)),
             *(tracker_method(name) for name in trackers),
+            *papers,
             method("human", [encounter.human_s for encounter in encounters]),
             method("first lamp in sight", [encounter.sight_s for encounter in encounters]),
             method("production system", [encounter.production_s for encounter in encounters]),
         ),
         curves={rule: tuple(tracker_method(name) for name in curve) for rule, curve in RULES.items()},
+        categories={
+            category: times_s
+            for category in splits[0].categories
+            if not np.isnan(times_s := tuple(time_s for split in splits for time_s in split.categories[category])).all()
+        },
     )
+
+
+def _measure(
+    dataset: LabelledSource,
+    chains: Mapping[str, tuple[PipelineConfig, Mapping[str, TrackerConfig]]],
+    categories: CategoryConfig | None,
+    progress: Progress | None,
+) -> _Split:
+    """Runs each detector, by the name of its single frames, and its trackers by name."""
+    labels = read_split_labels(dataset)
+    encounters = read_encounters(dataset, labels, categories)
+    detected_s: dict[str, tuple[float, ...]] = {}
+    quality: dict[str, tuple[SequenceTracks, ...]] = {}
+    for single, (config, settings) in chains.items():
+        predictions, tracks, km = _run(dataset, config, settings, progress)
+        singles = first_found(labels, match_lights(labels, predictions), config.classifier.score_threshold)
+        detected_s[single] = detection_times_s(encounters, singles)
+        for name in settings:
+            quality[name] = match_tracks(labels, tracks[name], predictions.boxes_xyxy_px)
+            found = [vehicle for sequence in quality[name] for vehicle in sequence.vehicles]
+            detected_s[name] = detection_times_s(encounters, found)
+    return _Split(
+        name=dataset.name,
+        encounters=encounters,
+        num_sequences=len(dataset.sequences),
+        detected_s=detected_s,
+        tracks=quality,
+        km=km,
+        categories=_category_times_s(dataset, encounters),
+    )
+
+
+def _category_times_s(dataset: LabelledSource, encounters: Sequence[Encounter]) -> Mapping[str, tuple[float, ...]]:
+    """See `TimeBenefitResults.categories`; of all categories but that of images without any."""
+    sequences = {sequence.id: sequence for sequence in dataset.sequences}
+
+    def first_s(encounter: Encounter, category: ImageCategory) -> float:
+        image_id = dataset.first_with(sequences[encounter.sequence_id], category)
+        return math.nan if image_id is None else dataset.time_s(image_id)
+
+    return {
+        f"{category.value}, {category.name.lower().replace('_', ' ')}": tuple(
+            first_s(met, category) for met in encounters
+        )
+        for category in ImageCategory
+        if category != ImageCategory.NONE
+    }
 
 
 def _run(

@@ -1,0 +1,22 @@
+"""The paper's whole chain, to be measured beside ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from foreglow.config import PipelineConfig, preset
+
+
+def paper_chain(model: Path) -> PipelineConfig:
+    """The paper's proposals, network, ground plane, tracker and policy.
+
+    Args:
+        model: The network, trained on the proposals of the preset `paper`: ONNX or a folder of `train`.
+
+    Raises:
+        FileNotFoundError: If there is no such model.
+    """
+    path = model / "model.onnx" if model.is_dir() else model
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such model, given with --paper-model")
+    return preset("paper").changed("classifier", model=path).changed("beam", policy="paper")
