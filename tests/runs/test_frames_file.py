@@ -71,6 +71,7 @@ def test_kinds_come_back_and_are_left_out_where_a_model_does_not_tell_them(tmp_p
         np.testing.assert_array_equal(found.detections.light_kinds, detections.light_kinds)
         np.testing.assert_array_equal(found.tracks.light_kinds, kinds)
         np.testing.assert_array_equal(read_tracks(path)[0].light_kinds, kinds)
+    assert found.tracks is not None
     assert found.tracks.kind_names == (None, None)
 
 
@@ -219,7 +220,7 @@ def results(draw: st.DrawFn) -> FrameResult:
         if draw(st.booleans()):
             return kinds_of_direct(column(unit | st.just(math.nan), dtype))
         rows = column(st.sampled_from([math.nan, 0.001, 1.0]), dtype)[:, None] * np.array([3, 0.1, 1, 7], dtype)
-        return rows / rows.sum(axis=1, keepdims=True)
+        return np.asarray(rows / rows.sum(axis=1, keepdims=True))
 
     detections = Detections(made.proposals, column(unit, np.float32), 0.5, kinds(np.float32))
     ranges_m = column(metres)

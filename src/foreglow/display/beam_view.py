@@ -168,7 +168,7 @@ class BeamView:
         for index, (x1, y1, x2, y2) in zip(plausible, rectangles, strict=True):
             width = 2.2 if tracks.states[index] == TrackState.CONFIRMED else 1.0
             self._pen.line(picture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)], TRACK_BGR, width)
-            text = track_text(tracks, index)
+            text = track_text(tracks, int(index))
             height_px, width_px = picture.shape[:2]
             label = place_label((x1, y1, x2, y2), self._label_px(text), taken, (width_px, height_px))
             self._label(picture, text, label, TRACK_BGR, taken)

@@ -41,7 +41,7 @@ def test_light_that_is_too_bright_or_negative_ends_at_the_limits() -> None:
 def test_another_image_is_no_light_map(tmp_path: Path) -> None:
     path = tmp_path / "other.png"
     cv2.imwrite(str(path), np.zeros((80, 64), np.uint8))
-    with pytest.raises(ValueError, match=r"other.png: light map: expected a grey image of 6 parts, got"):
+    with pytest.raises(ValueError, match=r"other.png: light map: expected a grey image of 8 bits and 6 parts, got"):
         read_light_map(path)
     with pytest.raises(ValueError, match="of 6 parts"):
         decoded(np.zeros((12, 4, 3), np.uint8))

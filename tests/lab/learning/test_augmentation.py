@@ -175,6 +175,6 @@ def test_the_surroundings_keep_their_own_range_and_are_no_earlier_image() -> Non
     fields = Augmentation(normalise=True, history_dropout=1.0)
     random = torch.Generator().manual_seed(0)
     found, _ = augment(torch.cat([near, wide], 1), torch.zeros(4, 0), fields, torch.ones(0), random, has_context=True)
-    assert (found[:, 0].amin(), found[:, 0].amax()) == (0.0, 1.0)
+    assert [float(found[:, 0].amin()), float(found[:, 0].amax())] == [0.0, 1.0]
     assert not found[:, 1].any()
-    assert (found[:, 2].amin(), found[:, 2].amax()) == (0.0, 1.0)
+    assert [float(found[:, 2].amin()), float(found[:, 2].amax())] == [0.0, 1.0]

@@ -201,9 +201,9 @@ def test_same_bytes_at_any_jobs_and_order_also_after_a_loss(tmp_path: Path) -> N
     rows = list(read_shares(root / "simulation" / "S00001" / "shares.parquet"))
     assert rows
     assert {image_id // 10_000 for image_id, _ in rows} == {1}
-    differences = []
+    differences, sequence = [], root / "simulation" / "S00001"
     for image_id, found in rows:
-        light = decoded(cv2.imread(str(light_map_path(root / "simulation" / "S00001", image_id)), cv2.IMREAD_GRAYSCALE))
+        light = decoded(np.asarray(cv2.imread(str(light_map_path(sequence, image_id)), cv2.IMREAD_GRAYSCALE), np.uint8))
         is_large = (found.boxes_xyxy_px[:, 2:] - found.boxes_xyxy_px[:, :2]).min(1) >= 4 * CELL_PX
         cells = (found.boxes_xyxy_px[is_large] // CELL_PX).astype(np.int32)
         differences += np.abs(box_shares(light, cells) - found.shares[is_large]).max(1).tolist()

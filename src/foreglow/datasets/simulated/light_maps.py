@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets.images import read_image
 from foreglow.datasets.simulated.shares import SOURCES
+from foreglow.types import Image
 
 CELL_PX = 4
 """Pixels of the camera in each cell, along each axis."""
@@ -40,14 +41,16 @@ def encoded(cells: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.clip(grey, 0, 255).astype(np.uint8).reshape(-1, cells.shape[2])
 
 
-def decoded(stored: NDArray[np.uint8]) -> NDArray[np.float32]:
+def decoded(stored: Image) -> NDArray[np.float32]:
     """Light in cells, shape (6, h, w), cd/m², from the image that a file stores.
 
     Raises:
-        ValueError: If its height is no multiple of six.
+        ValueError: If its height is no multiple of six, or it has not 8 bits.
     """
-    if stored.ndim != 2 or stored.shape[0] % len(SOURCES):
-        raise ValueError(f"light map: expected a grey image of {len(SOURCES)} parts, got shape {stored.shape}")
+    if stored.dtype != np.uint8 or stored.ndim != 2 or stored.shape[0] % len(SOURCES):
+        raise ValueError(
+            f"light map: expected a grey image of 8 bits and {len(SOURCES)} parts, got shape {stored.shape}"
+        )
     light = _DARKEST_CD_M2 * np.expm1(stored.astype(np.float32) / np.float32(_STEPS))
     return np.asarray(light.reshape(len(SOURCES), -1, stored.shape[1]), np.float32)
 

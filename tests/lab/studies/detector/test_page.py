@@ -117,7 +117,12 @@ def test_figures_by_whose_light() -> None:
         "precision": 0.75, "average_precision": 0.5, "false_boxes": {"per_frame": 0.125},
         "false_boxes_empty": {"per_frame": None}, "operating_points": points,
     }  # fmt: skip
-    unmatched = {"precision": None, "average_precision": None, "false_boxes": None, "operating_points": []}
+    unmatched: dict[str, Any] = {
+        "precision": None,
+        "average_precision": None,
+        "false_boxes": None,
+        "operating_points": [],
+    }
     made = [
         RowResult(name=name, title=name, examination={"whose_light": found})
         for name, found in (("a", known), ("b", unmatched))
