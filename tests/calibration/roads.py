@@ -49,7 +49,8 @@ def _stripe(image: NDArray[np.uint8], camera: Camera, left_m: float, near_m: flo
 
 def _fill(image: NDArray[np.uint8], camera: Camera, corners_m: list[tuple[float, float, float]]) -> None:
     """Draws the polygon with these corners in the road's frame, ahead of the camera."""
-    points = np.array(corners_m) + [camera.vehicle_from_camera.position_m[0], 0.0, 0.0]
+    points = np.array(corners_m)
+    points[:, 0] += camera.vehicle_from_camera.position_m[0]
     pixels = camera.project(camera.vehicle_from_camera.to_body(points))
     if np.isfinite(pixels).all() and np.abs(pixels).max() < 4000:
         corners = np.rint((pixels - 0.5) * 16).astype(np.int32)  # OpenCV has the first pixel's centre at (0, 0)

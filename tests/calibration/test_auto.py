@@ -86,9 +86,9 @@ def test_the_lens() -> None:
     frame = Frame(night_image(), 0)
     assert lens_of(frame, "drive", fov_deg=90.0).focal_px == pytest.approx((64.0, 64.0))
     assert lens_of(frame, "drive", focal_px=70.0).centre_px == (64.0, 48.0)
-    with pytest.raises(ValueError, match="^drive: expected a focal length, which a drive does not show"):
+    with pytest.raises(ValueError, match=r"^drive: expected a focal length, which a drive does not show"):
         lens_of(frame, "drive")
-    with pytest.raises(ValueError, match="^drive: expected a focal length or a field of view, got both"):
+    with pytest.raises(ValueError, match=r"^drive: expected a focal length or a field of view, got both"):
         lens_of(frame, "drive", 70.0, 90.0)
 
 
