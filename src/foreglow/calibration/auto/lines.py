@@ -83,6 +83,12 @@ class Segments:
     def __len__(self) -> int:
         return len(self.slopes)
 
+    def outside(self, mask: NDArray[np.bool_]) -> Segments:
+        """Those whose middle is not in `mask`, which has the small image's shape."""
+        columns, rows = np.clip(self.pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
+        is_kept = ~mask[rows, columns]
+        return Segments(*(getattr(self, field.name)[is_kept] for field in fields(self)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Direction:
@@ -101,12 +107,6 @@ class Direction:
         """Standard deviation in the direction in which the point is known least."""
         least = float(np.linalg.eigvalsh(self.information)[0])
         return least**-0.5 if least > 0 else np.inf
-
-    def outside(self, mask: NDArray[np.bool_]) -> Segments:
-        """Those whose middle is not in `mask`, which has the small image's shape."""
-        columns, rows = np.clip(self.pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
-        is_kept = ~mask[rows, columns]
-        return Segments(*(getattr(self, field.name)[is_kept] for field in fields(self)))
 
 
 def find_segments(grey: Grey, lens: Lens) -> Segments:
