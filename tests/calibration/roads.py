@@ -14,7 +14,7 @@ LENS = Intrinsics(width_px=480, height_px=320, focal_px=(450.0, 450.0), centre_p
 SPEED_MPS = 15.0
 STEP_S = 0.1
 BONNET_ROW = 300
-_DASH_M, _PERIOD_M = 6.0, 18.0
+_DASH_M, _PERIOD_M = 6.0, 12.0
 
 
 def drive(
@@ -32,6 +32,7 @@ def drive(
             _fill(image, camera, [(x, y - 0.1, z), (x, y + 0.1, z), (x, y + 0.1, z + 0.4), (x, y - 0.1, z + 0.4)])
         if has_lines:
             _stripe(image, camera, -1.8, 4.0, 80.0)
+            _stripe(image, camera, 5.4, 4.0, 80.0)
             for start_m in np.arange(-way_m % _PERIOD_M - _PERIOD_M, 80.0, _PERIOD_M):
                 _stripe(image, camera, 1.8, max(4.0, start_m), min(80.0, start_m + _DASH_M))
         image[BONNET_ROW:] = 40

@@ -112,8 +112,7 @@ def calibrate_drive(
         )
     if drive.still.stands:
         raise ValueError(f"{name}: expected a drive, nothing moves in it: the car stands, or it is too dark to see")
-    mask = drive.still.mask()
-    lines, flows = drive.directions(mask)
+    lines, flows = drive.directions()
     estimates = [
         _Estimate.of(directions, floor_deg)
         for directions, floor_deg in ((lines, LINES_FLOOR_DEG), (flows, FLOW_FLOOR_DEG))
@@ -141,11 +140,12 @@ def calibrate_drive(
         roll_sigma_deg=ROLL_SIGMA_DEG,
         height_sigma_m=HEIGHT_SIGMA_M if height_m is None else TAPE_SIGMA_M,
     )
+    camera = intrinsics.camera(mount)
+    ahead = camera.project(camera.vehicle_from_camera.rotation.T @ [1.0, 0.0, 0.0])
+    mask = drive.still.mask(ahead / drive.lens.reduction).astype(np.uint8)
     size_px = (intrinsics.width_px, intrinsics.height_px)
-    full = cv2.resize(mask.astype(np.uint8), size_px, interpolation=cv2.INTER_NEAREST)
-    return DriveCalibration(
-        intrinsics.camera(mount), full.astype(np.bool_), drive.frame, len(drive.segments), len(lines), len(flows)
-    )
+    full = cv2.resize(mask, size_px, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    return DriveCalibration(camera, full, drive.frame, len(drive.segments), len(lines), len(flows))
 
 
 class _Drive:
@@ -172,11 +172,10 @@ class _Drive:
                 self.motions.append(travel(tracks, self.lens.focal_px))
         self._previous = view
 
-    def directions(self, mask: NDArray[np.bool_]) -> tuple[list[Direction], list[Direction]]:
+    def directions(self) -> tuple[list[Direction], list[Direction]]:
         """Where the way ahead vanishes: by the lines of each frame, and by the flow of each pair."""
-        segments = [each.outside(mask) for each in self.segments]
-        start = vote(segments[:: max(1, len(segments) // NUM_VOTERS)])
-        found = [] if start is None else [meet(each, start, self.lens.focal_px) for each in segments]
+        start = vote(self.segments[:: max(1, len(self.segments) // NUM_VOTERS)])
+        found = [] if start is None else [meet(each, start, self.lens.focal_px) for each in self.segments]
         lines = [each for each in found if each is not None and each.worst_sigma < MAX_POINT_SIGMA]
         flows = [
             motion.direction

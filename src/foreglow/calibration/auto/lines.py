@@ -16,11 +16,10 @@ segments of other things count little.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.calibration.auto.views import Grey, Lens
 from foreglow.geometry import Floats
@@ -43,7 +42,7 @@ MIN_VOTE = 0.05
 for each frame."""
 
 MIN_DEPTH = 0.03
-"""Segments end at least this far below the horizon."""
+"""The middle of a segment is at least this far below the horizon."""
 
 POSITION_SIGMA_PX = 0.7
 SLOPE_SIGMA = 0.01
@@ -71,23 +70,15 @@ class Segments:
         slopes: Shape (N,), du/dv.
         lengths: Shape (N,).
         tops: Shape (N,), v of the upper end.
-        pixels: Shape (N, 2), the middles in the small image.
     """
 
     middles: Floats
     slopes: Floats
     lengths: Floats
     tops: Floats
-    pixels: Floats
 
     def __len__(self) -> int:
         return len(self.slopes)
-
-    def outside(self, mask: NDArray[np.bool_]) -> Segments:
-        """Those whose middle is not in `mask`, which has the small image's shape."""
-        columns, rows = np.clip(self.pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
-        is_kept = ~mask[rows, columns]
-        return Segments(*(getattr(self, field.name)[is_kept] for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +111,7 @@ def find_segments(grey: Grey, lens: Lens) -> Segments:
     ends = lens.tangents(ends_px[is_used])
     spans = ends[:, 1] - ends[:, 0]
     slopes, lengths = spans[:, 0] / spans[:, 1], np.hypot(spans[:, 0], spans[:, 1])
-    return Segments(ends.mean(1), slopes, lengths, ends[..., 1].min(1), ends_px[is_used].mean(1))
+    return Segments(ends.mean(1), slopes, lengths, ends[..., 1].min(1))
 
 
 def vote(frames: Sequence[Segments]) -> Floats | None:
@@ -133,7 +124,8 @@ def vote(frames: Sequence[Segments]) -> Floats | None:
     totals = np.zeros((2, len(axis), len(axis)))
     for segments in frames:
         hits = segments.middles[:, :1] + segments.slopes[:, None] * (axis - segments.middles[:, 1:])  # (N, V)
-        weights = (segments.tops[:, None] > axis + MIN_DEPTH) * np.minimum(segments.lengths, MAX_LENGTH)[:, None]
+        is_below = (segments.tops[:, None] > axis) & (segments.middles[:, 1:] > axis + MIN_DEPTH)
+        weights = is_below * np.minimum(segments.lengths, MAX_LENGTH)[:, None]
         sigmas = VOTE_SIGMA * np.sqrt(1.0 + segments.slopes**2)
         offsets = (hits[..., None] - axis) / sigmas[:, None, None]  # (N, V, U)
         votes = weights[..., None] * np.maximum(1.0 - offsets * offsets / 6.0, 0.0)
@@ -155,7 +147,7 @@ def meet(segments: Segments, start: Floats, focal_px: float) -> Direction | None
     information = np.zeros((3, 3))
     for step in range(NUM_STEPS):
         depths = segments.middles[:, 1] - v0
-        is_used = segments.tops > v0 + MIN_DEPTH
+        is_used = (segments.tops > v0) & (depths > MIN_DEPTH)
         if is_used.sum() < MIN_SEGMENTS:
             return None
         slopes, depths = segments.slopes[is_used], depths[is_used]

@@ -7,20 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.calibration.auto.views import Grey
+from foreglow.geometry import Floats
 
 REDUCTION = 2
 """The mask is found in images that are smaller by this factor."""
 
 BLUR_PX = (5, 5)
-MIN_GRADIENT = 3.0
+MIN_GRADIENT = 5.0
 """Grey levels a pixel, mean over the drive, from which there is an edge."""
 
 STILL_SHARE = 0.75
 """An edge whose mean gradient over the drive has at least this share of its mean strength never moves: elsewhere
 gradients of all directions come by and cancel."""
 
-STANDING_SHARE = 0.6
+STANDING_SHARE = 0.85
 """If so large a part of all edges never moves, the car stands."""
+
+MIN_RADIAL_COSINE = 0.97
+"""An edge below the vanishing point that leads to it this exactly is a lane marking, which stands still as well."""
 
 BONNET_TOP_SHARE = 0.75
 BONNET_WIDTH_SHARE = 0.2
@@ -59,10 +63,20 @@ class StillEdges:
         is_still, is_edge = self._still()
         return bool(is_still.sum() >= STANDING_SHARE * is_edge.sum())
 
-    def mask(self) -> NDArray[np.bool_]:
-        """Shape of the images, True where something stands still."""
+    def mask(self, vanishing_px: Floats) -> NDArray[np.bool_]:
+        """Shape of the images, True where something stands still.
+
+        Args:
+            vanishing_px: Shape (2,), column and row of the images at which lane markings meet; they are left out.
+        """
         is_still, _ = self._still()
         height, width = is_still.shape
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        right, down = columns - vanishing_px[0] / REDUCTION, rows - vanishing_px[1] / REDUCTION
+        # The gradient of an edge that leads to the vanishing point is across the way from there.
+        across = np.abs(self._means[0] * down - self._means[1] * right)
+        lengths = np.hypot(*self._means) * np.hypot(right, down)
+        is_still &= (down < 0) | (across < MIN_RADIAL_COSINE * lengths)
         side = max(3, width // 80) | 1
         solid = cv2.morphologyEx(is_still.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
