@@ -39,7 +39,7 @@ MAX_POINT_SIGMA = 0.02
 
 NUM_VOTERS = 40
 
-LINES_FLOOR_DEG = 0.1
+LINES_FLOOR_DEG = 0.12
 FLOW_FLOOR_DEG = 0.6
 """Least standard deviations: of the lines, since roads bend, rise and bank; of the flow, since the light on the road
 goes with the car, and a camera in front of the rear axle moves sideways in a bend."""
