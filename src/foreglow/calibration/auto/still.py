@@ -12,11 +12,11 @@ from foreglow.geometry import Floats
 REDUCTION = 2
 """The mask is found in images that are smaller by this factor."""
 
-BLUR_PX = (5, 5)
-MIN_GRADIENT = 5.0
-"""Grey levels a pixel, mean over the drive, from which there is an edge."""
+BLUR_PX = (3, 3)
+MIN_GRADIENT = 10.0
+"""Grey levels a pixel, mean over the drive, from which there is an edge; our own light on the road has none."""
 
-STILL_SHARE = 0.75
+STILL_SHARE = 0.85
 """An edge whose mean gradient over the drive has at least this share of its mean strength never moves: elsewhere
 gradients of all directions come by and cancel."""
 
@@ -25,6 +25,9 @@ STANDING_SHARE = 0.85
 
 MIN_RADIAL_COSINE = 0.97
 """An edge below the vanishing point that leads to it this exactly is a lane marking, which stands still as well."""
+
+FAR_SHARE = 0.1
+"""Nearer to the vanishing point than this share of the width, far things hardly move."""
 
 BONNET_TOP_SHARE = 0.75
 BONNET_WIDTH_SHARE = 0.2
@@ -77,6 +80,7 @@ class StillEdges:
         across = np.abs(self._means[0] * down - self._means[1] * right)
         lengths = np.hypot(*self._means) * np.hypot(right, down)
         is_still &= (down < 0) | (across < MIN_RADIAL_COSINE * lengths)
+        is_still &= np.hypot(right, down) > FAR_SHARE * width
         side = max(3, width // 80) | 1
         solid = cv2.morphologyEx(is_still.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))

@@ -70,7 +70,7 @@ def reduction_of(width_px: int) -> int:
 def views_of(frames: Iterable[Frame], rate_hz: float | None, num_frames: int | None) -> Iterator[tuple[Frame, View]]:
     """The frames to look at, in the order of time."""
     gap = max(1, math.ceil(MIN_STEP_S * (rate_hz or 1.0) - 1e-6))
-    stride = max(1, (num_frames or 0) * 2 // (gap * MAX_VIEWS))
+    stride = max(1, math.ceil((num_frames or 0) * 2 / (gap * MAX_VIEWS)))
     for index, frame in enumerate(frames):
         if index % gap == 0 and index // gap % stride < 2:
             yield frame, View(_small(frame.image), frame.timestamp_ns * 1e-9, frame.sequence)
