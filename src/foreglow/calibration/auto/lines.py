@@ -30,6 +30,9 @@ MIN_LENGTH_SHARE = 0.025
 MIN_SLOPE = 0.1
 """Segments that fall by less than this for each pixel to the side are level, such as kerbs across and bonnets."""
 
+MIN_LEAN = 0.15
+"""Segments that lean by less than this for each pixel downwards are poles, walls, and lamps mirrored in a wet road."""
+
 REACH = 0.3
 GRID_STEP = 0.01
 """The vanishing point of a drive is searched for up to `REACH` to either side of the axis, with this step."""
@@ -101,13 +104,14 @@ class Direction:
 
 
 def find_segments(grey: Grey, lens: Lens) -> Segments:
-    """The segments in `grey` that are long enough and not level."""
+    """The segments in `grey` that are long enough, and neither level nor upright."""
     found = cv2.createLineSegmentDetector().detect(grey)[0]
     ends_px = np.zeros((0, 2, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, 2, 2)
     spans_px = ends_px[:, 1] - ends_px[:, 0]
     lengths_px = np.hypot(spans_px[:, 0], spans_px[:, 1])
     is_used = lengths_px > MIN_LENGTH_SHARE * grey.shape[1]
-    is_used &= np.abs(spans_px[:, 1]) > MIN_SLOPE * np.abs(spans_px[:, 0])
+    across_px, down_px = np.abs(spans_px).T
+    is_used &= (down_px > MIN_SLOPE * across_px) & (across_px > MIN_LEAN * down_px)
     ends = lens.tangents(ends_px[is_used])
     spans = ends[:, 1] - ends[:, 0]
     slopes, lengths = spans[:, 0] / spans[:, 1], np.hypot(spans[:, 0], spans[:, 1])
