@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.calibration.auto.flow import Motion, follow, travel
+from foreglow.calibration.auto.flow import Motion, follow, is_next, travel
 from foreglow.calibration.auto.lines import Direction, Segments, find_segments, meet, vote
 from foreglow.calibration.auto.still import StillEdges
 from foreglow.calibration.auto.views import Lens, View, views_of
@@ -155,6 +155,7 @@ class _Drive:
         self.lens = lens
         self.still = StillEdges()
         self.segments: list[Segments] = []
+        self.is_steady: list[bool] = []
         self.motions: list[Motion] = []
         self.frame: Frame | None = None
         self._most = -1
@@ -163,19 +164,27 @@ class _Drive:
     def add(self, frame: Frame, view: View) -> None:
         """Takes one more frame."""
         self.still.add(view.grey)
-        self.segments.append(find_segments(view.grey, self.lens))
+        before = self._previous
+        is_near = before is not None and is_next(before, view)
+        # What is bright in both frames is on the road; streaks of snow and rain are in one.
+        grey = np.minimum(before.grey, view.grey) if before is not None and is_near else view.grey
+        self.segments.append(find_segments(grey, self.lens))
+        self.is_steady.append(is_near)
         if len(self.segments[-1]) > self._most:
             self._most, self.frame = len(self.segments[-1]), frame
-        if self._previous is not None:
-            tracks = follow(self._previous, view, self.lens)
+        if before is not None and is_near:
+            tracks = follow(before, view, self.lens)
             if tracks is not None:
                 self.motions.append(travel(tracks, self.lens.focal_px))
         self._previous = view
 
     def directions(self) -> tuple[list[Direction], list[Direction]]:
         """Where the way ahead vanishes: by the lines of each frame, and by the flow of each pair."""
-        start = vote(self.segments[:: max(1, len(self.segments) // NUM_VOTERS)])
-        found = [] if start is None else [meet(each, start, self.lens.focal_px) for each in self.segments]
+        segments = [each for each, is_steady in zip(self.segments, self.is_steady, strict=True) if is_steady]
+        if len(segments) < MIN_VIEWS:
+            segments = self.segments
+        start = vote(segments[:: max(1, len(segments) // NUM_VOTERS)])
+        found = [] if start is None else [meet(each, start, self.lens.focal_px) for each in segments]
         lines = [each for each in found if each is not None and each.worst_sigma < MAX_POINT_SIGMA]
         flows = [
             motion.direction

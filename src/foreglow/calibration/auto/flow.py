@@ -81,11 +81,13 @@ class Motion:
     rotation_radps: Floats
 
 
+def is_next(first: View, second: View) -> bool:
+    """Whether the second frame comes soon after the first."""
+    return first.sequence == second.sequence and 0.0 < second.time_s - first.time_s <= MAX_STEP_S
+
+
 def follow(first: View, second: View, lens: Lens) -> Tracks | None:
-    """Features that move between two frames; None if the car stands, too few are seen, or the frames are far apart."""
-    step_s = second.time_s - first.time_s
-    if first.sequence != second.sequence or not 0.0 < step_s <= MAX_STEP_S or first.grey.shape != second.grey.shape:
-        return None
+    """Features that move from a frame to the next; None if the car stands, or too few are seen."""
     found = cv2.goodFeaturesToTrack(first.grey, NUM_FEATURES, QUALITY, SPACING_PX)
     if found is None or len(found) < MIN_FEATURES:
         return None
@@ -99,7 +101,7 @@ def follow(first: View, second: View, lens: Lens) -> Tracks | None:
         return None
     before = lens.tangents(starts.reshape(-1, 2)[is_kept])
     after = lens.tangents(ends.reshape(-1, 2)[is_kept])
-    return Tracks((before + after) / 2, after - before, step_s)
+    return Tracks((before + after) / 2, after - before, second.time_s - first.time_s)
 
 
 def _followed(first: Grey, second: Grey, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
