@@ -20,7 +20,7 @@ def test_every_range_is_less_sure(name: str) -> None:
     exact, unsure = (
         ranges(name, frame(each, straight_road())) for each in (known, replace(known, mount_sigmas=UNSURE))
     )
-    assert unsure.sigmas_m[0] > 1.1 * exact.sigmas_m[0]
+    assert unsure.sigmas_m[0] > 1.02 * exact.sigmas_m[0]
     if name != "road_surface":  # which weighs its hypotheses anew
         assert unsure.ranges_m[0] == exact.ranges_m[0]
 
