@@ -205,3 +205,18 @@ def test_lamps_in_proposals_are_counted(tmp_path: Path) -> None:
     assert lamps_in_proposals.holds(boxes, (21.0, 15.0), 2.0)
     assert not lamps_in_proposals.holds(boxes, (21.0, 15.0), 0.0)
     assert not lamps_in_proposals.holds(boxes[:0], (15.0, 15.0), 2.0)
+
+
+def test_errors_of_a_calibration_by_hand() -> None:
+    from benchmarks.auto_calibration import summary
+
+    errors, sigmas = (-0.1, 0.2, 0.3), (0.2, 0.15, 0.3)
+    rows = [
+        {"pitch_error_deg": error, "pitch_sigma_deg": sigma, "yaw_error_deg": 2 * error, "yaw_sigma_deg": sigma}
+        for error, sigma in zip(errors, sigmas, strict=True)
+    ]
+    figures = summary(rows)
+    assert (figures["calibrated"], figures["pitch_median_deg"]) == (3, 0.2)
+    assert figures["pitch_within_sigma"] == pytest.approx(2 / 3)
+    assert figures["yaw_within_sigma"] == pytest.approx(1 / 3)
+    assert figures["yaw_90_deg"] == pytest.approx(0.56)

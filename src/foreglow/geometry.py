@@ -89,6 +89,31 @@ class Pose:
         return Pose(self.to_outer(inner.position_m), self.rotation @ inner.rotation)
 
 
+@dataclass(frozen=True, slots=True)
+class MountSigmas:
+    """Standard deviations of a camera's mount; all zero for a calibration that counts as exact.
+
+    Attributes:
+        yaw_rad: Of the yaw.
+        pitch_rad: Of the pitch.
+        roll_rad: Of the roll.
+        height_m: Of the height above the road.
+
+    Raises:
+        ValueError: If one is negative or not finite.
+    """
+
+    yaw_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("yaw_rad", "pitch_rad", "roll_rad", "height_m"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
+
+
 @dataclass(frozen=True)
 class Camera:
     """A calibrated pinhole camera with Brown-Conrady distortion.
@@ -100,6 +125,7 @@ class Camera:
         centre_px: Principal point cx, cy.
         distortion: k1, k2, p1, p2, k3, no unit (OpenCV's order).
         vehicle_from_camera: Pose of the camera in the vehicle.
+        mount_sigmas: How well that pose is known.
 
     Raises:
         ValueError: If a size is not positive or a number is not finite.
@@ -111,6 +137,7 @@ class Camera:
     centre_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
     vehicle_from_camera: Pose
+    mount_sigmas: MountSigmas = MountSigmas()
 
     def __post_init__(self) -> None:
         if self.width_px < 1 or self.height_px < 1:

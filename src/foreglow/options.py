@@ -212,6 +212,9 @@ ModelOption = Annotated[Path | None, file("ONNX model of the classifier; overrid
 CalibrationOption = Annotated[
     Path | None, file("Calibration of the camera (TOML), so that boxes and tracks get ranges.")
 ]
+AUTO = Path("auto")
+"""Instead of a calibration file: a calibration from the drive itself."""
+
 LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
 RecordOption = Annotated[Path | None, output_file("Also record everything as MCAP, for replay and for Foxglove.")]
@@ -295,6 +298,11 @@ class VehicleOptions:
 
     def read(self) -> VehicleFiles | None:
         """What the files say about each frame; None if no file is given."""
+        if self.calibration == AUTO:
+            raise ValueError(
+                "--calibration auto: expected with `foreglow run`, which reads the drive twice; make a file with "
+                "`foreglow calibrate auto` first"
+            )
         files = (self.calibration, self.can_log, self.dbc, self.mapping, self.road_map, self.poses)
         if all(path is None for path in files):
             return None
@@ -310,6 +318,21 @@ class VehicleOptions:
         from foreglow.datasets import Equipped
 
         return Equipped(frames, data)
+
+
+@dataclass(frozen=True, slots=True)
+class LensOptions:
+    """Camera to calibrate."""
+
+    focal: Annotated[float | None, option("PX", "Focal length of the camera.", min=1.0, max=1e6)] = None
+    fov: Annotated[
+        float | None,
+        option("DEG", "Field of view from the left edge of the image to the right one.", min=1.0, max=170.0),
+    ] = None
+    mount_height: Annotated[
+        float | None,
+        option("M", "Metres of the camera above the road (default: 1.3, give or take 0.15).", min=0.1, max=10.0),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

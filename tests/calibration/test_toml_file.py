@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_calibration, read_intrinsics
-from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
+from foreglow.geometry import Camera, MountSigmas, Pose, rotation, rotation_angles_rad
 
 TEXT = """\
 [image]
@@ -57,6 +57,17 @@ def test_a_file_comes_back_as_it_is(tmp_path: Path) -> None:
     assert camera.distortion == (-0.05, 0.02, 0.001, 0.0, 0.0)
     assert camera.vehicle_from_camera.position_m.tolist() == [1.9, 0.1, 1.3]
     assert calibration_to_toml(camera) == TEXT
+    assert camera.mount_sigmas == MountSigmas()
+
+
+def test_standard_deviations_come_back_as_they_are(tmp_path: Path) -> None:
+    text = TEXT + "yaw_sigma_deg = 0.2\npitch_sigma_deg = 0.15\nheight_sigma_m = 0.02\n"
+    camera = read_calibration(write(tmp_path, text))
+    assert camera.mount_sigmas == MountSigmas(*np.radians([0.2, 0.15, 0.0]).tolist(), 0.02)
+    assert camera.scaled(640, 480).mount_sigmas == camera.mount_sigmas
+    assert calibration_to_toml(camera) == text
+    with pytest.raises(ValueError, match=r"camera.toml: mount.pitch_sigma_deg: "):
+        read_calibration(write(tmp_path, TEXT + "pitch_sigma_deg = -0.1\n"))
 
 
 @pytest.mark.parametrize("position_m", [[2.0, 0.0, -1.3], [2.0, 0.0, 0.0], [2.0, 0.0, 100.0], [1e6, 0.0, 1.3]])

@@ -8,6 +8,7 @@ import cv2
 import pytest
 
 from foreglow.calibration import read_calibration
+from tests.calibration.roads import drive
 from tests.calibration.test_kitti import CAM_TO_CAM, ODOMETRY
 from tests.calibration.test_ros import TEXT as ROS
 from tests.cli.commands import complaint, foreglow_command
@@ -50,6 +51,51 @@ def test_convert_kitti(tmp_path: Path, text: str, options: tuple[str, ...], size
     (tmp_path / "calib.txt").write_text(text)
     camera = read_calibration(converted(tmp_path, tmp_path / "calib.txt", *options))
     assert (camera.width_px, camera.height_px) == size_px
+
+
+@pytest.fixture(scope="module")
+def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive as images."""
+    folder = tmp_path_factory.mktemp("drive")
+    for frame in drive(pitch_deg=-1.0, num=14):
+        cv2.imwrite(str(folder / f"{frame.frame:03d}.png"), frame.image)
+    return folder
+
+
+@pytest.mark.slow
+def test_auto(tmp_path: Path, drive_folder: Path) -> None:
+    out = tmp_path / "camera.toml"
+    result = foreglow_command("calibrate", "auto", drive_folder, "--out", out, "--focal", 450, "--mount-height", 1.3)
+    assert result.exit_code == 0, result.output
+    camera = read_calibration(out)
+    assert 0 < camera.mount_sigmas.pitch_rad < 0.01
+    assert "known to       pitch +-" in result.stdout
+    assert cv2.imread(str(tmp_path / "camera.png")) is not None
+
+
+@pytest.mark.slow
+def test_a_run_calibrates_its_camera(tmp_path: Path, drive_folder: Path) -> None:
+    said = foreglow_command(
+        "run", drive_folder, "--out", tmp_path, "--calibration", "auto", "--focal", 450, "--limit", 1
+    )
+    assert said.exit_code == 0, said.output
+    camera = tmp_path / "calibration" / "camera.toml"
+    again = foreglow_command("run", drive_folder, "--out", tmp_path / "again", "--calibration", camera, "--limit", 1)
+    assert again.exit_code == 0, again.output
+    assert (tmp_path / "frames.jsonl").read_bytes() == (tmp_path / "again" / "frames.jsonl").read_bytes()
+
+
+def test_auto_complains(tmp_path: Path) -> None:
+    image, out = tmp_path / "image.png", tmp_path / "camera.toml"
+    cv2.imwrite(str(image), night_image())
+    assert "expected a focal length" in complaint("calibrate", "auto", image, "--out", out)
+    assert "expected a drive of at least 10 frames" in complaint("calibrate", "auto", image, "--out", out, "--fov", 60)
+    assert not out.exists()
+    run = ("run", image, "--out", tmp_path / "run")
+    assert "expected a focal length" in complaint(*run, "--calibration", "auto")
+    assert "expected with --calibration auto" in complaint(*run, "--fov", 60)
+    said = complaint("live", f"replay:{image}", "--calibration", "auto")
+    assert "--calibration auto: expected with `foreglow run`" in said
 
 
 def test_complaints(tmp_path: Path) -> None:

@@ -14,6 +14,10 @@
     yaw_deg = 0.0  # to the left
     pitch_deg = -0.7  # upwards
     roll_deg = 0.0  # to the right
+    yaw_sigma_deg = 0.1  # standard deviations; 0, or left out, for a mount that counts as exact
+    pitch_sigma_deg = 0.1
+    roll_sigma_deg = 1.0
+    height_sigma_m = 0.02
 
 The centre of the upper left pixel is (0.5, 0.5); `foreglow.geometry` says what the frames are.
 """
@@ -92,6 +96,13 @@ def calibration_to_toml(camera: Camera) -> str:
         round(float(np.degrees(angle)), ANGLE_DECIMALS) + 0.0  # no -0.0
         for angle in rotation_angles_rad(camera.vehicle_from_camera.rotation)
     )
+    sigmas = camera.mount_sigmas
+    known = {
+        "yaw_sigma_deg": round(float(np.degrees(sigmas.yaw_rad)), ANGLE_DECIMALS),
+        "pitch_sigma_deg": round(float(np.degrees(sigmas.pitch_rad)), ANGLE_DECIMALS),
+        "roll_sigma_deg": round(float(np.degrees(sigmas.roll_rad)), ANGLE_DECIMALS),
+        "height_sigma_m": float(sigmas.height_m),
+    }
     return tomli_w.dumps(
         {
             "image": {"width_px": int(camera.width_px), "height_px": int(camera.height_px)},
@@ -105,6 +116,7 @@ def calibration_to_toml(camera: Camera) -> str:
                 "yaw_deg": yaw,
                 "pitch_deg": pitch,
                 "roll_deg": roll,
+                **{name: sigma for name, sigma in known.items() if sigma},
             },
         }
     )

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel
-from foreglow.geometry import Camera, Floats, Pose, rotation
+from foreglow.geometry import Camera, Floats, MountSigmas, Pose, rotation
 
 # TOML has lists where Python has tuples; what is in them stays strict.
 Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
@@ -17,6 +17,7 @@ Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(stri
 Focal: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1)]
 _Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+_Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
 
 _Position: TypeAlias = Annotated[
     tuple[
@@ -42,18 +43,32 @@ class Mount(FrozenModel):
         yaw_deg: Angle of its axis to the left.
         pitch_deg: Angle of its axis upwards.
         roll_deg: Rotation to the right about its axis.
+        yaw_sigma_deg: Standard deviation of the yaw; this and the next three are 0 for a mount that counts as exact.
+        pitch_sigma_deg: Standard deviation of the pitch.
+        roll_sigma_deg: Standard deviation of the roll.
+        height_sigma_m: Standard deviation of the height above the road.
     """
 
     position_m: _Position
     yaw_deg: _Angle = 0.0
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     roll_deg: _Angle = 0.0
+    yaw_sigma_deg: _Sigma = 0.0
+    pitch_sigma_deg: _Sigma = 0.0
+    roll_sigma_deg: _Sigma = 0.0
+    height_sigma_m: Annotated[float, Field(ge=0, le=10)] = 0.0
 
     @property
     def pose(self) -> Pose:
         """vehicle_from_camera."""
         turned = rotation(*np.radians([self.yaw_deg, self.pitch_deg, self.roll_deg]))
         return Pose(np.array(self.position_m), turned)
+
+    @property
+    def sigmas(self) -> MountSigmas:
+        """How well the pose is known."""
+        angles_rad = np.radians([self.yaw_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg]).tolist()
+        return MountSigmas(*angles_rad, self.height_sigma_m)
 
 
 class Intrinsics(FrozenModel):
@@ -113,6 +128,7 @@ class Intrinsics(FrozenModel):
             centre_px=self.centre_px,
             distortion=self.distortion,
             vehicle_from_camera=mount.pose,
+            mount_sigmas=mount.sigmas,
         )
 
 

@@ -1,4 +1,4 @@
-"""`calibrate`: checks calibration files, and converts those of other programs."""
+"""`calibrate`: checks calibration files, converts those of other programs, and makes one from a drive."""
 
 from __future__ import annotations
 
@@ -8,9 +8,22 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, flag, option, output_file, size_from, with_options
+from foreglow.cli.calibrating import calibrate_source, calibration_lines, write_calibration
+from foreglow.options import (
+    LensOptions,
+    SourceArgument,
+    SourceOptions,
+    argument,
+    flag,
+    option,
+    output_file,
+    size_from,
+    with_options,
+)
 
-calibrate = typer.Typer(no_args_is_help=True, help="Check a calibration file on an image, or convert one.")
+calibrate = typer.Typer(
+    no_args_is_help=True, help="Check a calibration file on an image, convert one, or make one from a drive."
+)
 app.add_typer(calibrate, name="calibrate")
 
 
@@ -29,6 +42,25 @@ def check(
     calibrated = read_calibration(camera)
     write_check(out, calibrated, read_image(image), str(image))
     typer.echo("\n".join([*check_lines(calibrated), f"picture        {out}"]))
+
+
+@calibrate.command()
+@with_options
+def auto(
+    source: SourceArgument,
+    out: Annotated[Path, output_file("TOML file to write.")],
+    lens: LensOptions,
+    reading: SourceOptions,
+    picture: Annotated[Path | None, output_file("PNG file to write (default: beside the TOML file).")] = None,
+) -> None:
+    """Calibrate a camera from a drive: where lanes and lights vanish, with standard deviations, and what stands still.
+
+    The picture shows horizon, vanishing point, a metre grid of the road, and the mask.
+    """
+    picture = picture or out.with_suffix(".png")
+    found = calibrate_source(source, reading, lens)
+    write_calibration(found, out, picture)
+    typer.echo("\n".join([*calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]))
 
 
 @calibrate.command()

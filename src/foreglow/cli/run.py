@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
+from foreglow.cli.calibrating import calibrated
 from foreglow.cli.running import (
     expectation,
     finish,
@@ -21,6 +22,8 @@ from foreglow.cli.running import (
     viewer_sinks,
 )
 from foreglow.options import (
+    AUTO,
+    LensOptions,
     PipelineOptions,
     RecordOption,
     SourceArgument,
@@ -46,6 +49,7 @@ def run(
     reading: SourceOptions,
     vehicle: VehicleOptions,
     viewer: ViewOptions,
+    lens: LensOptions,
     work: WorkerOptions,
     out: Annotated[
         Path | None, folder("Folder for the results (default: beside SOURCE and named after it, such as my_foreglow).")
@@ -53,13 +57,20 @@ def run(
     video: Annotated[bool, flag("--video", "Also write annotated pictures: MP4, or PNG of a single image.")] = False,
     record: RecordOption = None,
 ) -> None:
-    """Find the light artifacts in SOURCE, track them, and write the results to a folder."""
+    """Find the light artifacts in SOURCE, track them, and write the results to a folder.
+
+    With `--calibration auto`, SOURCE is read twice: first to calibrate its camera, which needs --focal or --fov.
+    """
     from foreglow.pipeline import Pipeline
     from foreglow.runtime import Opening
 
     workers, configuration = work.workers(), pipeline.configuration()
-    opening = Opening(open_frames, (source, reading, vehicle))
     out = folder_beside(source) if out is None else out
+    if vehicle.calibration == AUTO:
+        vehicle = calibrated(source, out, reading, vehicle, lens)
+    elif lens != LensOptions():
+        raise ValueError("--focal, --fov, --mount-height: expected with --calibration auto")
+    opening = Opening(open_frames, (source, reading, vehicle))
     if work.is_parallel:
         if video or viewer.view or any(value is not None for value in (reading.limit, record, viewer.save)):
             raise ValueError(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from foreglow.display.overlay import Colour, Measures, Picture
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
-from foreglow.geometry import Camera, Floats, rotation_angles_rad
+from foreglow.geometry import Camera, Floats, MountSigmas, rotation_angles_rad
 from foreglow.types import Image
 
 NEAR_STEP_M, NEAR_END_M, FAR_STEP_M, FAR_END_M = 5, 50, 10, 100
@@ -36,6 +36,7 @@ GRID_BGR: Colour = (150, 190, 90)
 LANE_BGR: Colour = (70, 190, 250)
 HORIZON_BGR: Colour = (240, 150, 90)
 VANISHING_BGR: Colour = (90, 90, 250)
+MASK_BGR: Colour = (200, 70, 190)
 _GROUND_BGR: Colour = (18, 15, 14)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -103,6 +104,11 @@ def check_lines(camera: Camera) -> list[str]:
         for range_m, row_m in zip(ROW_RANGES_M, figures.row_m, strict=True)
         if np.isfinite(row_m)
     ]
+    sigmas = camera.mount_sigmas
+    if sigmas != MountSigmas():
+        angles = zip(("pitch", "yaw", "roll"), (sigmas.pitch_rad, sigmas.yaw_rad, sigmas.roll_rad), strict=True)
+        known = ", ".join(f"{name} +-{np.degrees(sigma):.2f}" for name, sigma in angles)
+        lines.append(f"known to       {known} degrees, height +-{sigmas.height_m:.2f} m")
     return lines + [f"warning: {warning}" for warning in warnings_of(camera)]
 
 
@@ -131,7 +137,7 @@ def warnings_of(camera: Camera) -> list[str]:
     return found
 
 
-def write_check(path: Path, camera: Camera, image: Image, origin: str) -> None:
+def write_check(path: Path, camera: Camera, image: Image, origin: str, mask: NDArray[np.bool_] | None = None) -> None:
     """Writes `draw_check` of `image` as PNG.
 
     Args:
@@ -139,6 +145,7 @@ def write_check(path: Path, camera: Camera, image: Image, origin: str) -> None:
         camera: The calibration.
         image: The image.
         origin: Where the image came from, for messages.
+        mask: What stands still in the image; None where that is not known.
 
     Raises:
         ValueError: If `path` has another ending, or the image is not of the calibration's size.
@@ -146,11 +153,11 @@ def write_check(path: Path, camera: Camera, image: Image, origin: str) -> None:
     """
     if path.suffix.lower() != ".png":
         raise ValueError(f"{path}: expected a picture that ends in .png, got {path.suffix!r}")
-    write_atomic(path, cv2.imencode(".png", draw_check(camera, image, origin))[1].tobytes())
+    write_atomic(path, cv2.imencode(".png", draw_check(camera, image, origin, mask))[1].tobytes())
 
 
-def draw_check(camera: Camera, image: Image, origin: str = "image") -> Picture:
-    """`image` brightened, with horizon, vanishing point, metre grid and lane; at least 960 px wide.
+def draw_check(camera: Camera, image: Image, origin: str = "image", mask: NDArray[np.bool_] | None = None) -> Picture:
+    """`image` brightened, with horizon, vanishing point, metre grid, lane and mask; at least 960 px wide.
 
     Distances are ahead of the camera along the vehicle's x, on a flat road (z = 0); numbers stand to the right of the
     lines across.
@@ -172,6 +179,9 @@ def draw_check(camera: Camera, image: Image, origin: str = "image") -> Picture:
         interpolation=cv2.INTER_CUBIC,
     )
     picture = np.ascontiguousarray(np.repeat(np.asarray(grey, np.uint8)[:, :, None], 3, axis=2))
+    if mask is not None:
+        is_still = cv2.resize(mask.astype(np.uint8), picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+        picture[is_still] = picture[is_still] // 2 + np.array(MASK_BGR, np.uint8) // 2
     across = [*range(NEAR_STEP_M, NEAR_END_M, NEAR_STEP_M), *range(NEAR_END_M, FAR_END_M + 1, FAR_STEP_M)]
     ways_m = np.arange(1.0, FAR_END_M + _STEP_M / 2, _STEP_M)
     sides_m = np.arange(SIDES_M[0], SIDES_M[-1] + _STEP_M / 2, _STEP_M)

@@ -16,7 +16,7 @@ SENSOR_SIGMA_RAD = math.radians(0.05)
 
 
 class Pitch(NamedTuple):
-    """Pitch of the body against the road, nose up, and its standard deviation; both rad."""
+    """Pitch of the body against the road, nose up, and its standard deviation with the calibration's; both rad."""
 
     rad: float
     sigma_rad: float
@@ -34,12 +34,17 @@ class PitchSource(Protocol):
         ...
 
 
+def with_mount(sigma_rad: float, frame: Frame) -> float:
+    """`sigma_rad` together with the calibration's own standard deviation of the pitch."""
+    return sigma_rad if frame.camera is None else math.hypot(sigma_rad, frame.camera.mount_sigmas.pitch_rad)
+
+
 class FixedPitch:
     """The calibration's pitch: the body at rest."""
 
-    def pitch(self, frame: Frame) -> Pitch:  # noqa: ARG002
+    def pitch(self, frame: Frame) -> Pitch:
         """Zero, on top of the calibration's."""
-        return Pitch(0.0, REST_SIGMA_RAD)
+        return Pitch(0.0, with_mount(REST_SIGMA_RAD, frame))
 
     def reset(self) -> None:
         """There is nothing to forget."""
@@ -51,8 +56,8 @@ class MotionPitch:
     def pitch(self, frame: Frame) -> Pitch:
         """The measured pitch."""
         if frame.motion is None or math.isnan(frame.motion.pitch_rad):
-            return Pitch(0.0, REST_SIGMA_RAD)
-        return Pitch(frame.motion.pitch_rad, SENSOR_SIGMA_RAD)
+            return Pitch(0.0, with_mount(REST_SIGMA_RAD, frame))
+        return Pitch(frame.motion.pitch_rad, with_mount(SENSOR_SIGMA_RAD, frame))
 
     def reset(self) -> None:
         """There is nothing to forget."""
@@ -70,8 +75,9 @@ class MarkingsPitch:
     def pitch(self, frame: Frame) -> Pitch:
         """The pitch in `frame`."""
         lane = self.finder.find(frame)
-        trust = REST_SIGMA_RAD**2 / (REST_SIGMA_RAD**2 + lane.pitch_sigma_rad**2)
-        return Pitch(trust * lane.pitch_rad, REST_SIGMA_RAD * math.sqrt(1.0 - trust))
+        rest_sigma_rad = with_mount(REST_SIGMA_RAD, frame)
+        trust = rest_sigma_rad**2 / (rest_sigma_rad**2 + lane.pitch_sigma_rad**2)
+        return Pitch(trust * lane.pitch_rad, rest_sigma_rad * math.sqrt(1.0 - trust))
 
     def reset(self) -> None:
         """There is nothing to forget."""

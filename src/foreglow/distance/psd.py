@@ -17,7 +17,7 @@ from foreglow.config import DistanceConfig
 from foreglow.distance.alignment import RoadAligner
 from foreglow.distance.pixelwise import PixelwiseEstimator, no_ranges
 from foreglow.geometry import Floats, rotation
-from foreglow.rays import Rays
+from foreglow.rays import Rays, calibrated
 from foreglow.types import Frame
 
 MAP_SIGMA_RAD = math.radians(0.2)
@@ -66,8 +66,10 @@ class PSD3D(PixelwiseEstimator):
         offsets_m = dense(self._road_points(frame)) - rays.origin_m
         nearest = nearest_points(rays.directions @ offsets_m.T, offsets_m)
         ranges_m, sines = closest_approach(rays.directions, offsets_m, nearest)
-        angle_sigma_rad = math.hypot(rays.pitch_sigma_rad, MAP_SIGMA_RAD)
-        across_m = np.hypot(ranges_m * angle_sigma_rad, OFFSET_SIGMA_M) / sines
+        mount = calibrated(frame).mount_sigmas
+        angle_sigma_rad = math.hypot(rays.pitch_sigma_rad, MAP_SIGMA_RAD, mount.yaw_rad)
+        offset_sigma_m = math.hypot(OFFSET_SIGMA_M, mount.height_m)
+        across_m = np.hypot(ranges_m * angle_sigma_rad, offset_sigma_m) / sines
         sigmas_m = np.hypot(across_m, frame.road.error_bound_m / math.sqrt(3.0))
         return ranges_m, np.where(np.isnan(ranges_m), np.inf, sigmas_m)
 
@@ -121,7 +123,8 @@ class PSD2D(PixelwiseEstimator):
         first = crosses.argmax(axis=1)
         nearest = np.where(crosses[np.arange(len(first)), first], first, nearest)
         reaches_m, sines = closest_approach(azimuths, offsets_m, nearest)
-        across_m = np.hypot(reaches_m * YAW_SIGMA_RAD, LATERAL_SIGMA_M) / sines
+        yaw_sigma_rad = math.hypot(YAW_SIGMA_RAD, calibrated(frame).mount_sigmas.yaw_rad)
+        across_m = np.hypot(reaches_m * yaw_sigma_rad, LATERAL_SIGMA_M) / sines
         sigmas_m = np.hypot(across_m, frame.road.error_bound_m / math.sqrt(3.0)) / level
         ranges_m = np.where(has_azimuth, reaches_m / level, np.nan)
         return ranges_m, np.where(np.isnan(ranges_m), np.inf, sigmas_m)

@@ -78,7 +78,11 @@ class RoadSurface:
             return Ranges(detections, np.zeros(0), np.zeros(0))
         cells = self._weigher.cells_along(view.road, view.camera_m, view.pitch_sigma_rad)
         near_m, ranges_m, far_m = self._weigher.ranges(cells, view.boxes)
-        return Ranges(detections, ranges_m, (far_m - near_m) * (0.5 * self.model.sigma_scale))
+        sigmas_m = (far_m - near_m) * (0.5 * self.model.sigma_scale)
+        height_sigma_m = calibrated(frame).mount_sigmas.height_m
+        if height_sigma_m:
+            sigmas_m = np.hypot(sigmas_m, ranges_m * height_sigma_m / view.camera_m[2])
+        return Ranges(detections, ranges_m, sigmas_m)
 
     def view(self, frame: Frame, detections: Detections) -> View:
         """What the model needs of `frame`; the state is updated as in `estimate`.

@@ -1,0 +1,246 @@
+"""The mount of a camera from a drive: the directions of all frames, put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.calibration.auto.flow import Motion, follow, is_next, travel
+from foreglow.calibration.auto.lines import Direction, Segments, find_segments, meet, vote
+from foreglow.calibration.auto.still import StillEdges
+from foreglow.calibration.auto.views import Lens, View, views_of
+from foreglow.calibration.values import Intrinsics, Mount
+from foreglow.geometry import Camera, Floats
+from foreglow.types import Frame
+
+HEIGHT_M, HEIGHT_SIGMA_M = 1.3, 0.15
+"""Of the cameras behind the windscreens of cars."""
+
+TAPE_SIGMA_M = 0.02
+"""Of a height that someone has measured."""
+
+FORWARD_M = 1.7
+"""In front of the rear axle; ranges count from the camera, so it hardly matters."""
+
+NUM_PARTS = 8
+"""Parts of the drive whose spread is the standard deviation."""
+
+MIN_VIEWS = 10
+MIN_DIRECTIONS = 10
+"""Frames that have to show where the way ahead vanishes."""
+
+MAX_POINT_SIGMA = 0.02
+"""A frame that shows the vanishing point less well than this does not count, rad."""
+
+NUM_VOTERS = 40
+
+LINES_FLOOR_DEG = 0.12
+FLOW_FLOOR_DEG = 0.6
+"""Least standard deviations: of the lines, since roads bend, rise and bank; of the flow, since the light on the road
+goes with the car, and a camera in front of the rear axle moves sideways in a bend."""
+
+MAX_YAW_RATE_RADPS = math.radians(3.0)
+"""In sharper bends, the flow is not used for the direction."""
+
+ROLL_SIGMA_DEG = 1.0
+"""Roll is not measured: cameras are fixed about level."""
+
+MAX_SIGMA_DEG = 1.5
+"""A worse calibration is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveCalibration:
+    """A camera that was calibrated from its own drive.
+
+    Attributes:
+        camera: With the standard deviations of its mount.
+        mask: Shape (height, width) of the frames, True where something stands still, such as the bonnet.
+        frame: The frame in which most lines were found.
+        num_views: Frames that were looked at.
+        num_lines: Frames whose lines met in a vanishing point.
+        num_flows: Pairs of frames whose flow showed the direction of travel.
+    """
+
+    camera: Camera
+    mask: NDArray[np.bool_]
+    frame: Frame
+    num_views: int
+    num_lines: int
+    num_flows: int
+
+
+def calibrate_drive(
+    frames: Iterable[Frame],
+    intrinsics: Intrinsics,
+    *,
+    name: str,
+    rate_hz: float | None = None,
+    num_frames: int | None = None,
+    height_m: float | None = None,
+) -> DriveCalibration:
+    """The camera that took `frames`, with its mount as the drive shows it.
+
+    Args:
+        frames: The drive, in the order of time.
+        intrinsics: The camera's lens.
+        name: Of the drive, for messages.
+        rate_hz: Frames a second; None if unknown.
+        num_frames: Number of frames; None if unknown.
+        height_m: Of the camera above the road, measured; None for that of most cars.
+
+    Raises:
+        ValueError: If the drive shows too little; the message says what is missing. Also if frames are of another size
+            than the lens.
+    """
+    drive = _Drive(Lens(intrinsics))
+    for frame, view in views_of(frames, rate_hz, num_frames):
+        size_px = (frame.width_px, frame.height_px)
+        if size_px != (intrinsics.width_px, intrinsics.height_px):
+            expected = f"{intrinsics.width_px}x{intrinsics.height_px}"
+            raise ValueError(f"{name}: size: expected {expected} px in all frames, got {size_px[0]}x{size_px[1]}")
+        drive.add(frame, view)
+    if len(drive.segments) < MIN_VIEWS or drive.frame is None:
+        raise ValueError(
+            f"{name}: expected a drive of at least {MIN_VIEWS} frames that are {MIN_VIEWS} times 0.05 s apart, "
+            f"got {len(drive.segments)}"
+        )
+    if drive.still.stands:
+        raise ValueError(f"{name}: expected a drive, nothing moves in it: the car stands, or it is too dark to see")
+    lines, flows = drive.directions()
+    estimates = [
+        _Estimate.of(directions, floor_deg)
+        for directions, floor_deg in ((lines, LINES_FLOOR_DEG), (flows, FLOW_FLOOR_DEG))
+        if len(directions) >= MIN_DIRECTIONS
+    ]
+    if not estimates:
+        raise ValueError(
+            f"{name}: expected lane markings or moving lights in at least {MIN_DIRECTIONS} frames, the way ahead shows "
+            f"in {max(len(lines), len(flows))} of {len(drive.segments)}"
+        )
+    both = _joined(estimates)
+    yaw_deg, pitch_deg = _angles_deg(both.point)
+    yaw_sigma_deg, pitch_sigma_deg = np.degrees(both.sigmas).tolist()
+    if max(yaw_sigma_deg, pitch_sigma_deg) > MAX_SIGMA_DEG:
+        raise ValueError(
+            f"{name}: expected a way ahead that shows to {MAX_SIGMA_DEG:g} degrees, the frames differ too much: yaw "
+            f"+-{yaw_sigma_deg:.1f}, pitch +-{pitch_sigma_deg:.1f}"
+        )
+    mount = Mount(
+        position_m=(FORWARD_M, 0.0, HEIGHT_M if height_m is None else height_m),
+        yaw_deg=round(yaw_deg, 3),
+        pitch_deg=round(pitch_deg, 3),
+        yaw_sigma_deg=round(yaw_sigma_deg, 3),
+        pitch_sigma_deg=round(pitch_sigma_deg, 3),
+        roll_sigma_deg=ROLL_SIGMA_DEG,
+        height_sigma_m=HEIGHT_SIGMA_M if height_m is None else TAPE_SIGMA_M,
+    )
+    camera = intrinsics.camera(mount)
+    ahead = camera.project(camera.vehicle_from_camera.rotation.T @ [1.0, 0.0, 0.0])
+    mask = drive.still.mask(ahead / drive.lens.reduction).astype(np.uint8)
+    size_px = (intrinsics.width_px, intrinsics.height_px)
+    full = cv2.resize(mask, size_px, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    return DriveCalibration(camera, full, drive.frame, len(drive.segments), len(lines), len(flows))
+
+
+class _Drive:
+    """What is kept of a drive while its frames come by."""
+
+    def __init__(self, lens: Lens) -> None:
+        self.lens = lens
+        self.still = StillEdges()
+        self.segments: list[Segments] = []
+        self.is_steady: list[bool] = []
+        self.motions: list[Motion] = []
+        self.frame: Frame | None = None
+        self._most = -1
+        self._previous: View | None = None
+
+    def add(self, frame: Frame, view: View) -> None:
+        """Takes one more frame."""
+        self.still.add(view.grey)
+        before = self._previous
+        is_near = before is not None and is_next(before, view)
+        # What is bright in both frames is on the road; streaks of snow and rain are in one.
+        grey = np.minimum(before.grey, view.grey) if before is not None and is_near else view.grey
+        self.segments.append(find_segments(grey, self.lens))
+        self.is_steady.append(is_near)
+        if len(self.segments[-1]) > self._most:
+            self._most, self.frame = len(self.segments[-1]), frame
+        if before is not None and is_near:
+            tracks = follow(before, view, self.lens)
+            if tracks is not None:
+                self.motions.append(travel(tracks, self.lens.focal_px))
+        self._previous = view
+
+    def directions(self) -> tuple[list[Direction], list[Direction]]:
+        """Where the way ahead vanishes: by the lines of each frame, and by the flow of each pair."""
+        segments = [each for each, is_steady in zip(self.segments, self.is_steady, strict=True) if is_steady]
+        if len(segments) < MIN_VIEWS:
+            segments = self.segments
+        start = vote(segments[:: max(1, len(segments) // NUM_VOTERS)])
+        found = [] if start is None else [meet(each, start, self.lens.focal_px) for each in segments]
+        lines = [each for each in found if each is not None and each.worst_sigma < MAX_POINT_SIGMA]
+        flows = [
+            motion.direction
+            for motion in self.motions
+            if abs(motion.rotation_radps[1]) < MAX_YAW_RATE_RADPS and motion.direction.worst_sigma < MAX_POINT_SIGMA
+        ]
+        return lines, flows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """A vanishing point (u, v), shape (2,), and its standard deviations, rad."""
+
+    point: Floats
+    sigmas: Floats
+
+    @classmethod
+    def of(cls, directions: Sequence[Direction], floor_deg: float) -> _Estimate:
+        """The mean of many directions; the spread of the drive's parts is its standard deviation."""
+        parts = np.array_split(np.arange(len(directions)), min(NUM_PARTS, len(directions) // 2))
+        points = np.array([_mean([directions[index] for index in part]) for part in parts])
+        spreads = 1.483 * np.median(np.abs(points - np.median(points, axis=0)), axis=0)
+        sigmas = np.hypot(spreads / math.sqrt(len(parts)), math.radians(floor_deg))
+        return cls(_mean(directions), sigmas)
+
+
+def _mean(directions: Sequence[Direction]) -> Floats:
+    """The mean of points by their information, in which those far off count little."""
+    points = np.array([each.point for each in directions])
+    covariances = np.linalg.inv(np.array([each.information for each in directions])) + FRAME_SIGMA**2 * np.eye(2)
+    informations = np.linalg.inv(covariances)
+    mean = np.median(points, axis=0)
+    for _ in range(NUM_MEANS):
+        squares = np.einsum("ni,nij,nj->n", points - mean, informations, points - mean)
+        weighted = informations / (1.0 + squares / 4.0)[:, None, None]
+        mean = np.linalg.solve(weighted.sum(0), np.einsum("nij,nj->i", weighted, points))
+    return np.asarray(mean)
+
+
+FRAME_SIGMA = math.radians(0.3)
+"""How far the lines of a frame lead from the way of the car over the drive: it sways, and drifts in its lane."""
+
+NUM_MEANS = 10
+
+
+def _joined(estimates: Sequence[_Estimate]) -> _Estimate:
+    """The mean of estimates by their standard deviations, which grow where they disagree."""
+    points, sigmas = (np.array([getattr(each, name) for each in estimates]) for name in ("point", "sigmas"))
+    weights = sigmas**-2.0
+    mean = (weights * points).sum(0) / weights.sum(0)
+    disagreement = ((points - mean) ** 2 * weights).sum(0) / max(len(estimates) - 1, 1)
+    return _Estimate(mean, np.sqrt(np.maximum(disagreement, 1.0) / weights.sum(0)))
+
+
+def _angles_deg(point: Floats) -> tuple[float, float]:
+    """Yaw and pitch of a level camera that sees the way ahead at the tangents (u, v)."""
+    right, down = float(point[0]), float(point[1])
+    # The way ahead in the camera's frame is (1, -u, -v), which is x of the vehicle's turned back by yaw, then pitch.
+    return math.degrees(math.atan2(right, math.hypot(1.0, down))), math.degrees(math.atan2(down, 1.0))

@@ -1,0 +1,172 @@
+"""Where the lines on the road meet: the vanishing point of each frame, from OpenCV's line segments.
+
+All in tangents of angles: u to the right, v downwards. A line along a flat road that lies Y to the right of a camera at
+the height h, on a road of the curvature k to the right, is seen at
+
+    u(v) = u0 + (Y / h) (v - v0) + (k h / 2) / (v - v0),   v > v0                                               (1)
+
+with the vanishing point (u0, v0) of the way ahead. So the tangent of the line at the row v meets the horizon at
+
+    u0 + k h / (v - v0)                                                                                         (2)
+
+whatever Y is. Each line segment gives one equation (2) for (u0, v0, k h), which are fitted with weights that make
+segments of other things count little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from foreglow.calibration.auto.views import Grey, Lens
+from foreglow.geometry import Floats
+
+MIN_LENGTH_SHARE = 0.025
+"""Shorter segments, as a share of the image's width, are not used."""
+
+MIN_SLOPE = 0.1
+"""Segments that fall by less than this for each pixel to the side are level, such as kerbs across and bonnets."""
+
+MIN_LEAN = 0.15
+"""Segments that lean by less than this for each pixel downwards are poles, walls, and lamps mirrored in a wet road."""
+
+REACH = 0.3
+GRID_STEP = 0.01
+"""The vanishing point of a drive is searched for up to `REACH` to either side of the axis, with this step."""
+
+VOTE_SIGMA = 0.012
+MAX_LENGTH = 0.2
+MAX_VOTE = 0.6
+MIN_VOTE = 0.05
+"""Votes: of a segment at most `MAX_LENGTH`, of a side of a frame at most `MAX_VOTE`, and of a point at least `MIN_VOTE`
+for each frame."""
+
+MIN_DEPTH = 0.03
+"""The middle of a segment is at least this far below the horizon."""
+
+POSITION_SIGMA_PX = 0.7
+SLOPE_SIGMA = 0.01
+"""Standard deviations of a segment's ends across it, and of the direction of a line against the road's, rad."""
+
+HIT_SIGMA = 0.004
+"""Standard deviation of (2) where the direction is exact: the lines of a road are not straight."""
+
+CURVATURE_SIGMA = 0.005
+"""Standard deviation of k h."""
+
+PRIOR_SIGMA = 0.035
+"""Standard deviation of a frame's vanishing point about that of the drive before the fit."""
+
+NUM_STEPS = 8
+MIN_SEGMENTS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Line segments of a frame, in tangents of angles.
+
+    Attributes:
+        middles: Shape (N, 2).
+        slopes: Shape (N,), du/dv.
+        lengths: Shape (N,).
+        tops: Shape (N,), v of the upper end.
+    """
+
+    middles: Floats
+    slopes: Floats
+    lengths: Floats
+    tops: Floats
+
+    def __len__(self) -> int:
+        return len(self.slopes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Direction:
+    """Where a direction is seen in a frame.
+
+    Attributes:
+        point: Shape (2,), tangents u, v.
+        information: Shape (2, 2), inverse of the covariance.
+    """
+
+    point: Floats
+    information: Floats
+
+    @property
+    def worst_sigma(self) -> float:
+        """Standard deviation in the direction in which the point is known least."""
+        least = float(np.linalg.eigvalsh(self.information)[0])
+        return least**-0.5 if least > 0 else np.inf
+
+
+def find_segments(grey: Grey, lens: Lens) -> Segments:
+    """The segments in `grey` that are long enough, and neither level nor upright."""
+    found = cv2.createLineSegmentDetector().detect(grey)[0]
+    ends_px = np.zeros((0, 2, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, 2, 2)
+    spans_px = ends_px[:, 1] - ends_px[:, 0]
+    lengths_px = np.hypot(spans_px[:, 0], spans_px[:, 1])
+    is_used = lengths_px > MIN_LENGTH_SHARE * grey.shape[1]
+    across_px, down_px = np.abs(spans_px).T
+    is_used &= (down_px > MIN_SLOPE * across_px) & (across_px > MIN_LEAN * down_px)
+    ends = lens.tangents(ends_px[is_used])
+    spans = ends[:, 1] - ends[:, 0]
+    slopes, lengths = spans[:, 0] / spans[:, 1], np.hypot(spans[:, 0], spans[:, 1])
+    return Segments(ends.mean(1), slopes, lengths, ends[..., 1].min(1))
+
+
+def vote(frames: Sequence[Segments]) -> Floats | None:
+    """The point (u, v) at which most segments of all frames meet from both sides; None if they meet nowhere.
+
+    A segment votes for the points on its line that are above it. A point counts the votes from the left and from the
+    right alike, and neither side of a frame for more than `MAX_VOTE`.
+    """
+    axis = np.arange(-REACH, REACH + GRID_STEP / 2, GRID_STEP)
+    totals = np.zeros((2, len(axis), len(axis)))
+    for segments in frames:
+        hits = segments.middles[:, :1] + segments.slopes[:, None] * (axis - segments.middles[:, 1:])  # (N, V)
+        is_below = (segments.tops[:, None] > axis) & (segments.middles[:, 1:] > axis + MIN_DEPTH)
+        weights = is_below * np.minimum(segments.lengths, MAX_LENGTH)[:, None]
+        sigmas = VOTE_SIGMA * np.sqrt(1.0 + segments.slopes**2)
+        offsets = (hits[..., None] - axis) / sigmas[:, None, None]  # (N, V, U)
+        votes = weights[..., None] * np.maximum(1.0 - offsets * offsets / 6.0, 0.0)
+        for side, is_side in enumerate((segments.slopes < 0, segments.slopes >= 0)):
+            totals[side] += np.minimum(votes[is_side].sum(0), MAX_VOTE)
+    both = np.sqrt(totals[0] * totals[1])
+    v, u = np.unravel_index(both.argmax(), both.shape)
+    if both[v, u] < MIN_VOTE * len(frames):
+        return None
+    return np.array([axis[u], axis[v]])
+
+
+def meet(segments: Segments, start: Floats, focal_px: float) -> Direction | None:
+    """The vanishing point of a frame by (2), near `start`; None where too few segments say where it is."""
+    u0, v0, bend = float(start[0]), float(start[1]), 0.0
+    if len(segments) < MIN_SEGMENTS:
+        return None
+    prior = np.diag([PRIOR_SIGMA**-2.0, PRIOR_SIGMA**-2.0, CURVATURE_SIGMA**-2.0])
+    information = np.zeros((3, 3))
+    for step in range(NUM_STEPS):
+        depths = segments.middles[:, 1] - v0
+        is_used = (segments.tops > v0) & (depths > MIN_DEPTH)
+        if is_used.sum() < MIN_SEGMENTS:
+            return None
+        slopes, depths = segments.slopes[is_used], depths[is_used]
+        hits = segments.middles[is_used, 0] - slopes * depths
+        sigmas = np.hypot(POSITION_SIGMA_PX / focal_px * 3.5 / segments.lengths[is_used], SLOPE_SIGMA)
+        sigmas = np.hypot(sigmas * np.sqrt(1.0 + slopes**2) * depths, HIT_SIGMA)  # across the line
+        across = 1.0 / np.sqrt(1.0 + slopes**2)
+        residuals = (hits - u0 - bend / depths) * across
+        rows = np.stack([np.ones_like(slopes), -slopes, 1.0 / depths], -1) * across[:, None]
+        scale = max(1.5, 4.0 * 0.6**step)
+        weights = 1.0 / (sigmas**2 * (1.0 + (residuals / (scale * sigmas)) ** 2))
+        information = (rows * weights[:, None]).T @ rows
+        pull = prior @ np.array([start[0] - u0, start[1] - v0, -bend])
+        change = np.linalg.solve(information + prior, (rows * weights[:, None]).T @ residuals + pull)
+        u0, v0, bend = u0 + change[0], v0 + change[1], bend + change[2]
+    information[2, 2] += CURVATURE_SIGMA**-2.0
+    schur = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / information[2, 2]
+    return Direction(np.array([u0, v0]), schur)

@@ -1,0 +1,69 @@
+"""What `calibrate auto` and `run --calibration auto` share: a calibration from the drive, its file and its picture."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from foreglow.calibration.auto import DriveCalibration
+    from foreglow.options import LensOptions, SourceOptions, VehicleOptions
+
+
+def calibrate_source(source: Path, reading: SourceOptions, lens: LensOptions) -> DriveCalibration:
+    """The calibration that the frames of `source` show."""
+    from foreglow.calibration.auto import calibrate_drive, lens_of
+
+    frames, name = reading.open(source), str(source)
+    first = next(iter(frames), None)
+    if first is None:
+        raise ValueError(f"{name}: expected a drive, it has no frame")
+    return calibrate_drive(
+        itertools.islice(frames, reading.limit),
+        lens_of(first, name, lens.focal, lens.fov),
+        name=name,
+        rate_hz=frames.rate_hz,
+        num_frames=reading.limit or frames.num_frames,
+        height_m=lens.mount_height,
+    )
+
+
+def write_calibration(found: DriveCalibration, path: Path, picture: Path) -> None:
+    """Writes the calibration as TOML, and a picture of horizon, vanishing point, grid and mask."""
+    from foreglow.calibration import calibration_to_toml
+    from foreglow.display.calibration_check import write_check
+    from foreglow.files import write_atomic
+
+    write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
+    write_atomic(path, calibration_to_toml(found.camera).encode())
+
+
+def calibration_lines(found: DriveCalibration) -> list[str]:
+    """What was found, a line each."""
+    from foreglow.display.calibration_check import check_lines
+
+    return [
+        *check_lines(found.camera),
+        f"seen in        {found.num_lines} of {found.num_views} frames by lines, {found.num_flows} pairs by flow",
+        f"stands still   {found.mask.mean():.1%} of the image",
+    ]
+
+
+def calibrated(
+    source: Path, out: Path, reading: SourceOptions, vehicle: VehicleOptions, lens: LensOptions
+) -> VehicleOptions:
+    """`vehicle` with a calibration that `source` shows; it lies in `out`, with its picture."""
+    from foreglow.files import naming
+
+    folder = out / "calibration"
+    found = calibrate_source(source, dataclasses.replace(reading, limit=None), lens)
+    with naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "camera.toml"
+    write_calibration(found, path, path.with_suffix(".png"))
+    typer.echo("\n".join([*calibration_lines(found), f"calibration    {path}"]))
+    return dataclasses.replace(vehicle, calibration=path)
