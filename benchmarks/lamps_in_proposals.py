@@ -1,8 +1,10 @@
 """How many lamps in sight lie in a proposal: `python -m benchmarks.lamps_in_proposals SPLIT ... [--preset NAME ...]`.
 
 Each SPLIT is a simulated one, such as `DATA/phone/night/val`. Lamps of vehicles at 20 to 150 m count if at least half
-of their disc is seen, and the labelled light of vehicles on something. A lamp is in a proposal if it is at most two
-pixels of a frame of 1280 columns outside of it. `lamps_in_proposals.json` goes into the folder of results.
+of their disc is seen, and the labelled light of vehicles on something. A box must not be much larger than the light:
+one around half of the image holds every lamp, and tells of none. In a frame of 1280 columns the longer side is at most
+28 px + 1200 px m / range for a lamp, 150 px for light on something, and a lamp is at most 2 px outside.
+`lamps_in_proposals.json` goes into the folder of results.
 """
 
 from __future__ import annotations
@@ -26,26 +28,33 @@ MIN_VISIBLE_SHARE = 0.5
 MARGIN = 2.0 / 1280.0
 """A lamp may be outside of its box by so much, as a share of the frame's width."""
 
+LAMP_SIDE, LAMP_SIDE_M, LIGHT_SIDE = 28.0 / 1280.0, 1200.0 / 1280.0, 150.0 / 1280.0
+"""Longest side of a box over the width of the frame: of a lamp the first, and the second over its range in metres."""
+
 KINDS = ("front lamps", "rear lamps", "light of front lamps", "light of rear lamps")
 
 
-def lights_of(vehicle: VehicleTruth) -> list[tuple[str, tuple[float, float], bool]]:
-    """Kind and place of the vehicle's lights that count, and whether it is the lamp itself."""
+def lights_of(vehicle: VehicleTruth) -> list[tuple[str, tuple[float, float], float, float]]:
+    """Kind and place of the vehicle's lights that count, with the margin and the longest side of their boxes."""
+    side = LAMP_SIDE + LAMP_SIDE_M / max(vehicle.range_m, 1.0)
     low, high = RANGES_M
     lamps = [lamp for lamp in vehicle.lamps if low <= vehicle.range_m <= high and lamp.intensity_cd >= 1.0]
     return [
-        (KINDS[lamp.is_rear], lamp.position_px, True) for lamp in lamps if lamp.visible_share >= MIN_VISIBLE_SHARE
+        (KINDS[lamp.is_rear], lamp.position_px, MARGIN, side)
+        for lamp in lamps
+        if lamp.visible_share >= MIN_VISIBLE_SHARE
     ] + [
-        (KINDS[2 + artifact.is_rear], artifact.position_px, False)
+        (KINDS[2 + artifact.is_rear], artifact.position_px, 0.0, LIGHT_SIDE)
         for artifact in vehicle.artifacts
         if not (artifact.is_direct or artifact.is_doubtful)
     ]
 
 
-def holds(boxes_xyxy_px: Boxes, position_px: tuple[float, float], margin_px: float) -> bool:
-    """Whether any of the boxes holds the position."""
+def holds(boxes_xyxy_px: Boxes, position_px: tuple[float, float], margin_px: float, side_px: float) -> bool:
+    """Whether any of the boxes with sides of at most `side_px` holds the position."""
     x, y = position_px
-    x1, y1, x2, y2 = boxes_xyxy_px.T
+    sides_px = boxes_xyxy_px[:, 2:] - boxes_xyxy_px[:, :2]
+    x1, y1, x2, y2 = boxes_xyxy_px[sides_px.max(axis=1, initial=0) <= side_px].T
     return bool(((x1 - margin_px <= x) & (x <= x2 + margin_px) & (y1 - margin_px <= y) & (y <= y2 + margin_px)).any())
 
 
@@ -59,10 +68,10 @@ def measure(split: Path, proposer: Proposer) -> dict[str, float]:
         num_boxes += len(boxes)
         height, width = image.shape
         for vehicle in truth.sequence_of(image_id).frame(image_id).vehicles:
-            for kind, position_px, is_lamp in lights_of(vehicle):
+            for kind, position_px, margin, side in lights_of(vehicle):
                 if 0 <= position_px[0] < width and 0 <= position_px[1] < height:
                     num[kind] += 1
-                    num_held[kind] += holds(boxes, position_px, MARGIN * width if is_lamp else 0.0)
+                    num_held[kind] += holds(boxes, position_px, margin * width, side * width)
     shares = {kind: num_held[kind] / num[kind] if num[kind] else float("nan") for kind in KINDS}
     return {**shares, "number of lamps": num[KINDS[0]] + num[KINDS[1]], "boxes": num_boxes / len(dataset.frame_ids)}
 

@@ -200,11 +200,12 @@ def test_lamps_in_proposals_are_counted(tmp_path: Path) -> None:
     lamps_in_proposals.main([str(shipped_drive()), "--preset", "foreglow", "--out", str(tmp_path / "lamps.json")])
     (row,) = json.loads((tmp_path / "lamps.json").read_text())
     assert row["number of lamps"] > 0
-    assert row["front lamps"] >= 0.9
+    assert 0.3 < row["front lamps"] <= 1.0
     boxes = np.array([[10, 10, 20, 20]], np.int32)
-    assert lamps_in_proposals.holds(boxes, (21.0, 15.0), 2.0)
-    assert not lamps_in_proposals.holds(boxes, (21.0, 15.0), 0.0)
-    assert not lamps_in_proposals.holds(boxes[:0], (15.0, 15.0), 2.0)
+    assert lamps_in_proposals.holds(boxes, (21.0, 15.0), 2.0, 10.0)
+    assert not lamps_in_proposals.holds(boxes, (21.0, 15.0), 0.0, 10.0)
+    assert not lamps_in_proposals.holds(boxes, (15.0, 15.0), 2.0, 9.0)
+    assert not lamps_in_proposals.holds(boxes[:0], (15.0, 15.0), 2.0, 10.0)
 
 
 def test_errors_of_a_calibration_by_hand() -> None:
