@@ -271,7 +271,6 @@ annotate @night/val --out @night/val/labels/sequences.json"""
 
 MISUSE = """\
 run
-run @night.png
 nothing
 run @night.png --out
 run --nothing

@@ -54,7 +54,8 @@ def simulate(
     empty: Annotated[bool, flag("--empty", "Leave out all vehicles that have their lamps on.")] = False,
     fps: Annotated[float, option("HZ", "Frames per second.", min=0.1, max=1000.0)] = 18.0,
     pair_s: Annotated[
-        float | None, option("S", "Frames come in pairs that are so far apart, half as often.", "--pairs", max=10.0)
+        float | None,
+        option("S", "Frames come in pairs that are so far apart, half as often.", "--pairs", min=0.001, max=10.0),
     ] = None,
     quality: QualityOption = "training",
 ) -> None:
