@@ -12,7 +12,7 @@ import functools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from foreglow.lab.simulation.scenes.draw import Draw
 
 PROFILES = ("dashcam", "town_dashcam", "phone", "action_cam", "webcam")
 SEED = 4021
-SPLIT = "test"
+SPLIT: Literal["test"] = "test"
 SIZE_PX = (640, 480)
 RATE_HZ = 8.0
 PAIR_S = 0.06
@@ -87,7 +87,7 @@ def judge(drive: Path) -> dict[str, Any]:
     except ValueError as error:
         return {"drive": name, "refused": str(error)}
     angles = [rotation_angles_rad(each.vehicle_from_camera.rotation) for each in (found.camera, first.camera)]
-    yaw_deg, pitch_deg, _ = np.degrees(np.subtract(*angles)).tolist()
+    yaw_deg, pitch_deg, _ = np.degrees(np.subtract(angles[0], angles[1])).tolist()
     sigmas = found.camera.mount_sigmas
     return {
         "drive": name,

@@ -63,7 +63,8 @@ def test_a_file_comes_back_as_it_is(tmp_path: Path) -> None:
 def test_standard_deviations_come_back_as_they_are(tmp_path: Path) -> None:
     text = TEXT + "yaw_sigma_deg = 0.2\npitch_sigma_deg = 0.15\nheight_sigma_m = 0.02\n"
     camera = read_calibration(write(tmp_path, text))
-    assert camera.mount_sigmas == MountSigmas(*np.radians([0.2, 0.15, 0.0]).tolist(), 0.02)
+    yaw_rad, pitch_rad = np.radians([0.2, 0.15]).tolist()
+    assert camera.mount_sigmas == MountSigmas(yaw_rad, pitch_rad, 0.0, 0.02)
     assert camera.scaled(640, 480).mount_sigmas == camera.mount_sigmas
     assert calibration_to_toml(camera) == text
     with pytest.raises(ValueError, match=r"camera.toml: mount.pitch_sigma_deg: "):

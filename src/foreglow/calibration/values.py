@@ -67,8 +67,8 @@ class Mount(FrozenModel):
     @property
     def sigmas(self) -> MountSigmas:
         """How well the pose is known."""
-        angles_rad = np.radians([self.yaw_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg]).tolist()
-        return MountSigmas(*angles_rad, self.height_sigma_m)
+        yaw, pitch, roll = np.radians([self.yaw_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg]).tolist()
+        return MountSigmas(yaw, pitch, roll, self.height_sigma_m)
 
 
 class Intrinsics(FrozenModel):

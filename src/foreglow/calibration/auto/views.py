@@ -78,10 +78,10 @@ def views_of(frames: Iterable[Frame], rate_hz: float | None, num_frames: int | N
 
 def _small(image: Image) -> Grey:
     reduction = reduction_of(image.shape[1])
+    light: NDArray[np.float32] = image.astype(np.float32)
     if reduction > 1:
         size = (image.shape[1] // reduction, image.shape[0] // reduction)
-        cut = np.ascontiguousarray(image[: size[1] * reduction, : size[0] * reduction])
-        image = cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
-    light = image.astype(np.float32)
+        cut = np.ascontiguousarray(light[: size[1] * reduction, : size[0] * reduction])
+        light = np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32)
     bright = max(float(np.percentile(light, BRIGHT_PERCENTILE)), np.iinfo(image.dtype).max * 0.02)
     return np.asarray(np.sqrt(np.clip(light / bright, 0.0, 1.0)) * 255.0, np.uint8)
