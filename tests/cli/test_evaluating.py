@@ -268,7 +268,7 @@ def test_undefined_metrics_are_a_dash_and_null(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "quality.json").read_text())["q"] is None
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"x": 3}'])
+@pytest.mark.parametrize("text", ["", "{", "[1]", '{"x": 3}'])
 def test_broken_predictions_are_one_line(tmp_path: Path, text: str) -> None:
     split = write_split(tmp_path / "PVDN" / "day" / "val")
     (tmp_path / "predictions.json").write_text(text)

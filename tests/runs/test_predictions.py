@@ -83,7 +83,7 @@ def test_bad_lines(tmp_path: Path, lines: list[object], message: str) -> None:
     ("document", "message"),
     [
         ("", "expected JSON"),
-        ([], "expected an object"),
+        ([1], "0: expected an object"),
         ({"7": {"boxes": [[1, 2, 3, 4]]}}, "7.scores: field is missing"),
         ({"7": {"boxes": [[1, 2, 3, 4]], "scores": []}}, "7: scores: expected 1, one a box, got 0"),
         ({"7": {"boxes": [[1, 2, 3, 4]], "scores": [1]}, "8": [[1, 2, 3, 4]]}, "8: expected an object, got"),

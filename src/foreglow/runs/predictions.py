@@ -145,8 +145,6 @@ def _from_lines(path: Path) -> Predictions:
 
 def _from_published(path: Path) -> Predictions:
     entries = read_json(path, _JsonFile).root
-    if entries == []:
-        raise ValueError(f"{path}: expected an object, or COCO's results with at least one box, got an empty list")
     if isinstance(entries, list):
         return _from_coco(path)
     is_scored = not entries or any(isinstance(entry, dict) for entry in entries.values())
