@@ -26,6 +26,7 @@ from foreglow.lab.learning.samples import (
     joined,
     no_samples,
     samples_by_image,
+    strongest_lights,
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
@@ -119,7 +120,7 @@ def test_the_strongest_light_names_the_group() -> None:
 
     boxes = np.array([[0, 0, 10, 10], [20, 0, 30, 10], [40, 0, 50, 10]], np.int32)
     lights = (light("rail", 1, 5.0), light("road", 0, 6.0), light("lamp", -1, 21.0), light("road", 0, 22.0))
-    groups = box_groups(boxes, lights)
+    groups = box_groups(strongest_lights(boxes, lights))
     assert groups.tolist() == [2 * LIGHT_KINDS.index("road") + 1, 2 * LIGHT_KINDS.index("lamp"), -1]
 
 

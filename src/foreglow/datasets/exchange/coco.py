@@ -18,6 +18,7 @@ from foreglow.datasets.exchange.marks import (
     Kind,
     LabelSet,
     Mark,
+    attributes_of,
     checked_images,
     number,
     pixel,
@@ -160,10 +161,3 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     ]
     file = {"info": {}, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
     return json.dumps(file, indent=1) + "\n", +lost
-
-
-def attributes_of(mark: Mark) -> dict[str, int | bool]:
-    """What the tools store beside a point."""
-    numbers = {name: value for name, value in (("oid", mark.oid), ("iid", mark.iid)) if value is not None}
-    is_vehicle = mark.kind == Kind.VEHICLE
-    return {**numbers, "direct": mark.is_direct} | ({} if is_vehicle else {"rear": mark.is_rear})

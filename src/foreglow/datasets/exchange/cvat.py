@@ -11,7 +11,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from foreglow.datasets.exchange.coco import attributes_of
 from foreglow.datasets.exchange.marks import (
     CATEGORIES,
     MAX_IMAGES,
@@ -19,6 +18,7 @@ from foreglow.datasets.exchange.marks import (
     Kind,
     LabelSet,
     Mark,
+    attributes_of,
     checked_images,
     number,
     pixel,

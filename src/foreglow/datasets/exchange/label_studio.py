@@ -16,13 +16,13 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 from pydantic import Field, RootModel
 
-from foreglow.datasets.exchange.coco import attributes_of
 from foreglow.datasets.exchange.marks import (
     CATEGORIES,
     ImageLabels,
     Kind,
     LabelSet,
     Mark,
+    attributes_of,
     checked_images,
     number,
     pixel,

@@ -235,3 +235,10 @@ def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLa
     if not found:
         raise ValueError(f"{path}: expected labelled images, found none")
     return tuple(found.values())
+
+
+def attributes_of(mark: Mark) -> dict[str, int | bool]:
+    """What the tools store beside a point."""
+    numbers = {name: value for name, value in (("oid", mark.oid), ("iid", mark.iid)) if value is not None}
+    is_vehicle = mark.kind == Kind.VEHICLE
+    return {**numbers, "direct": mark.is_direct} | ({} if is_vehicle else {"rear": mark.is_rear})

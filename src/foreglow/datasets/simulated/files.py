@@ -33,6 +33,7 @@ from foreglow.calibration import calibration_to_toml, read_calibration
 from foreglow.config import FrozenModel
 from foreglow.datasets.images import png, read_image
 from foreglow.datasets.json_files import Record, read_json, read_json_lines
+from foreglow.datasets.simulated.shares import SHARES_FILE
 from foreglow.datasets.simulated.truth import FrameTruth
 from foreglow.files import write_atomic
 from foreglow.geometry import Camera, Floats
@@ -272,7 +273,7 @@ def sequence_folder(root: Path, sequence_id: int) -> Path:
 
 def shares_path(root: Path, sequence_id: int) -> Path:
     """The file that says whose light is in the proposals of a sequence; only some data sets have it."""
-    return sequence_folder(root, sequence_id) / "shares.parquet"
+    return sequence_folder(root, sequence_id) / SHARES_FILE
 
 
 def finished_sequences(root: Path) -> tuple[int, ...]:

@@ -24,6 +24,9 @@ lamps, windows, the sky. The shares of a box are in this order."""
 NUM_VEHICLE_SOURCES = len(LIGHT_KINDS)
 """The first so many sources are other vehicles."""
 
+SHARES_FILE = "shares.parquet"
+"""Name of the file in the folder of a sequence's truth."""
+
 BOX = ("x1", "y1", "x2", "y2")
 
 
@@ -51,6 +54,12 @@ class BoxShares:
         sums = self.shares.sum(1)
         if not ((self.shares >= 0).all() and np.allclose(sums, 1.0, atol=1e-3)):
             raise ValueError(f"BoxShares.shares: expected shares of at least 0 that sum to 1, got sums {sums}")
+
+    @property
+    def kinds(self) -> NDArray[np.float32]:
+        """Shares of the kinds of light in `KINDS`, shape (N, 5): those of vehicles, and all other light as `none`."""
+        others = self.shares[:, NUM_VEHICLE_SOURCES:].sum(axis=1, keepdims=True)
+        return np.concatenate([self.shares[:, :NUM_VEHICLE_SOURCES], others], axis=1)
 
     @property
     def vehicle_shares(self) -> NDArray[np.float32]:

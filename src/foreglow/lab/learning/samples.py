@@ -15,8 +15,8 @@ from pydantic import BeforeValidator, Field
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES
 from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, SplitShares, read_lights, read_split_shares
+from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
 from foreglow.types import KINDS, Boxes, Frame, Proposals
@@ -24,8 +24,6 @@ from foreglow.types import KINDS, Boxes, Frame, Proposals
 NO_GROUP = -1
 NUM_KINDS = len(KINDS)
 
-MIN_VEHICLE_SHARE = 0.1
-"""A box is light of a vehicle from this share of vehicles' light on."""
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the number of images done, and of all images."""
@@ -199,12 +197,15 @@ def samples_by_image(
                 maker.reset()
         frame = dataset.read(image_id)
         boxes = proposer.propose(frame.image).boxes_xyxy_px
-        groups = box_groups(boxes, lights[image_id])
-        labels = label_image(dataset, image_id, boxes)
-        kinds = _kinds_by_key_points(labels, box_kinds(boxes, lights[image_id]))
+        strongest = strongest_lights(boxes, lights[image_id])
+        groups = box_groups(strongest)
         if shares:
             kinds = _kinds_by_light(dataset, image_id, boxes, shares)
-            labels = np.where(kinds[:, -1] <= 1.0 - MIN_VEHICLE_SHARE, POSITIVE, NEGATIVE).astype(np.int8)
+            is_light = kinds[:, :-1].sum(axis=1) >= MIN_VEHICLE_SHARE
+            labels = np.where(is_light, POSITIVE, NEGATIVE).astype(np.int8)
+        else:
+            labels = label_image(dataset, image_id, boxes)
+            kinds = _kinds_by_key_points(labels, strongest)
         random = np.random.default_rng([config.jitter.seed, image_id])
         for number, maker in enumerate(makers):
             shown = boxes if number == 0 else jittered(boxes, frame, config.jitter, random)
@@ -220,8 +221,7 @@ def _kinds_by_light(
     for images in shares.values():
         found = images.get(image_id)
         if found is not None and np.array_equal(found.boxes_xyxy_px, boxes_xyxy_px):
-            vehicles = found.shares[:, :NUM_VEHICLE_SOURCES]
-            return np.column_stack([vehicles, 1.0 - vehicles.sum(1)]).clip(0.0, 1.0).astype(np.float32)
+            return found.kinds
     if not len(boxes_xyxy_px):
         return np.zeros((0, NUM_KINDS), np.float32)
     raise ValueError(
@@ -230,30 +230,36 @@ def _kinds_by_light(
     )
 
 
-def _kinds_by_key_points(labels: NDArray[np.int8], kinds_of_boxes: NDArray[np.int8]) -> NDArray[np.float32]:
-    """The kinds of light in each box, shape (N, 5): that of its strongest key point; NaN if it does not count."""
+def _kinds_by_key_points(labels: NDArray[np.int8], strongest: Sequence[Light | None]) -> NDArray[np.float32]:
+    """The kinds of light in each box, shape (N, 5): that of its strongest key point; NaN if it does not count.
+
+    PVDN's key points are of oncoming vehicles alone, so that none is of a rear lamp.
+    """
     kinds = np.zeros((len(labels), NUM_KINDS), np.float32)
-    kinds[np.arange(len(labels)), kinds_of_boxes] = 1.0
+    for row, light in zip(kinds, strongest, strict=True):
+        name = "none"
+        if light is not None:
+            name = f"{'rear' if light.is_rear else 'front'}_{'lamp' if light.is_direct else 'light'}"
+        row[KINDS.index(name)] = 1.0
     kinds[labels == IGNORED] = np.nan
     return kinds
 
 
-def box_kinds(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
-    """The index in `KINDS` of the strongest light in each box, shape (N,); PVDN's are of oncoming vehicles alone."""
-    kinds = np.full(len(boxes_xyxy_px), KINDS.index("none"), np.int8)
+def strongest_lights(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> list[Light | None]:
+    """The strongest light in each of N boxes, None without any; a lamp is stronger than any other light."""
+    strongest: list[Light | None] = [None] * len(boxes_xyxy_px)
     for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, so that it overwrites the others
-        name = f"{'rear' if light.is_rear else 'front'}_{'lamp' if light.is_direct else 'light'}"
-        kinds[label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE] = KINDS.index(name)
-    return kinds
+        for index in np.flatnonzero(label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE):
+            strongest[index] = light
+    return strongest
 
 
-def box_groups(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> NDArray[np.int8]:
-    """The group of each box as in `Samples.groups`, shape (N,); a lamp is stronger than any other light."""
-    groups = np.full(len(boxes_xyxy_px), NO_GROUP, np.int8)
-    for light in sorted(lights, key=lambda light: -light.rank):  # the strongest last, so that it overwrites the others
-        is_inside = label_boxes(boxes_xyxy_px, np.array([light.position_px])) == POSITIVE
-        groups[is_inside] = 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden
-    return groups
+def box_groups(strongest: Sequence[Light | None]) -> NDArray[np.int8]:
+    """The group of each box as in `Samples.groups`, shape (N,), by the strongest light in it."""
+    return np.array(
+        [NO_GROUP if light is None else 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden for light in strongest],
+        np.int8,
+    )
 
 
 def jittered(boxes_xyxy_px: Boxes, frame: Frame, jitter: Jitter, random: np.random.Generator) -> Boxes:

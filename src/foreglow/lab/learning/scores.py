@@ -120,8 +120,8 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calib
         calibrator = Calibrator(math.exp(parameters[0]), parameters[1] if method == "platt" else 0.0)
         return log_loss(light_logits(calibrator.applied(values)), labels)
 
-    # With a single logit the loss is convex in 1 / temperature and the shift; with more it was found to have one
-    # minimum near the start.
+    # With a single logit the loss is convex in 1 / temperature and the shift; with more, the minimum is that next to
+    # the uncalibrated logits.
     limit = math.log(MAX_TEMPERATURE)
     bounds = [(-limit, limit), (-50.0, 50.0)]
     found = minimize(loss, np.zeros(2), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.simulated import NUM_VEHICLE_SOURCES
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 from foreglow.lab.evaluation.ratios import ratio
@@ -67,7 +66,7 @@ def kind_confusion(labels: SplitLabels, predictions: Predictions, threshold: flo
         kind_of = {
             tuple(box): kind
             for found in stored
-            for box, kind in zip(found.boxes_xyxy_px.tolist(), true_kinds(found.shares), strict=True)
+            for box, kind in zip(found.boxes_xyxy_px.tolist(), found.kinds.argmax(axis=1).tolist(), strict=True)
         }
         is_accepted = predictions.scores[image_id] > threshold
         called = np.where(is_accepted, light_kinds.argmax(axis=1), NONE)
@@ -77,14 +76,3 @@ def kind_confusion(labels: SplitLabels, predictions: Predictions, threshold: flo
                 counts[kind_of[box], call] += 1
     num_boxes = sum(map(len, predictions.boxes_xyxy_px.values()))
     return KindConfusion(counts, num_boxes - int(counts.sum()))
-
-
-def true_kinds(shares: NDArray[np.float32]) -> list[int]:
-    """Indices in `KINDS` of shares of shape (N, 6).
-
-    >>> true_kinds(np.array([[0.1, 0.3, 0.2, 0.0, 0.2, 0.2], [0.1, 0.5, 0.2, 0.0, 0.1, 0.1]], np.float32))
-    [4, 1]
-    """
-    others = shares[:, NUM_VEHICLE_SOURCES:].sum(axis=1, keepdims=True)
-    kinds = np.concatenate([shares[:, :NUM_VEHICLE_SOURCES], others], axis=1).argmax(axis=1)
-    return [int(kind) for kind in kinds]

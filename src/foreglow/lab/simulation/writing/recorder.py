@@ -10,7 +10,7 @@ import numpy as np
 from foreglow.datasets.images import png
 from foreglow.datasets.simulated.files import MAX_FRAMES, TruthWriter, sequence_name
 from foreglow.datasets.simulated.light_maps import encoded, light_map_path
-from foreglow.datasets.simulated.shares import BoxShares, write_shares
+from foreglow.datasets.simulated.shares import SHARES_FILE, BoxShares, write_shares
 from foreglow.files import write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import Scene
@@ -76,7 +76,7 @@ class Recorder:
         if self._num_done != file.scene.num_frames:
             raise ValueError(f"{self._name}: drive: expected {file.scene.num_frames} frames, got {self._num_done}")
         if file.made_with.presets:
-            write_shares(self._folder / "shares.parquet", self._shares)
+            write_shares(self._folder / SHARES_FILE, self._shares)
         self._writer.close(file.model_dump_json(indent=1), road_file(file.scene))
 
 
