@@ -47,6 +47,27 @@ def test_a_set_may_name_its_own_rate(split: Path) -> None:
             PVDN(split)
 
 
+def test_images_of_a_set_with_a_rate_may_be_at_any_times(split: Path) -> None:
+    """Such as pairs, a quarter of a second apart every two seconds."""
+    path = split / "labels/image_annotations.json"
+    content = json.loads(path.read_text())
+    times_ms = {11: 700, 12: 950, 13: 2700, 5: 0, 7: 100}
+    for image in content["images"]:
+        image["timestamp"] = times_ms[image["id"]]
+    path.write_text(json.dumps(content))
+    even = [PVDN(split).time_s(image_id) for image_id in (11, 12, 13)]
+    assert even == [number / 18 for number in range(3)]  # without a rate, nobody knows the unit
+    edit(path, "info", "rate_hz", value=10)
+    dataset = PVDN(split)
+    assert [dataset.time_s(image_id) for image_id in (11, 12, 13, 5, 7)] == [0.0, 0.25, 2.0, 0.0, 0.1]
+    assert [dataset.read(image_id).timestamp_ns for image_id in (11, 12)] == [4_500_000_000, 4_750_000_000]
+    for value in (700, "later", None, 1e300):
+        content["images"][3]["timestamp"] = value  # image 12
+        content["info"]["rate_hz"] = 10
+        path.write_text(json.dumps(content))
+        assert [PVDN(split).time_s(image_id) for image_id in (11, 12, 13)] == [0.0, 0.1, 0.2]
+
+
 def test_doubtful_light(split: Path) -> None:
     dataset = PVDN(split)
     assert dataset.doubtful(11) == ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,8 @@ PVDN_RATE_HZ = 18.0
 MAX_RATE_HZ = 1000.0
 """Highest frame rate that a set may state."""
 
+_STORED_TO_S = 0.0015  # times are stored as whole milliseconds
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
@@ -71,9 +74,10 @@ class PVDN(LabelledSource):
 
     Timestamps are the sequence's start time (documented as relative milliseconds) plus the image's number in its
     sequence, counted over all its images sorted by id, divided by the frame rate. That is 18 Hz, unless the `info` of
-    `image_annotations.json` has a `rate_hz`, as simulated sets do. The fields `timestamp` and `date_captured` of the
-    files are not used, since their units are not documented. Different sequences share no time axis: reset the
-    pipeline between them.
+    `image_annotations.json` has a `rate_hz`, as simulated sets and imported labels do. In such sets the field
+    `timestamp` of the images is in milliseconds, and says the time where images are not at equal distances; in PVDN's
+    own files it is not used, nor is `date_captured`, since their units are not documented. Different sequences share
+    no time axis: reset the pipeline between them.
 
     Frames of a simulated split carry what the car knew: calibration, motion, and the road of its street message.
 
@@ -111,6 +115,7 @@ class PVDN(LabelledSource):
         self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
         self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
+        self._stored_times_s = _stored_times_s(self.labels)
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
         self.skipped: list[str] = []
@@ -151,8 +156,7 @@ class PVDN(LabelledSource):
                 f"got {image.shape[1]}x{image.shape[0]} px"
             )
         sequence = self.sequence(image_id)
-        number = self.labels.number_of[image_id]
-        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(number * 1e9 / self.rate_hz)
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(self.time_s(image_id) * 1e9)
         frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
         return equip(frame, self._vehicle)
 
@@ -186,7 +190,10 @@ class PVDN(LabelledSource):
 
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
-        return self.labels.number_of[self.image(image_id).id] / self.rate_hz
+        number = self.labels.number_of[self.image(image_id).id]
+        stored = self._stored_times_s.get(image_id)
+        even = number / self.rate_hz
+        return even if stored is None or abs(stored - even) < _STORED_TO_S else stored
 
     def camera_configuration(self, image_id: int) -> CameraConfiguration:
         """Camera and exposure of image `image_id` by the labels, which the folder may contradict."""
@@ -254,6 +261,20 @@ def _rate_hz(info: dict[str, Any], root: Path) -> float:
         path = root / "labels" / "image_annotations.json"
         raise ValueError(f"{path}: info.rate_hz: expected a number above 0 and up to {MAX_RATE_HZ:g}, got {rate_hz!r}")
     return float(rate_hz)
+
+
+def _stored_times_s(labels: PVDNLabels) -> dict[int, float]:
+    """Seconds since the first image of its sequence, by image, where the set states a rate and its times increase."""
+    times_s: dict[int, float] = {}
+    if "rate_hz" not in labels.images_file.info:
+        return times_s
+    for sequence in labels.sequences_file.sequences:
+        ids = sorted(sequence.image_ids)
+        stored = [labels.images[image_id].timestamp for image_id in ids]
+        known = [time_ms for time_ms in stored if isinstance(time_ms, int | float) and abs(time_ms) <= 2**53]
+        if len(known) == len(ids) and all(first < later for first, later in itertools.pairwise(known)):
+            times_s |= {id_: (time_ms - known[0]) / 1000 for id_, time_ms in zip(ids, known, strict=True)}
+    return times_s
 
 
 def _is_wanted(sequence: Sequence, select: Selection) -> bool:

@@ -230,7 +230,7 @@ class ImageRecord(PVDNRecord):
         width_px: Columns (on disk: width).
         camera_configuration: Index in the list of camera configurations.
         date_captured: As in the file; its form is not documented.
-        timestamp: As in the file; its unit is not documented, so it is not used.
+        timestamp: Milliseconds in sets that state a rate, see `PVDN`; in PVDN's own files the unit is not documented.
         licence: Index in the list of licences.
     """
 

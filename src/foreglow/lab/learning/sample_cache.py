@@ -79,7 +79,8 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
         path = dataset.image_path(image_id)
         state = path.stat()
         sequence = dataset.sequence(image_id)
-        add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, sequence.id, sequence.start_time_ms)
+        about_time = (sequence.id, sequence.start_time_ms, dataset.time_s(image_id))
+        add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, *about_time)
         digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
     if config.by_light:
         for sequence in dataset.sequences:
