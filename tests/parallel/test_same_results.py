@@ -18,7 +18,7 @@ from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.lab.learning.night_set import make_night_set
 from tests.lab.simulation import stub_drive
 from tests.parallel.dask_cluster import DaskCluster
-from tests.parallel.tasks import DeadlySplit
+from tests.parallel.splits import DeadlySplit
 
 pytestmark = pytest.mark.process
 
