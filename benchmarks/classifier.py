@@ -59,7 +59,7 @@ def classifier_table(rows: Sequence[Row], weights: str) -> Table:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, "classifier", arguments)
-    weights, rows = measure(2 if given.quick else 40)
+    weights, rows = measure(1 if given.quick else 40)
     CONSOLE.print(classifier_table(rows, weights))
     write_results(given.out, {"weights": weights, "classifier": rows})
     CONSOLE.print(f"look in {given.out}")

@@ -39,7 +39,7 @@ class Effort:
     pipeline_frames: int = 2_000
 
 
-QUICK = Effort(rounds=3, proposal_frames=50, pipeline_frames=10)
+QUICK = Effort(rounds=1, proposal_frames=50, pipeline_frames=10)
 
 
 def measure_proposals(image: Image, rounds: int) -> list[Row]:

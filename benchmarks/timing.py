@@ -72,13 +72,15 @@ def interleaved(contenders: Mapping[str, Contender], rounds: int, warm_up: int =
 
     Args:
         contenders: What to time, by name.
-        rounds: How often everyone has his turn.
+        rounds: How often everyone has his turn; a single round shows that all run, and nothing is warmed up for it.
         warm_up: Further rounds before them that do not count.
     """
+    is_trial = rounds == 1
     samples_ms = {name: np.empty((rounds, contender.calls)) for name, contender in contenders.items()}
-    for number in range(-warm_up, rounds):
+    for number in range(0 if is_trial else -warm_up, rounds):
         for name, contender in contenders.items():
-            contender.call()  # brings code and buffers back into the caches; never counts
+            if not is_trial:
+                contender.call()  # brings code and buffers back into the caches; never counts
             for index in range(contender.calls):
                 started = time.perf_counter_ns()
                 contender.call()

@@ -224,8 +224,9 @@ def test_package_is_imported_lazily() -> None:
 
 
 @pytest.mark.slow
-def test_inference_needs_nothing_of_training() -> None:
-    assert not {"torch", "onnx"} & modules_after("import foreglow.pipeline, foreglow.runtime, foreglow.datasets")
+def test_readers_and_runners_need_no_stage_until_there_is_a_pipeline() -> None:
+    loaded = modules_after("import foreglow.pipeline, foreglow.runtime, foreglow.datasets, foreglow.lab.evaluation")
+    assert not {"torch", "onnx", "onnxruntime", "scipy", "foreglow.tracking"} & loaded
 
 
 @pytest.mark.parametrize("name", foreglow.__all__)

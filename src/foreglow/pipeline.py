@@ -5,23 +5,25 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from foreglow.beam import BeamPolicy, BeamStage
-from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig, preset
-from foreglow.distance import RangeEstimator, make_estimator
 from foreglow.plugins import built, checked, name_of
-from foreglow.proposals import NativeProposer, Proposer, StandingLight, make_proposer
 from foreglow.stopwatch import Stopwatch
-from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
+
+if TYPE_CHECKING:
+    from foreglow.beam import BeamPolicy, BeamStage
+    from foreglow.classifier import OnnxClassifier
+    from foreglow.distance import RangeEstimator
+    from foreglow.proposals import Proposer, StandingLight
+    from foreglow.tracking import Tracker
 
 
 class Stages:
-    """The stages that a configuration names, each made when it is first asked for; None where it is switched off.
+    """The stages that a configuration names, each imported and made when it is first asked for; None where it is off.
 
     Attributes:
         config: The configuration; plug-ins that were given have their names in it.
@@ -52,33 +54,45 @@ class Stages:
     @cached_property
     def proposer(self) -> Proposer:
         """The first stage."""
+        from foreglow.proposals import make_proposer
+
         return make_proposer(self.config.proposals)
 
     @cached_property
     def standing(self) -> StandingLight | None:
         """What takes boxes out that stand still while we drive, after the first stage."""
+        from foreglow.proposals import StandingLight
+
         return StandingLight(self.config.standing) if self.config.standing.enabled else None
 
     @cached_property
     def classifier(self) -> OnnxClassifier | None:
         """The second stage; None without a model."""
+        from foreglow.classifier import OnnxClassifier
+
         return OnnxClassifier(self.config.classifier) if self.config.classifier.model is not None else None
 
     @cached_property
     def estimator(self) -> RangeEstimator | None:
         """The third stage."""
+        from foreglow.distance import make_estimator
+
         config = self.config.distance
         return built(self._plugins[0], make_estimator, config) if config.estimator != "none" else None
 
     @cached_property
     def tracker(self) -> Tracker | None:
         """The fourth stage."""
+        from foreglow.tracking import make_tracker
+
         config = self.config.tracker
         return built(self._plugins[1], make_tracker, config) if config.method != "none" else None
 
     @cached_property
     def beam(self) -> BeamStage | None:
         """The fifth stage: the policy, and the guard after it."""
+        from foreglow.beam import BeamStage
+
         config = self.config
         return BeamStage(config.beam, config.guard, self._plugins[2]) if config.beam.policy != "none" else None
 
@@ -136,6 +150,8 @@ class Pipeline:
     @property
     def dispatch(self) -> str | None:
         """The instruction set that the native core uses: `baseline`, `avx2` or `avx512`; None with another back end."""
+        from foreglow.proposals import NativeProposer
+
         proposer = self._stages.proposer
         return proposer.dispatch if isinstance(proposer, NativeProposer) else None
 

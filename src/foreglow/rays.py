@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
 
 from foreglow.geometry import Camera, Floats, rotation
 from foreglow.types import Frame
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 NODE_SPACING_PX = 16.0
 """Distance between the nodes at which a camera's distortion is inverted exactly. Between them, the error of a cubic
@@ -48,6 +51,9 @@ class RayCaster:
     """Turns pixels into rays; remembers the splines of the latest camera, which depend on its intrinsics alone."""
 
     def __init__(self) -> None:
+        # It takes half a second: whoever casts no ray need not wait for it, and the first frame must not.
+        import scipy.interpolate  # noqa: F401
+
         self._key: tuple[object, ...] | None = None
         self._tangents: tuple[RectBivariateSpline, RectBivariateSpline] | None = None
 
@@ -82,6 +88,8 @@ class RayCaster:
 
 def _splines(camera: Camera) -> tuple[RectBivariateSpline, RectBivariateSpline]:
     """The two undistorted coordinates as functions of the pixel."""
+    from scipy.interpolate import RectBivariateSpline
+
     columns, rows = (
         np.linspace(0.0, size_px, max(int(np.ceil(size_px / NODE_SPACING_PX)), 4) + 1)
         for size_px in (camera.width_px, camera.height_px)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -18,11 +19,26 @@ pytestmark = pytest.mark.process
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 
+WAIT = """
+import os, signal, sys, time
+from pathlib import Path
+
+
+def wait(*_, **__):
+    print("now", flush=True)
+    time.sleep(60)
+
+"""
+MAIN = """
+from foreglow.cli import main
+
+main()
+"""
+
+
 def ended(code: str, number: signal.Signals, *arguments: object) -> tuple[int, str]:
     """Runs the command with `code` before it, sends the signal when it says `now`; the exit code and stderr."""
-    program = "import sys, time\nfrom pathlib import Path\n\n\ndef wait(*_, **__):\n"
-    program += "    print('now', flush=True)\n    time.sleep(60)\n\n\n" + textwrap.dedent(code)
-    program += "\nfrom foreglow.cli import main\n\nmain()\n"
+    program = WAIT + textwrap.dedent(code) + MAIN
     process = subprocess.Popen(
         [sys.executable, "-c", program, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -33,6 +49,54 @@ def ended(code: str, number: signal.Signals, *arguments: object) -> tuple[int, s
     process.send_signal(number)
     stderr = process.communicate(timeout=60)[1]
     return process.returncode, stderr
+
+
+FORKED = """
+import json
+
+
+def is_child(number):
+    (out, child_out), (err, child_err) = os.pipe(), os.pipe()
+    child = os.fork()
+    if not child:
+        os.dup2(child_out, 1)
+        os.dup2(child_err, 2)
+    os.close(child_out)
+    os.close(child_err)
+    if not child:
+        os.close(out)
+        os.close(err)
+        return True
+    with open(out) as stdout, open(err) as stderr:
+        for line in stdout:
+            if line == "now\\n":
+                break
+        os.kill(child, number)
+        said = stderr.read()
+    print(json.dumps([number, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said]), flush=True)
+    return False
+
+
+arguments = sys.argv[1:]
+for number in NUMBERS:
+    if is_child(number):
+        sys.argv[1:] = [argument.replace("NUMBER", str(number)) for argument in arguments]
+        main()
+"""
+
+
+def endings(code: str, loads: str, *arguments: object) -> dict[signal.Signals, tuple[int, str]]:
+    """As `ended` for each signal, in processes forked from one that has loaded the modules `loads`, which takes long.
+
+    NUMBER in the arguments is the signal's.
+    """
+    program = f"NUMBERS = {[int(number) for number in ENDINGS]}\n{WAIT}{textwrap.dedent(code)}\nimport {loads}\n"
+    program += MAIN.replace("\nmain()\n", FORKED)
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, done.stderr
+    results = [json.loads(line) for line in done.stdout.splitlines()]
+    return {signal.Signals(number): (code, said) for number, code, said in results}
 
 
 LOADING = """
@@ -50,17 +114,24 @@ foreglow.cli.beam._can_sink = wait
 """
 
 
+INTERRUPTED = (130, "foreglow: interrupted\n")
+
+
 @pytest.mark.parametrize("number", ENDINGS)
-@pytest.mark.parametrize("place", [LOADING, BEFORE_THE_LOOP])
-def test_ends_with_one_line_and_leaves_nothing(place: str, number: signal.Signals, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    code, stderr = ended(place, number, "beam", shipped_drive(), "--can", "log", "--out", out)
-    assert (code, stderr) == (130, "foreglow: interrupted\n")
+def test_ends_with_one_line_while_it_is_loaded(number: signal.Signals, tmp_path: Path) -> None:
+    arguments = ("beam", shipped_drive(), "--can", "log", "--out", tmp_path / "out")
+    assert ended(LOADING, number, *arguments) == INTERRUPTED
     assert not list(tmp_path.rglob("*"))
 
 
-@pytest.mark.parametrize("number", ENDINGS)
-def test_a_preview_leaves_no_half_film(number: signal.Signals, tmp_path: Path) -> None:
+def test_ends_with_one_line_before_its_loop_and_leaves_nothing(tmp_path: Path) -> None:
+    arguments = ("beam", shipped_drive(), "--can", "log", "--out", tmp_path / "NUMBER")
+    found = endings(BEFORE_THE_LOOP, "foreglow.pipeline, foreglow.runtime, scipy.interpolate", *arguments)
+    assert found == dict.fromkeys(ENDINGS, INTERRUPTED)
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_a_preview_leaves_no_half_film(tmp_path: Path) -> None:
     code = """
     from dataclasses import replace
     from foreglow.lab import simulation
@@ -82,8 +153,8 @@ def test_a_preview_leaves_no_half_film(number: signal.Signals, tmp_path: Path) -
     simulation.drive_frames = frames
     """
     pytest.importorskip("mitsuba")
-    code_and_words = ended(code, number, "simulate", "--preview", "curve", "--out", tmp_path / "out")
-    assert code_and_words == (130, "foreglow: interrupted\n")
+    arguments = ("simulate", "--preview", "curve", "--out", tmp_path / "NUMBER")
+    assert endings(code, "foreglow.lab.simulation", *arguments) == dict.fromkeys(ENDINGS, INTERRUPTED)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
@@ -135,8 +206,7 @@ def test_a_forked_process_ends_by_itself() -> None:
     assert ended(code, signal.SIGINT) == (0, "")
 
 
-@pytest.mark.parametrize("number", ENDINGS)
-def test_a_ros_2_node_that_is_interrupted_says_so(number: signal.Signals) -> None:
+def test_a_ros_2_node_that_is_interrupted_says_so() -> None:
     code = """
     import types
     import foreglow.cli.ros2
@@ -155,7 +225,7 @@ def test_a_ros_2_node_that_is_interrupted_says_so(number: signal.Signals) -> Non
     stages.NODES, stages.Setting = {"tracking": Node}, lambda *_: None
     sys.modules[stages.__name__] = stages
     """
-    assert ended(code, number, "ros2", "tracking") == (130, "")
+    assert endings(code, "foreglow.config", "ros2", "tracking") == dict.fromkeys(ENDINGS, (130, ""))
 
 
 HALF_WRITTEN = """
@@ -179,28 +249,33 @@ files.open_atomic = waiting
 """
 
 
-@pytest.mark.parametrize("number", ENDINGS)
-def test_a_report_is_not_left_half_written(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_report_is_not_left_half_written(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     run = Path(__file__).parents[1] / "runs" / "run_of_0_1_0"
     code = f"NAME = {path.name!r}\n{HALF_WRITTEN}"
-    assert ended(code, number, "report", run, "--out", path) == (130, "foreglow: interrupted\n")
+    found = endings(code, "foreglow.lab.reports.run_page", "report", run, "--out", path)
+    assert found == dict.fromkeys(ENDINGS, INTERRUPTED)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.torch
 @pytest.mark.slow
-@pytest.mark.parametrize("number", ENDINGS)
-def test_a_training_leaves_whole_files(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_training_leaves_whole_files(tmp_path: Path) -> None:
     """It is interrupted after its first epoch, while the curves are written."""
     pytest.importorskip("onnx")
-    data, out = make_drives(tmp_path / "data", num_images=2), tmp_path / "out"
+    data = make_drives(tmp_path / "data", num_images=2)
     (tmp_path / "config.toml").write_text(CONFIG_TOML)
     code = f"NAME = 'curves.csv'\n{HALF_WRITTEN}"
     options = ["--epochs", 2, "--device", "cpu", "--preset", "paper", "--config", tmp_path / "config.toml"]
-    code_and_words = ended(code, number, "train", data, "--out", out, *options)
-    words = f"{out}: the same command continues from the last whole epoch\nforeglow: interrupted\n"
-    assert code_and_words == (130, words)
-    left = {path.name for path in out.iterdir()}
-    assert "checkpoint.pt" in left
-    assert not {name for name in left if name.startswith(".") or name in {"curves.csv", "model.onnx", "summary.json"}}
+    loads = "foreglow.lab.learning.training, foreglow.lab.learning.training_run, onnx, matplotlib.pyplot"
+    found = endings(code, loads, "train", data, "--out", tmp_path / "NUMBER", *options)
+    assert found.keys() == set(ENDINGS)
+    for number, code_and_words in found.items():
+        out = tmp_path / str(int(number))
+        words = f"{out}: the same command continues from the last whole epoch\nforeglow: interrupted\n"
+        assert code_and_words == (130, words)
+        left = {path.name for path in out.iterdir()}
+        assert "checkpoint.pt" in left
+        assert not [
+            name for name in left if name.startswith(".") or name in {"curves.csv", "model.onnx", "summary.json"}
+        ]

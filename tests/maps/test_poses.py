@@ -128,6 +128,6 @@ def test_the_time_is_linear_in_the_poses(tmp_path: Path, monkeypatch: pytest.Mon
         return from_quat(*args, **keywords)
 
     from_quat = Rotation.from_quat
-    monkeypatch.setattr("foreglow.maps.poses.Rotation.from_quat", counting)
+    monkeypatch.setattr("scipy.spatial.transform.Rotation.from_quat", counting)
     read_poses(write(tmp_path, "".join(f"{k} 0 0 0 0 0 0 1\n" for k in range(1000)), "drive.tum"))
     assert calls == 1

@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-from foreglow.datasets import PVDN
 from foreglow.parallel import Parent
-from foreglow.types import Frame
 
 
 def square(item: int, parent: Parent) -> int:
@@ -69,27 +66,3 @@ def wait_for_stop(item: Path, parent: Parent) -> str:
 def read_here(item: str, parent: Parent) -> str:  # noqa: ARG001
     """The text of a file whose path is relative to the folder of the first process."""
     return Path(item).read_text()
-
-
-class DeadlySplit(PVDN):
-    """A split that notes which sequences are begun, and whose second one ends the process that reads it first."""
-
-    def __iter__(self) -> Iterator[Frame]:
-        (name,) = self.directories
-        notes = self.root / "begun"
-        notes.mkdir(exist_ok=True)
-        (notes / f"{name}-{time.monotonic_ns()}").touch()
-        is_fatal = name == "S00002" and len(list(notes.glob(f"{name}-*"))) == 1
-        for place, frame in enumerate(super().__iter__()):
-            if is_fatal and place == 2:
-                os.kill(os.getpid(), signal.SIGKILL)
-            yield frame
-
-
-class SlowSplit(PVDN):
-    """A split whose frames take their time."""
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in super().__iter__():
-            yield frame
-            time.sleep(0.4)

@@ -16,7 +16,7 @@ from foreglow.parallel import Local
 from foreglow.runtime import Opening, OutputFolder, RunSummary, run_apart
 from tests.cli.commands import RESULTS, names
 from tests.lab.simulation import stub_drive
-from tests.parallel.tasks import SlowSplit
+from tests.parallel.splits import SlowSplit
 from tests.parallel.test_local import wait_for
 
 pytestmark = pytest.mark.process
@@ -69,7 +69,7 @@ from pathlib import Path
 from foreglow.config import preset
 from foreglow.runtime import Opening, OutputFolder, run_apart
 from foreglow.parallel import Local
-from tests.parallel.tasks import SlowSplit
+from tests.parallel.splits import SlowSplit
 
 run_apart(
     Opening(SlowSplit, (Path(sys.argv[1]),)), preset("foreglow"), OutputFolder(Path(sys.argv[2])), Local(2),

@@ -11,14 +11,16 @@ import pytest
 
 from foreglow.config import preset
 from foreglow.lab.learning.tuning import TuningSettings, tune
+from foreglow.lab.simulation import scene_to_toml
 from foreglow.lab.simulation.writing.dataset import simulate_dataset
 from foreglow.parallel import Cluster, Local, Workers
 from foreglow.runtime import Opening, OutputFolder, run_apart
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
 from tests.lab.learning.night_set import make_night_set
 from tests.lab.simulation import stub_drive
+from tests.lab.simulation.test_drive import scene
 from tests.parallel.dask_cluster import DaskCluster
-from tests.parallel.tasks import DeadlySplit
+from tests.parallel.splits import DeadlySplit
 
 pytestmark = pytest.mark.process
 
@@ -157,11 +159,13 @@ def test_simulate(tmp_path: Path, drives: Path, workers: Workers) -> None:
 @pytest.mark.renderer
 def test_simulate_with_the_renderer(tmp_path: Path, cluster: DaskCluster) -> None:
     options = ("--cluster", cluster.address)
-    command = ("simulate", "--scenes", 2, "--size", "64x48", "--fps", 0.2, "--quality", "fast", "--out")
+    (tmp_path / "scene.toml").write_text(scene_to_toml(scene(duration_s=2 / 18)))
+    scenes = ("--scene", tmp_path / "scene.toml") * 2
+    command = ("simulate", *scenes, "--size", "64x48", "--quality", "fast", "--out")
     run(*command, tmp_path / "one")
     run(*command, tmp_path / "many", *options)
     assert contents(tmp_path / "many") == contents(tmp_path / "one")
-    assert len(contents(tmp_path / "one", "**/*.png")) >= 2
+    assert len(contents(tmp_path / "one", "**/*.png")) >= 4
 
 
 def test_tune_measures_the_same(tmp_path: Path, workers: Workers) -> None:

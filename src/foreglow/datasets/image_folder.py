@@ -11,7 +11,7 @@ from pathlib import Path
 
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
-from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.source import FileSource, OnError
 from foreglow.files import in_unicode
 from foreglow.types import Frame
 
@@ -41,7 +41,7 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if index % 2 else (0, 0, part) for index, part in enumerate(parts)]
 
 
-class ImageFolder:
+class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 
     Frames are numbered in that order; a skipped image keeps its number. As image files carry no time, the timestamp
@@ -52,7 +52,6 @@ class ImageFolder:
     Attributes:
         path: The folder or the file.
         rate_hz: Frames a second that timestamps are made with.
-        skipped: A line for each image that the latest iteration left out so far.
     """
 
     def __init__(
@@ -74,10 +73,9 @@ class ImageFolder:
             FileNotFoundError: If `path` does not exist.
             ValueError: If the folder holds no image, or `rate_hz` is not a positive number.
         """
+        super().__init__(on_error)
         self.path = Path(path)
         self.rate_hz = rate_hz
-        self.skipped: list[str] = []
-        self._on_error = checked_on_error(on_error)
         if not 0 < rate_hz < float("inf"):
             raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.exists():
@@ -105,7 +103,7 @@ class ImageFolder:
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = list(self._others)
         reads = (functools.partial(self._frame, index) for index in range(len(self._files)))
-        return _in_sequences(read_each(reads, self._on_error, self.skipped))
+        return _in_sequences(self._read_each(reads))
 
     def _frame(self, index: int) -> Frame:
         path = self._files[index]

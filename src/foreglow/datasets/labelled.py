@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.source import FileSource
 from foreglow.types import Frame
 
 if TYPE_CHECKING:
     from foreglow.datasets.pvdn.schema import BoxLabels, ImageCategory, ImageRecord, Instance, Sequence, Vehicle
 
 
-class LabelledSource(ABC):
+class LabelledSource(FileSource, ABC):
     """A `FrameSource` with labels, in the types of `foreglow.datasets.pvdn.schema`: other formats convert theirs.
 
     A frame's number is the id of its image, `Frame.sequence` the folder of its sequence. Methods raise ValueError for
@@ -27,13 +28,11 @@ class LabelledSource(ABC):
         root: Its folder.
         rate_hz: Frames a second within a sequence.
         frame_ids: Ids of the selected images, in order.
-        skipped: A line for each image that the latest iteration left out so far.
     """
 
     root: Path
     rate_hz: float
     frame_ids: tuple[int, ...]
-    skipped: list[str]
 
     @property
     @abstractmethod

@@ -38,25 +38,41 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
 
-def read_each(reads: Iterable[Callable[[], Frame]], on_error: OnError, skipped: list[str]) -> Iterator[Frame]:
-    """The frames that `reads` return; with `skip`, the message of a read that raises is added to `skipped` instead."""
-    for read in reads:
-        try:
-            frame = read()
-        except (ValueError, FileNotFoundError) as error:
-            if on_error == "stop":
-                raise
-            skipped.append(str(error))
-            continue
-        yield frame
+class FileSource:
+    """A source of frames from files, some of which may be bad.
 
-
-def checked_on_error(on_error: OnError) -> OnError:
-    """`on_error` if it is valid, as Python callers may pass any string.
-
-    Raises:
-        ValueError: If it is none of them.
+    Attributes:
+        skipped: A line for each part that the latest iteration left out so far.
     """
-    if on_error not in get_args(OnError):
-        raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
-    return on_error
+
+    skipped: list[str]
+
+    def __init__(self, on_error: OnError) -> None:
+        """Takes what a bad frame does.
+
+        Raises:
+            ValueError: If it is none of `OnError`, as Python callers may pass any string.
+        """
+        if on_error not in get_args(OnError):
+            raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
+        self.skipped = []
+        self._on_error = on_error
+
+    def _refuse(self, message: str) -> None:
+        """Notes what is left out; with `stop`, raises it."""
+        if self._on_error == "stop":
+            raise ValueError(message)
+        self.skipped.append(message)
+
+    def _read_each(self, reads: Iterable[Callable[[], Frame]]) -> Iterator[Frame]:
+        """The frames that `reads` return; a read that raises is noted instead, unless `stop` lets it raise."""
+        skipped = self.skipped  # of this iteration, should another begin
+        for read in reads:
+            try:
+                frame = read()
+            except (ValueError, FileNotFoundError) as error:
+                if self._on_error == "stop":
+                    raise
+                skipped.append(str(error))
+                continue
+            yield frame

@@ -15,7 +15,7 @@ from av.stream import Disposition
 
 from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
-from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.datasets.source import FileSource, OnError
 from foreglow.types import Frame
 
 _LEAST_SHARE = 0.95
@@ -33,7 +33,7 @@ _CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
 """A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
 
 
-class Video:
+class Video(FileSource):
     """The frames of a file's first video stream, decoded as they are asked for, grey and upright.
 
     A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
@@ -46,7 +46,6 @@ class Video:
         path: The file.
         rate_hz: Average frames a second by the container; None if unknown.
         num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
-        skipped: A line for each part that the latest iteration left out so far.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -57,9 +56,8 @@ class Video:
             ValueError: If it is empty, not a video, has no video stream or a size that is not accepted; with `stop`
                 also if the file is shorter than its container says.
         """
+        super().__init__(on_error)
         self.path = Path(path)
-        self.skipped: list[str] = []
-        self._on_error = checked_on_error(on_error)
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such video")
         if not self.path.is_file():
@@ -84,9 +82,7 @@ class Video:
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.skipped = []
-        if self._truncation:
-            self.skipped.append(self._truncation)
+        self.skipped = [self._truncation] if self._truncation else []
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
@@ -126,11 +122,6 @@ class Video:
         if self._rate is None:
             raise ValueError(f"{self.path}: frame {index}: expected a timestamp, the file has neither times nor a rate")
         return latest[1] + round((index - latest[0]) * 1_000_000_000 / self._rate)
-
-    def _refuse(self, message: str) -> None:
-        if self._on_error == "stop":
-            raise ValueError(message)
-        self.skipped.append(message)
 
     @contextmanager
     def _opened(self) -> Iterator[tuple[Any, Any]]:

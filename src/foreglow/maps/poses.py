@@ -20,14 +20,17 @@ import io
 from collections.abc import Iterator
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from foreglow.files import bounded_lines, read_text
 from foreglow.geometry import Floats, Pose
 from foreglow.maps.geographic import GeographicOrigin, check_position
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 MAX_GAP_S = 1.0
 """There is no interpolation between poses that are further apart in time."""
@@ -62,6 +65,8 @@ class PoseTrack:
         Raises:
             ValueError: If there are fewer than two, or times do not rise.
         """
+        from scipy.spatial.transform import Slerp
+
         if len(times_ns) < 2:
             raise ValueError(f"expected at least two poses, got {len(times_ns)}")
         if not (np.diff(times_ns) > 0).all():
@@ -178,6 +183,8 @@ def _time_ns(word: str, origin: str) -> int:
 
 
 def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Floats, Rotation]:
+    from scipy.spatial.transform import Rotation
+
     quaternions = np.stack([values[name] for name in ("qx", "qy", "qz", "qw")], -1)
     for row in np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) > 0.01)[:1].tolist():
         raise ValueError(
@@ -190,6 +197,8 @@ def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Fl
 def _on_earth(
     path: Path, values: dict[str, Floats], lines: list[int], origin: GeographicOrigin
 ) -> tuple[Floats, Rotation]:
+    from scipy.spatial.transform import Rotation
+
     latitudes, longitudes = values["lat_deg"], values["lon_deg"]
     for row in np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))[:1].tolist():
         check_position(latitudes[row], longitudes[row], f"{path}: line {lines[row]}")

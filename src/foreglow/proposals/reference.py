@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from foreglow.config import ProposalConfig
 from foreglow.proposals.splitting import SplitRule, light_levels, split_blob
@@ -109,6 +108,8 @@ class ReferenceProposer:
         stages = self.stages(image)
         if stages is None:
             return Proposals(np.zeros((0, 4), np.int32))
+        from scipy import ndimage
+
         blobs = [
             (rows.start, columns.start, rows.stop, columns.stop)
             for rows, columns in ndimage.find_objects(stages.labels)
@@ -201,6 +202,8 @@ def gaussian_taps(size: int, sigma_px: float) -> NDArray[np.float64]:
 
 def blur(image: NDArray[np.float64], config: ProposalConfig) -> NDArray[np.float64]:
     """`image` under a Gaussian; borders are mirrored about the border pixel (... 2 1 | 0 1 2 ...)."""
+    from scipy import ndimage
+
     across = gaussian_taps(config.blur_width_px, config.blur_sigma_px)
     down = gaussian_taps(config.blur_height_px, config.blur_sigma_px)
     blurred = ndimage.correlate1d(
@@ -251,6 +254,8 @@ def label_blobs(binary: NDArray[np.bool_], gap_px: int) -> NDArray[np.int32]:
     >>> label_blobs(np.array([[True, False, True, False, False, True]]), 2)
     array([[1, 0, 1, 0, 0, 2]], dtype=int32)
     """
+    from scipy import ndimage
+
     # The image is padded, so that no square of even side is cut off at the border.
     wide = np.pad(binary, gap_px)
     if gap_px > 1:

@@ -16,7 +16,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 Extent: TypeAlias = tuple[int, int, int, int]
 """Half-open y1, x1, y2, x2 in working pixels."""
@@ -67,6 +66,8 @@ def light_levels(sums: NDArray[np.int64], black: int, white: int) -> NDArray[np.
     >>> light_levels(np.array([[0, 0, 0, 0], [0, 0, 16, 0], [0, 0, 0, 0]]), 0, 16).tolist()
     [[0, 127, 255, 255], [0, 127, 255, 255], [0, 127, 255, 255]]
     """
+    from scipy import ndimage
+
     taps = np.array([1, 2, 1])  # whole numbers below 2^53 are exact in double precision
     smoothed = ndimage.correlate1d(ndimage.correlate1d(sums, taps, axis=1, mode="mirror"), taps, axis=0, mode="mirror")
     return np.asarray((smoothed - 16 * black) * TOP_LEVEL // (16 * (white - black)))

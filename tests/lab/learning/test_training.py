@@ -31,6 +31,12 @@ def run(folder: Path, recipe: Recipe = RECIPE, **changes: Any) -> TrainingResult
     return train(recipe, options.pop("train", TRAIN), options.pop("val", VAL), folder, **options)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
+    """A training of `RECIPE`, uninterrupted."""
+    return run(tmp_path_factory.mktemp("whole"))
+
+
 def weights(result: TrainingResult) -> dict[str, bytes]:
     return {name: value.numpy().tobytes() for name, value in result.network.state_dict().items()}
 
@@ -84,14 +90,12 @@ def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, fields:
     assert len(curves[0]) == 1 + RECIPE.epochs
 
 
-def test_seed_decides_everything(tmp_path: Path) -> None:
-    torch.manual_seed(99)
-    first = run(tmp_path / "a")
+def test_seed_decides_everything(tmp_path: Path, whole: TrainingResult) -> None:
     torch.manual_seed(7)
     state = torch.get_rng_state()
-    assert weights(run(tmp_path / "b")) == weights(first)
+    assert weights(run(tmp_path / "b")) == weights(whole)
     assert torch.equal(torch.get_rng_state(), state)  # the caller's own generator is as it was
-    assert weights(run(tmp_path / "c", changed(RECIPE, {"seed": 4}))) != weights(first)
+    assert weights(run(tmp_path / "c", changed(RECIPE, {"seed": 4}))) != weights(whole)
 
 
 def test_a_finished_training_is_read_not_repeated(tmp_path: Path) -> None:
@@ -171,15 +175,15 @@ def test_a_network_that_does_not_tell_kinds(tmp_path: Path) -> None:
         run(tmp_path, changed(RECIPE, fields), make_network=None)
 
 
-def test_ignored_samples_are_never_seen(tmp_path: Path) -> None:
+def test_ignored_samples_are_never_seen(tmp_path: Path, whole: TrainingResult) -> None:
     """Their content changes nothing: not the weights, not the figures."""
     for name, samples in (("train", TRAIN), ("val", VAL)):
         crops = samples.crops.copy()
         crops[samples.labels == -1] = 255 - crops[samples.labels == -1]
         other = dataclasses.replace(samples, crops=crops)
-        first, second = run(tmp_path / f"{name}1"), run(tmp_path / f"{name}2", RECIPE, **{name: other})
-        assert weights(first) == weights(second)
-        assert figures(first) == figures(second)
+        result = run(tmp_path / name, RECIPE, **{name: other})
+        assert weights(result) == weights(whole)
+        assert figures(result) == figures(whole)
 
 
 def test_epochs_hold_all_positives_and_other_negatives_each_time() -> None:

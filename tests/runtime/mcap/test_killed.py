@@ -35,7 +35,7 @@ FRAMES_A_CHUNK = 11
 """Half a second of 50 ms each, and the frame that is beyond."""
 
 
-@pytest.mark.parametrize("num_written", [15, 40, 137, 400])
+@pytest.mark.parametrize("num_written", [15, 40, 137])
 def test_a_killed_process(tmp_path: Path, num_written: int) -> None:
     path = tmp_path / "drive.mcap"
     command = [sys.executable, "-c", RECORDING, str(path)]

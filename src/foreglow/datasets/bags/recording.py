@@ -15,7 +15,7 @@ from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.datasets.bags.ros1_bag import Ros1Bag
 from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
 from foreglow.datasets.json_files import parse_json
-from foreglow.datasets.source import OnError, checked_on_error
+from foreglow.datasets.source import FileSource, OnError
 from foreglow.files import check_file
 from foreglow.types import Frame
 
@@ -30,7 +30,7 @@ NUM_TIMED = 20
 """The rate is measured on so many time stamps."""
 
 
-class Recording:
+class Recording(FileSource):
     """The frames of an image topic, in the order of the file, grey.
 
     Times are those in the headers of the messages, or the times of recording where a header has none. Frames of our
@@ -44,7 +44,6 @@ class Recording:
         topic: Name of the topic.
         rate_hz: Frames a second, by the first time stamps; None if these all coincide.
         num_frames: Images on the topic; None where the recording does not say.
-        skipped: A line for each part that the latest iteration left out so far.
     """
 
     def __init__(self, path: Path | str, *, topic: str | None = None, on_error: OnError = "stop") -> None:
@@ -60,9 +59,8 @@ class Recording:
             ModuleNotFoundError: If it is compressed, and the extra `recordings` is not installed.
             ValueError: If it is not a recording, has no such topic with images, or, with `stop`, lacks its end.
         """
+        super().__init__(on_error)
         self.path = Path(path)
-        self.skipped: list[str] = []
-        self._on_error = checked_on_error(on_error)
         self._container = _opened(self.path)
         if self._container.truncation and on_error == "stop":
             raise ValueError(f"{self._container.truncation}; --on-error skip reads what is there")
@@ -124,11 +122,6 @@ class Recording:
                 continue
         steps_ns = [step for before, after in itertools.pairwise(times_ns) if (step := after - before) > 0]
         return 1e9 / statistics.median(steps_ns) if steps_ns else None
-
-    def _refuse(self, message: str) -> None:
-        if self._on_error == "stop":
-            raise ValueError(message)
-        self.skipped.append(message)
 
 
 _NO_RECORD = Message(Topic("", "", ""), -1, memoryview(b""))

@@ -15,7 +15,7 @@ from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
-from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.source import OnError
 from foreglow.datasets.video import Video
 from foreglow.types import Frame
 
@@ -47,10 +47,9 @@ class LabelFile(LabelledSource):
             FileNotFoundError: If there is no such file, or the images are not there.
             ValueError: If it cannot be used.
         """
+        super().__init__(on_error)
         self.path = Path(path)
         self.root = self.path.parent
-        self.skipped = []
-        self._on_error = checked_on_error(on_error)
         self.labels: LabelSet = read_labels_file(self.path)
         self._folder, self._video = self._images_at(None if images is None else Path(images))
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
@@ -80,7 +79,7 @@ class LabelFile(LabelledSource):
         if self._video is not None:
             return self._video_frames()
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
-        return read_each(reads, self._on_error, self.skipped)
+        return self._read_each(reads)
 
     def _video_frames(self) -> Iterator[Frame]:
         assert self._video is not None

@@ -29,7 +29,7 @@ from foreglow.datasets.pvdn.schema import (
 )
 from foreglow.datasets.pvdn.splits import find_split
 from foreglow.datasets.simulated.vehicle import SimulatedVehicle
-from foreglow.datasets.source import OnError, checked_on_error, read_each
+from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame
 
@@ -87,7 +87,6 @@ class PVDN(LabelledSource):
         labels: The label files as they are.
         cycle: The exposure cycle that the folder is in; None outside `day` and `night`.
         frame_ids: Ids of the selected images, in order.
-        skipped: A line for each image that the latest iteration left out so far.
     """
 
     def __init__(
@@ -109,6 +108,7 @@ class PVDN(LabelledSource):
             ValueError: If a label file is broken, they contradict each other, a selected scene does not exist, or there
                 are several splits.
         """
+        super().__init__(on_error)
         folder = Path(root)
         if not folder.is_dir():
             raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")
@@ -118,8 +118,6 @@ class PVDN(LabelledSource):
         self._stored_times_s = _stored_times_s(self.labels)
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
-        self.skipped: list[str] = []
-        self._on_error = checked_on_error(on_error)
         self._vehicle = SimulatedVehicle(self.root)
         self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
 
@@ -142,7 +140,7 @@ class PVDN(LabelledSource):
             for image_id in self.frame_ids:
                 self._check_exists(image_id)
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
-        return read_each(reads, self._on_error, self.skipped)
+        return self._read_each(reads)
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`."""
@@ -212,7 +210,7 @@ class PVDN(LabelledSource):
 
     def _keypoints_file(self, image_id: int) -> KeypointsFile:
         self.image(image_id)
-        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        path = self._keypoints_path(image_id)
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file, expected the keypoints of image {image_id}")
         keypoints = read_json(path, KeypointsFile)
@@ -250,8 +248,10 @@ class PVDN(LabelledSource):
         return select.has_keypoints is None or select.has_keypoints == self._has_keypoints(image_id)
 
     def _has_keypoints(self, image_id: int) -> bool:
-        path = self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
-        return path.exists() and len(self.keypoints_px(image_id)) > 0
+        return self._keypoints_path(image_id).exists() and len(self.keypoints_px(image_id)) > 0
+
+    def _keypoints_path(self, image_id: int) -> Path:
+        return self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
 
 
 def _rate_hz(info: dict[str, Any], root: Path) -> float:

@@ -34,7 +34,6 @@ def fifty() -> tuple[Scene, ...]:
 
 
 def test_same_seed_same_scenes() -> None:
-    assert draw_scenes(3, 7) == draw_scenes(3, 7)
     assert draw_scenes(3, 7)[:2] == draw_scenes(2, 7)  # more scenes leave the first as they are
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from pathlib import Path
@@ -105,6 +106,7 @@ def test_road_light_is_linear_and_less_far_away() -> None:
     np.testing.assert_allclose(bright, 2.0 * dark, rtol=1e-6, atol=1e-12)
 
 
+@functools.cache
 def loop(delays: Delays, num: int = 12) -> list[Shone]:
     return list(closed_loop(scene(num / 18), Constant(np.full((2, NUM_LEDS), 0.6)), delays, "fast"))
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
-from scipy.special import expit, logit
 
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import ratio
@@ -74,6 +72,8 @@ def calibration(scores: ArrayLike, labels: ArrayLike, num_bins: int = 15) -> Cal
     Raises:
         ValueError: If there are not both classes, or scores and labels do not fit.
     """
+    from scipy.special import expit
+
     given, truth = _checked(scores, labels)
     logits = logits_of(given)
     temperature = fit_temperature(logits, truth)
@@ -127,6 +127,8 @@ def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
     >>> round(fit_temperature([2.0, 2.0, 2.0, -2.0, -2.0, -2.0], [1, 1, 0, 0, 0, 1]), 3)  # 2 / log(2)
     2.885
     """
+    from scipy.optimize import minimize_scalar
+
     given, truth = _checked(logits, labels)
     low, high = (math.log(1.0 / limit) for limit in reversed(TEMPERATURE_LIMITS))
     best = minimize_scalar(
@@ -140,6 +142,8 @@ def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
 
 def logits_of(scores: ArrayLike) -> Floats:
     """log(s / (1 - s)) of scores, kept 1e-7 from 0 and 1."""
+    from scipy.special import logit
+
     return np.asarray(logit(np.clip(np.asarray(scores, np.float64), SMALLEST_SCORE, 1.0 - SMALLEST_SCORE)))
 
 

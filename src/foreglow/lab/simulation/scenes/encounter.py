@@ -21,7 +21,8 @@ BLOCKING_HEIGHT_M = 1.2
 LIT_AHEAD_M = (20.0, 50.0, 90.0, 130.0)
 """Distances ahead of a car at which its low beam lights a rail or a bank well enough to be noticed."""
 
-NUM_SAMPLES = 32
+SHARES = np.linspace(0.02, 0.98, 32)[:, None]
+"""Where a line of sight is looked at, as shares of its length."""
 CENTRE_STEP_M = 3.0
 TIME_STEP_S = 0.2
 
@@ -95,12 +96,12 @@ def sight_time_s(
 
 def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Floats, free: Corridor) -> bool:
     """Whether the line from `eye` to `target` stays above the road and within the corridor along it."""
-    line = eye + np.linspace(0.02, 0.98, NUM_SAMPLES)[:, None] * (target - eye)
+    line = eye + SHARES * (target - eye)
     arc_lengths, points, headings = _centre_line(road)
     part = slice(*np.searchsorted(arc_lengths, (between_m[0] - CENTRE_STEP_M, between_m[1] + CENTRE_STEP_M)))
     centre = points[part]
     squares = (line[:, None, 0] - centre[:, 0]) ** 2 + (line[:, None, 1] - centre[:, 1]) ** 2
-    nearest = np.argmin(squares, axis=1)
+    nearest = squares.argmin(axis=1)
     heading = headings[part][nearest]
     away = line[:, :2] - centre[nearest, :2]
     t = -np.sin(heading) * away[:, 0] + np.cos(heading) * away[:, 1]
