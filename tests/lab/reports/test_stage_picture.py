@@ -47,7 +47,7 @@ def test_what_is_beside_or_behind_us_is_not_in_the_image() -> None:
 def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:
     image = np.full((960, 1280), 10, np.uint8)
     image[300:330, 300:330] = 250  # a lamp
-    image[600:606, 600:606] = 250  # too small
+    image[600:660, 600:800] = 250  # too large
     config = preset("paper").proposals
     proposer = ReferenceProposer(config)
     stages = proposer.stages(image)
