@@ -41,12 +41,12 @@ def stages(
     if out.suffix.lower() != ".png":
         raise ValueError(f"{out}: expected a picture that ends in .png, got {out.suffix!r}")
     stepper = Pipeline(pipeline.configuration().detector_only)
-    latest = None
+    latest, num_frames = None, 0
     for taken in itertools.islice(open_frames(source, reading, vehicle), frame + 1):
         if latest is not None and taken.sequence != latest[0].sequence:
             stepper.reset()
-        latest = taken, stepper.step(taken)
-    if latest is None:
-        raise ValueError(f"{source}: expected at least one frame, got none")
+        latest, num_frames = (taken, stepper.step(taken)), num_frames + 1
+    if latest is None or num_frames <= frame:
+        raise ValueError(f"--frame: expected one of the {num_frames} frames of {source}, counted from 0, got {frame}")
     write_atomic(out, stage_picture(*latest, stepper.config))
     typer.echo(f"frame {latest[0].frame}: {out}")

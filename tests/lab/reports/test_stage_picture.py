@@ -14,7 +14,7 @@ from foreglow.geometry import Camera, Pose
 from foreglow.lab.reports.stage_picture import road_px
 from foreglow.proposals import ReferenceProposer
 from foreglow.types import RoadAhead
-from tests.cli.commands import complaint, foreglow_command
+from tests.cli.commands import PNG, complaint, foreglow_command
 
 HEIGHT_M, FOCAL_PX, HALF_WIDTH_M = 1.5, 1000.0, 3.5
 
@@ -67,4 +67,11 @@ def test_the_command_draws_nine_panels(tmp_path: Path) -> None:
     picture = cv2.imread(str(out))
     thirds = [part for rows in np.array_split(picture, 3) for part in np.array_split(rows, 3, axis=1)]
     assert min(part.std() for part in thirds) > 10  # none is empty: this drive knows its road
+
+
+def test_what_cannot_be_drawn(tmp_path: Path) -> None:
     assert "ends in .png" in complaint("stages", shipped_drive(), "--out", tmp_path / "stages.jpg")
+    image = tmp_path / "night.png"
+    image.write_bytes(PNG)
+    told = complaint("stages", image, "--frame", 1, "--out", tmp_path / "stages.png")
+    assert f"--frame: expected one of the 1 frames of {image}, counted from 0, got 1" in told
