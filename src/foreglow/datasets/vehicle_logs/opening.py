@@ -26,7 +26,7 @@ NUM_TRIED_POSES = 100
 
 
 class VehicleFiles(VehicleData):
-    """From files, it looks up a frame by its time and size."""
+    """What files say, looked up by the time and the size of a frame."""
 
     def __init__(
         self,

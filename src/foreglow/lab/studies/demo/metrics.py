@@ -169,7 +169,7 @@ def tell_stories(
 def gap_at_sight(
     dataset: LabelledSource, sight: Moment, gaps_rad: Mapping[int, Floats]
 ) -> dict[float, tuple[float, float]] | None:
-    """The dark gap in which a vehicle comes into sight, back to where it opened: `Story.gaps_rad`.
+    """The dark gap in which a vehicle comes into sight, back to where it opened: `Story.gaps_rad`; None without camera.
 
     A gap may move: one that overlaps a gap of the image before is the same one. So it may also have opened for
     something else, and before the vehicle's first light.
