@@ -65,6 +65,7 @@ def test_the_command_draws_nine_panels(tmp_path: Path) -> None:
     out = tmp_path / "stages.png"
     assert str(out) in foreglow_command("stages", shipped_drive(), "--frame", 3, "--out", out).stdout
     picture = cv2.imread(str(out))
+    assert picture is not None
     thirds = [part for rows in np.array_split(picture, 3) for part in np.array_split(rows, 3, axis=1)]
     assert min(part.std() for part in thirds) > 10  # none is empty: this drive knows its road
 

@@ -79,8 +79,8 @@ def road_px(camera: Camera, road: RoadAhead) -> tuple[Floats, Floats]:
         pixels = np.full((len(points), 2), np.nan)
         is_ahead = points[:, 0] >= NEAREST_M
         pixels[is_ahead] = camera.project(points[is_ahead])
-        is_inside = np.asarray((pixels >= 0) & (pixels < [camera.width_px, camera.height_px])).all(axis=1)
-        edges.append(np.where(is_inside[:, None], pixels, np.nan))
+        pixels[np.asarray(((pixels < 0) | (pixels >= [camera.width_px, camera.height_px])).any(axis=1))] = np.nan
+        edges.append(pixels)
     return edges[0], edges[1]
 
 
