@@ -262,6 +262,12 @@ def test_the_paper_sends_the_brightest_plausible_track_alone(is_first_brighter: 
     assert not policy(PaperPolicy).gaps(seen, tracks_at(0, unproven))
 
 
+@pytest.mark.parametrize(("is_reported", "num_gaps"), [(True, 0), (False, 1), (None, 1)])
+def test_the_paper_is_silent_while_the_production_system_reports(is_reported: bool | None, num_gaps: int) -> None:
+    seen = dataclasses.replace(lit(0, (LAMP, 220)), is_reported=is_reported)
+    assert len(policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP))) == num_gaps
+
+
 def test_brightness_of_boxes() -> None:
     image = np.zeros((20, 30), np.uint8)
     image[5, 7], image[19, 29] = 100, 200

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN, Equipped, Selection, part_names, part_of
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
 from tests.lab.learning.night_set import make_night_set
 from tests.stand_ins import ListSource, night_frames
 
 
-class Moving:
+class Moving(VehicleData):
     """Knows one speed."""
 
     def camera(self, frame: Frame) -> Camera | None:  # noqa: ARG002

@@ -10,6 +10,7 @@ import pytest
 
 from foreglow.datasets import PVDN, Equipped, shipped_drive
 from foreglow.datasets.simulated import read_truth
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.geometry import Camera, Pose
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
@@ -20,7 +21,7 @@ CAMERA = Camera(128, 96, (130.0, 130.0), (64.0, 48.0), (0.0,) * 5, Pose(np.array
 ROAD = RoadAhead(np.array([[0.0, 1.6, 0.0], [5.0, 1.6, 0.0]]), 3.2)
 
 
-class SecondFrameOnly:
+class SecondFrameOnly(VehicleData):
     """Vehicle data that begin with the second frame."""
 
     def camera(self, frame: Frame) -> Camera | None:
@@ -32,11 +33,15 @@ class SecondFrameOnly:
     def road(self, frame: Frame) -> RoadAhead | None:
         return ROAD if frame.frame else None
 
+    def is_reported(self, frame: Frame) -> bool | None:
+        return False if frame.frame else None
+
 
 def test_a_source_with_vehicle_data() -> None:
     source = Equipped(ListSource(night_frames(2), skipped=["a.png"]), SecondFrameOnly())
     first, second = list(source)
-    assert (first.camera, first.motion, first.road) == (None, None, None)
+    assert (first.camera, first.motion, first.road, first.is_reported) == (None, None, None, None)
+    assert second.is_reported is False
     assert (second.camera, second.road) == (CAMERA, ROAD)
     assert second.motion is not None
     assert second.motion.speed_mps == 20.0
@@ -45,10 +50,10 @@ def test_a_source_with_vehicle_data() -> None:
 
 def test_what_a_frame_carries_stays_where_nothing_is_known() -> None:
     (known,) = Equipped(ListSource(list(Equipped(ListSource(night_frames(2)), SecondFrameOnly()))[1:]), _Nothing())
-    assert (known.camera, known.road) == (CAMERA, ROAD)
+    assert (known.camera, known.road, known.is_reported) == (CAMERA, ROAD, False)
 
 
-class _Nothing:
+class _Nothing(VehicleData):
     def camera(self, _: Frame) -> Camera | None:
         return None
 

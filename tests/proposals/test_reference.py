@@ -87,27 +87,31 @@ def test_published_window_is_off_centre() -> None:
     assert mean.max() == pytest.approx(1 / 36)
 
 
+def is_set(image: np.ndarray, mean: np.ndarray, kappa: float, eps: float) -> np.ndarray:
+    return reference.exceeds_threshold(image, reference.dynamic_threshold(image, mean, kappa, eps))
+
+
 def test_threshold_in_closed_form() -> None:
     """Without eps, D = 1/2 makes the contrast term 1 - 1 = 0, so that T is the mean itself."""
     mean = np.array([0.25])
-    above = reference.exceeds_threshold(mean + 0.5 + 1e-9, mean, kappa=10.0, eps=1e-12)
+    above = is_set(mean + 0.5 + 1e-9, mean, kappa=10.0, eps=1e-12)
     assert above.all()
     # For D -> 0 the threshold is mean (1 + kappa), which a pixel at the mean stays below for any kappa > 0.
-    assert not reference.exceeds_threshold(mean, mean, kappa=1e-6, eps=1e-3).any()
-    assert not reference.exceeds_threshold(np.zeros(1), np.zeros(1), kappa=0.0, eps=1e-3).any()
+    assert not is_set(mean, mean, kappa=1e-6, eps=1e-3).any()
+    assert not is_set(np.zeros(1), np.zeros(1), kappa=0.0, eps=1e-3).any()
 
 
 def test_threshold_by_hand() -> None:
     """I = 0.5, mu = 0.2, eps = 0.1: D = 0.3, D / (1 - D + eps) = 0.375, so that kappa = 1.5 / 0.625 = 2.4 ties."""
     value, mean = np.array([0.5]), np.array([0.2])
-    assert reference.exceeds_threshold(value, mean, kappa=2.4 - 1e-6, eps=0.1).all()
-    assert not reference.exceeds_threshold(value, mean, kappa=2.4 + 1e-6, eps=0.1).any()
+    assert is_set(value, mean, kappa=2.4 - 1e-6, eps=0.1).all()
+    assert not is_set(value, mean, kappa=2.4 + 1e-6, eps=0.1).any()
 
 
 def test_a_tie_is_not_above_the_threshold() -> None:
     mean = np.array([0.5])
     for excess, is_above in [(0.0, False), (1e-11, False), (1e-9, True)]:
-        assert reference.exceeds_threshold(mean + excess, mean, kappa=0.0, eps=1e-3).all() == is_above
+        assert is_set(mean + excess, mean, kappa=0.0, eps=1e-3).all() == is_above
 
 
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 10), st.floats(0, 10))
@@ -118,8 +122,8 @@ def test_a_larger_kappa_never_sets_a_pixel_of_low_contrast(
     if value - mean >= 0.5:
         return  # above D = 1/2 the contrast term turns round
     image, means = np.array([value]), np.array([mean])
-    low = reference.exceeds_threshold(image, means, kappa, 1e-3)
-    high = reference.exceeds_threshold(image, means, kappa + more, 1e-3)
+    low = is_set(image, means, kappa, 1e-3)
+    high = is_set(image, means, kappa + more, 1e-3)
     assert not (high & ~low).any()
 
 

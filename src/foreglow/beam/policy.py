@@ -107,8 +107,8 @@ class GapWriter:
 class PaperPolicy:
     """The paper's policy: a gap with a margin for the brightest plausible track, and for nothing else.
 
-    In the paper's car, it is silent while the production system sees a vehicle, and the production system controls the
-    beam. To reproduce that, use the production system's gaps while it sees a vehicle.
+    It is silent while the car's production system reports a vehicle (`Frame.is_reported`), as in the paper's car, where
+    that system then controls the beam. Lamps that get both must shine the darker of the two.
 
     Source: Ewecker et al., arXiv 2107.11302, section on the use case.
     """
@@ -128,9 +128,9 @@ class PaperPolicy:
         return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
-        """The gap for the brightest plausible track, if there is one."""
+        """The gap for the brightest plausible track; none without one, or while the production system reports."""
         plausible = np.flatnonzero(tracks.is_plausible)
-        if frame.camera is None or not len(plausible):
+        if frame.camera is None or frame.is_reported or not len(plausible):
             return []
         brightest = max(plausible.tolist(), key=lambda index: brightness(frame.image, tracks.boxes_xyxy_px[index]))
         bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]

@@ -43,29 +43,28 @@ def demo(
 
     name = frames.name if source is None else str(source)
     summary = run_frames(frames, name, out, Pipeline(configuration), make_sinks=make_sinks)
-    stories = _stories(frames, out, configuration) if summary.is_complete else ()
+    stories = _stories(frames, out, configuration, has_beam=has_beam) if summary.is_complete else ()
     finish(summary, out)
     _print_stories(stories, is_classified=summary.is_classified)
-    if has_beam and len(stories) == 1:
-        _print_gap(frames, stories[0], out)
 
 
-def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig) -> tuple[Story, ...]:
+def _stories(frames: FrameSource, out: Path, configuration: PipelineConfig, *, has_beam: bool) -> tuple[Story, ...]:
     """What happened in a run on frames with labels; its best moments become a picture beside the results."""
     from foreglow.datasets import LabelledSource
     from foreglow.lab.evaluation import read_predictions
     from foreglow.lab.studies.demo.figures import write_moments
     from foreglow.lab.studies.demo.metrics import best_story, has_labels, tell_stories
-    from foreglow.runs.frames_file import read_tracks
+    from foreglow.runs.frames_file import read_gaps, read_tracks
 
     if not isinstance(frames, LabelledSource) or not has_labels(frames):
         return ()
     predictions, threshold = read_predictions(out / "frames.jsonl"), configuration.classifier.score_threshold
     tracks = read_tracks(out / "frames.jsonl") if configuration.classifier.model is not None else None
-    stories = tell_stories(frames, predictions, threshold, tracks)
+    gaps_rad = read_gaps(out / "frames.jsonl") if has_beam else None
+    stories = tell_stories(frames, predictions, threshold, tracks, gaps_rad)
     best = best_story(stories)
     if best is not None:
-        images = [frames.read(moment.light.image_id) for moment in best.moments]
+        images = [frames.read(moment.light.image_id) for moment in best.moments.values()]
         write_moments(out / "moments.png", best, images, predictions, threshold)
     return stories
 
@@ -80,14 +79,3 @@ def _print_stories(stories: tuple[Story, ...], *, is_classified: bool) -> None:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
     elif stories:
         rich.print(story_table(stories, is_classified=is_classified))
-
-
-def _print_gap(frames: FrameSource, story: Story, out: Path) -> None:
-    """Prints how early the beam went dark where the story's vehicle came into sight."""
-    from foreglow.datasets import LabelledSource
-    from foreglow.lab.studies.demo.metrics import gap_opened_s
-    from foreglow.lab.studies.demo.page import gap_line
-    from foreglow.runs.frames_file import read_gaps
-
-    if isinstance(frames, LabelledSource) and story.sight is not None:
-        typer.echo(gap_line(story, gap_opened_s(frames, story, read_gaps(out / "frames.jsonl"))))

@@ -27,7 +27,9 @@ def simulate(
     num_scenes: Annotated[int, option("N", "Number of drives to draw.", "--scenes", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of everything random; the same seed gives the same bytes.", min=0)] = 7,
     split: Annotated[str, option("train|val|test", "Split to draw; no two splits share a drive.")] = "train",
-    mixture: Annotated[str, option("pvdn|standard", "Scenarios to draw from, as docs/scenes.md lists them.")] = "pvdn",
+    mixture: Annotated[
+        str, option("pvdn|standard|r48", "Scenarios to draw from, as docs/scenes.md lists them.")
+    ] = "pvdn",
     scene: Annotated[
         list[Path] | None, file("TOML file of a scene of your own, instead of drawn ones; repeatable.")
     ] = None,

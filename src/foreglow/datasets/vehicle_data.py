@@ -27,6 +27,10 @@ class VehicleData(Protocol):
         """The road ahead as the car knew it at the time of `frame`; None where unknown."""
         ...
 
+    def is_reported(self, frame: Frame) -> bool | None:  # noqa: ARG002
+        """Whether the car's production system reports a vehicle at the time of `frame`; None where unknown."""
+        return None
+
 
 class Equipped:
     """The frames of another source with vehicle data.
@@ -73,11 +77,13 @@ def equip(frame: Frame, data: VehicleData) -> Frame:
     Raises:
         ValueError: If the calibration is for images of another size, or a file behind the data is broken.
     """
+    is_reported = data.is_reported(frame)
     return dataclasses.replace(
         frame,
         camera=data.camera(frame) or frame.camera,
         motion=data.motion(frame) or frame.motion,
         road=data.road(frame) or frame.road,
+        is_reported=frame.is_reported if is_reported is None else is_reported,
     )
 
 

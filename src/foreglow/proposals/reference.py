@@ -7,7 +7,7 @@ paper does not mention; each is a named parameter of `ProposalConfig` whose defa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,7 @@ class Stages(NamedTuple):
     Attributes:
         blurred: The blurred working image I, float64 in [0, 1].
         mean: The local mean mu, float64.
+        threshold: T, float64.
         binary: I > T, bool.
         labels: Number of the blob of each pixel that is set, int32; 0 elsewhere.
         levels: Light as whole numbers, int64, 0..1023, by which blobs are split; all 0 if splitting is off.
@@ -85,9 +86,14 @@ class Stages(NamedTuple):
 
     blurred: NDArray[np.float64]
     mean: NDArray[np.float64]
+    threshold: NDArray[np.float64]
     binary: NDArray[np.bool_]
     labels: NDArray[np.int32]
     levels: NDArray[np.int64]
+
+
+Verdict: TypeAlias = Literal["kept", "size", "deviation"]
+"""What the filters make of a blob's box: it is kept, or left out by its size or by its deviation."""
 
 
 class ReferenceProposer:
@@ -104,12 +110,19 @@ class ReferenceProposer:
         """
         config = self.config
         x_offset_px, y_offset_px, _ = cut_region(image, config)
-        sizes = working_sizes(config, image.shape[1])
+        reduction = working_sizes(config, image.shape[1]).reduction
         stages = self.stages(image)
-        if stages is None:
-            return Proposals(np.zeros((0, 4), np.int32))
+        judged = [] if stages is None else self.judged(stages, image.shape[1])
+        kept = [(y1, x1, y2, x2) for (x1, y1, x2, y2), verdict in judged if verdict == "kept"]
+        y1x1y2x2 = np.array(sorted(kept), np.int32).reshape(-1, 4)
+        boxes_xyxy_px = y1x1y2x2[:, [1, 0, 3, 2]] * reduction
+        return Proposals(boxes_xyxy_px + np.array([x_offset_px, y_offset_px] * 2, np.int32))
+
+    def judged(self, stages: Stages, width_px: int) -> list[tuple[tuple[int, int, int, int], Verdict]]:
+        """The boxes of all blobs of a frame of `width_px` columns, x1, y1, x2, y2 in working pixels, half-open."""
         from scipy import ndimage
 
+        config, sizes = self.config, working_sizes(self.config, width_px)
         blobs = [
             (rows.start, columns.start, rows.stop, columns.stop)
             for rows, columns in ndimage.find_objects(stages.labels)
@@ -117,19 +130,17 @@ class ReferenceProposer:
         if config.split_saddle > 0:
             rule = SplitRule(config.split_saddle, sizes.min_area_px, sizes.min_width_px)
             blobs = sorted({part for blob in blobs for part in split_blob(blob, stages.binary, stages.levels, rule)})
-        boxes = []
+        judged: list[tuple[tuple[int, int, int, int], Verdict]] = []
         for y1, x1, y2, x2 in blobs:
-            width_px, height_px = x2 - x1, y2 - y1
-            area_px = width_px * height_px
-            if not (sizes.min_area_px <= area_px <= sizes.max_area_px and width_px >= sizes.min_width_px):
+            area_px = (x2 - x1) * (y2 - y1)
+            if not (sizes.min_area_px <= area_px <= sizes.max_area_px and x2 - x1 >= sizes.min_width_px):
+                judged.append(((x1, y1, x2, y2), "size"))
                 continue
             inside = stages.blurred[y1:y2, x1:x2]
             deviation = np.abs(inside - inside.mean()).mean()  # paper: mean absolute deviation filter s
-            if deviation > config.min_deviation + ROUNDING:
-                boxes.append((y1, x1, y2, x2))
-        y1x1y2x2 = np.array(sorted(boxes), np.int32).reshape(-1, 4)
-        boxes_xyxy_px = y1x1y2x2[:, [1, 0, 3, 2]] * sizes.reduction
-        return Proposals(boxes_xyxy_px + np.array([x_offset_px, y_offset_px] * 2, np.int32))
+            verdict: Verdict = "kept" if deviation > config.min_deviation + ROUNDING else "deviation"
+            judged.append(((x1, y1, x2, y2), verdict))
+        return judged
 
     def stages(self, image: Image) -> Stages | None:
         """The intermediate images of `image`, or None if it is smaller than one working pixel."""
@@ -142,12 +153,13 @@ class ReferenceProposer:
         full_scale = np.iinfo(image.dtype).max * sizes.reduction**2
         blurred = blur(normalised(sums, full_scale, config), config)
         mean = local_mean(blurred, sizes.half_window_px, config.window)
-        binary = exceeds_threshold(blurred, mean, config.kappa, config.eps)
+        threshold = dynamic_threshold(blurred, mean, config.kappa, config.eps)
+        binary = exceeds_threshold(blurred, threshold)
         levels = np.zeros(sums.shape, np.int64)
         if config.split_saddle > 0 and sums.min() < sums.max():
             black, white = (int(sums.min()), int(sums.max())) if config.normalise else (0, full_scale)
             levels = light_levels(sums, black, white)
-        return Stages(blurred, mean, binary, label_blobs(binary, sizes.gap_px), levels)
+        return Stages(blurred, mean, threshold, binary, label_blobs(binary, sizes.gap_px), levels)
 
 
 def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:
@@ -234,15 +246,19 @@ def local_mean(image: NDArray[np.float64], half_window_px: int, window: str) -> 
     return np.asarray(np.maximum(total, 0.0) / np.maximum((bottom - top) * (right - left), 1))
 
 
-def exceeds_threshold(
+def dynamic_threshold(
     image: NDArray[np.float64], mean: NDArray[np.float64], kappa: float, eps: float
-) -> NDArray[np.bool_]:
-    """True where I > T by more than `ROUNDING`, with T = mu (1 + kappa (1 - D / (1 - D + eps))) and D = I - mu.
+) -> NDArray[np.float64]:
+    """T = mu (1 + kappa (1 - D / (1 - D + eps))) with D = I - mu.
 
     Source: arXiv 2107.11302, dynamic threshold; `eps` from the published code.
     """
     difference = image - mean
-    threshold = mean * (1.0 + kappa * (1.0 - difference / (1.0 - difference + eps)))
+    return np.asarray(mean * (1.0 + kappa * (1.0 - difference / (1.0 - difference + eps))))
+
+
+def exceeds_threshold(image: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where I > T by more than `ROUNDING`."""
     return np.asarray(image > threshold + ROUNDING)
 
 

@@ -102,6 +102,7 @@ class Frame:
         motion: Motion of our vehicle; None where unknown.
         road: The road ahead by a map or a street message; None without either.
         is_damaged: Whether the source knows that the image is damaged, such as by a decoder that lost packets.
+        is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, or the camera is for
@@ -117,6 +118,7 @@ class Frame:
     motion: EgoMotion | None = None
     road: RoadAhead | None = None
     is_damaged: bool = False
+    is_reported: bool | None = None
 
     def __post_init__(self) -> None:
         origin = f"{self.path}: " if self.path else ""

@@ -83,7 +83,7 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    assert json.loads(FrameMessage.of(frame).to_json()) == fields | {"is_damaged": False}
+    assert json.loads(FrameMessage.of(frame).to_json()) == fields | {"is_damaged": False, "is_reported": None}
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
 

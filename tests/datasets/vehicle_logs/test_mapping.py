@@ -45,6 +45,9 @@ BO_ 514 Here: 8 Car
  SG_ Rest : 8|8@1+ (1,0) [0|255] "m" Car
  SG_ Trust : 16|3@1+ (1,0) [0|7] "" Car
 
+BO_ 516 Objects: 1 Car
+ SG_ Vehicles : 0|4@1+ (1,0) [0|15] "" Car
+
 BO_ 515 Dynamics: 8 Car
  SG_ Pace : 0|16@1+ (0.01,0) [0|655] "km/h" Car
  SG_ Turn : 16|14@1+ (0.01,0) [0|163] "deg/s" Car
@@ -161,6 +164,14 @@ def test_motion_in_other_units(tmp_path: Path) -> None:
     assert (motion.speed_mps, motion.yaw_rate_radps) == pytest.approx((20.0, -0.15708), abs=1e-5)
 
 
+def test_reports_of_the_production_system_count_for_half_a_second(tmp_path: Path) -> None:
+    alone = '[production]\nmessage = "Objects"\nsignal = "Vehicles"\n'
+    log = log_of(tmp_path, [("Objects", {"Vehicles": 0}), ("Objects", {"Vehicles": 3})], alone)
+    times_ns = (990_000_000, 1_005_000_000, 1_010_000_000, 1_500_000_000, 1_520_000_000)
+    assert [log.is_reported(time_ns) for time_ns in times_ns] == [None, False, True, True, None]
+    assert log.motion(1_010_000_000) is None
+
+
 def test_a_position_without_a_class(tmp_path: Path) -> None:
     assert log_of(tmp_path, [piece(7, 6), here(7, trust=0)]).street(1_020_000_000) is None
     assert log_of(tmp_path, [piece(7, 6), here(7, trust=7)]).street(1_020_000_000) is None
@@ -203,7 +214,7 @@ def test_meanings_of_curvature() -> None:
             "",
             "segment, position: expected both sections",
         ),
-        (MAPPING, "", "expected the sections segment and position, or speed and yaw_rate"),
+        (MAPPING, "", "expected the sections segment and position, speed and yaw_rate, or production"),
         ("[segment]", "[segment", r"car\.toml: expected TOML"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 
 from foreglow.calibration import calibration_to_toml
 from foreglow.datasets.vehicle_data import Equipped
-from foreglow.datasets.vehicle_logs import VehicleFiles, open_vehicle_data, write_can_log
+from foreglow.datasets.vehicle_logs import CanLog, VehicleFiles, open_vehicle_data, write_can_log
 from foreglow.geometry import Camera, Pose
 from foreglow.types import EgoMotion, Frame
 from tests.datasets.vehicle_logs.messages import message
@@ -82,6 +82,13 @@ def test_motion_and_road_of_a_log(can_log: Path) -> None:
     assert (len(road), road.error_bound_m) == (241, 5.0)
     assert data.camera(frame()) is None
     assert data.road(frame(20.0)) is None
+
+
+def test_frames_carry_the_reports_of_the_production_system() -> None:
+    log = CanLog()
+    log.add_number("production", 2_000_000_000, 1.0)
+    before, after = Equipped(ListSource([frame(1.9), frame(2.1)]), VehicleFiles(log=log))
+    assert (before.is_reported, after.is_reported) == (None, True)
 
 
 def test_the_offset_between_the_clocks(can_log: Path) -> None:

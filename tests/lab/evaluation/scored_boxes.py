@@ -56,6 +56,7 @@ def split_labels(
         weather_of={one: "rain" if one // 100 else "dry" for one in lights},
         sequence_of={one: one // 100 for one in lights},
         time_s={one: one % 100 / rate_hz for one in lights},
+        scenario_of={one: "village" if one // 100 else "motorway" for one in lights},
     )
 
 

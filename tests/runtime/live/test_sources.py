@@ -23,6 +23,7 @@ from benchmarks.faulty import live_config
 from benchmarks.image_faults import CODINGS, encoded
 from foreglow.beam.faults import GuardFault
 from foreglow.datasets import Video, open_source, shipped_drive
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
@@ -225,7 +226,7 @@ def test_only_cameras_and_streams_are_cameras() -> None:
 
 
 def test_what_the_car_knows_is_put_beside_frames() -> None:
-    class Data:
+    class Data(VehicleData):
         def camera(self, _: Frame) -> None:
             return None
 

@@ -154,14 +154,14 @@ def test_frames_come_back_as_they_were(tmp_path: Path) -> None:
     deep = full_frame(4)
     frames.append(dataclasses.replace(deep, image=deep.image.astype(np.uint16) * 257))
     frames.append(dataclasses.replace(full_frame(5), camera=None, motion=None, road=None))
-    frames[3] = dataclasses.replace(frames[3], is_damaged=True)
+    frames[3] = dataclasses.replace(frames[3], is_damaged=True, is_reported=True)
     record(path, frames).close()
     source = Recording(path)
     assert (source.topic, source.num_frames, source.rate_hz) == ("/camera/image", 6, 20.0)
     for found, frame in zip(source, frames, strict=True):
         assert found.image.dtype == frame.image.dtype
         np.testing.assert_array_equal(found.image, frame.image)
-        for name in ("timestamp_ns", "frame", "sequence", "is_damaged"):
+        for name in ("timestamp_ns", "frame", "sequence", "is_damaged", "is_reported"):
             assert getattr(found, name) == getattr(frame, name)
         assert (found.camera is None) == (frame.camera is None)
         assert (found.motion and found.motion.speed_mps) == (frame.motion and frame.motion.speed_mps)

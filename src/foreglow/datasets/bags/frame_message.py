@@ -108,13 +108,14 @@ class FrameMessage:
     camera: Annotated[Camera, StoredAs(_StoredCamera, _camera, _stored_camera)] | None
     motion: Annotated[EgoMotion, StoredAs(_StoredMotion, _motion, _stored_motion)] | None
     road: Annotated[RoadAhead, StoredAs(_StoredRoad, _road, _stored_road)] | None
-    is_damaged: bool = False  # which older recordings do not have
+    is_damaged: bool = False  # older recordings have neither this
+    is_reported: bool | None = None  # nor this
 
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
         car = frame.camera, frame.motion, frame.road
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, frame.is_damaged)
+        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, frame.is_damaged, frame.is_reported)
 
     def to_json(self) -> bytes:
         """The message as JSON."""
@@ -137,4 +138,5 @@ class FrameMessage:
             motion=self.motion,
             road=self.road,
             is_damaged=self.is_damaged,
+            is_reported=self.is_reported,
         )

@@ -236,10 +236,19 @@ class SimulatedTruth:
         return SequenceTruth(
             root=folder,
             sequence_id=sequence_id,
-            scenario=read_json(folder / "scene.json", _SceneFile).scene.name,
+            scenario=self.scenario(sequence_id),
             camera=read_calibration(folder / "camera.toml"),
             frames=tuple(_read_frames(folder / "frames.jsonl", sequence_id)),
         )
+
+    def scenario(self, sequence_id: int) -> str:
+        """Name of the scene of this sequence, such as `crest`; reads nothing else of it.
+
+        Raises:
+            FileNotFoundError: If there is no such sequence.
+            ValueError: If its `scene.json` is broken.
+        """
+        return read_json(sequence_folder(self.root, sequence_id) / "scene.json", _SceneFile).scene.name
 
     def sequence_of(self, image_id: int) -> SequenceTruth:
         """The sequence of image `image_id`; it is read anew at each call."""

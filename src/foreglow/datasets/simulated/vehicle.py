@@ -7,6 +7,7 @@ from pathlib import Path
 
 from foreglow.calibration import read_calibration
 from foreglow.datasets.json_files import Record, read_json_lines
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.geometry import Camera
 from foreglow.street import StreetMessage, road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
@@ -21,7 +22,7 @@ class _CarTruth(Record):
     street: StreetMessage
 
 
-class SimulatedVehicle:
+class SimulatedVehicle(VehicleData):
     """The vehicle data of a simulated split: exact calibration, speed and yaw rate, and the street message with its
     errors. Sequences without a folder `SPLIT/simulation/S00001` have none.
 

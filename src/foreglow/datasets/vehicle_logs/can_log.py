@@ -1,4 +1,4 @@
-"""CAN logs: the latest street message and the latest motion of a car at any time."""
+"""CAN logs: the latest street message, motion, and report of the production system of a car at any time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STREET_STALE_S = 1.0
 """Older street messages are not used."""
 
 MOTION_STALE_S = 0.5
-"""Older speeds and yaw rates are not used."""
+"""Older speeds, yaw rates and reports of the production system are not used."""
 
 MAX_DBC_BYTES = 4 * MIB
 """Largest DBC: it takes 100 times its size while it is read, and 3 s for each MiB."""
@@ -110,7 +110,7 @@ class CanLog:
         """An empty log, which drops values that are older than the last by more than `keep_s`."""
         self._keep_ns = keep_s * 1e9
         self._streets = Latest[StreetMessage | None](STREET_STALE_S)
-        self._numbers = {"speed": Latest[float](MOTION_STALE_S), "yaw_rate": Latest[float](MOTION_STALE_S)}
+        self._numbers = {name: Latest[float](MOTION_STALE_S) for name in ("speed", "yaw_rate", "production")}
         self._lock = threading.Lock()
         self.first_ns = self.last_ns = 0
         self.has_street, self.is_empty = False, True
@@ -121,7 +121,7 @@ class CanLog:
         self._add(self._streets, time_ns, message)
 
     def add_number(self, quantity: str, time_ns: int, value: float) -> None:
-        """Adds a `speed` in m/s or a `yaw_rate` in rad/s; times must not fall."""
+        """Adds a `speed` in m/s, a `yaw_rate` in rad/s, or what `production` reports; times must not fall."""
         self._add(self._numbers[quantity], time_ns, value)
 
     def street(self, timestamp_ns: int) -> StreetMessage | None:
@@ -131,11 +131,19 @@ class CanLog:
 
     def motion(self, timestamp_ns: int) -> EgoMotion | None:
         """The latest speed and yaw rate at or before a time; None if either is stale or missing."""
-        with self._lock:
-            speed_mps, yaw_rate_radps = (latest.at(timestamp_ns) for latest in self._numbers.values())
+        speed_mps, yaw_rate_radps = self._number("speed", timestamp_ns), self._number("yaw_rate", timestamp_ns)
         if speed_mps is None or yaw_rate_radps is None:
             return None
         return EgoMotion(speed_mps, yaw_rate_radps)
+
+    def is_reported(self, timestamp_ns: int) -> bool | None:
+        """Whether the production system reports a vehicle, by its latest message; None if that is stale or missing."""
+        number = self._number("production", timestamp_ns)
+        return None if number is None else number > 0
+
+    def _number(self, quantity: str, timestamp_ns: int) -> float | None:
+        with self._lock:
+            return self._numbers[quantity].at(timestamp_ns)
 
     def _add(self, latest: Latest[Value], time_ns: int, value: Value) -> None:
         with self._lock:

@@ -139,7 +139,7 @@ class NumberSignal(Section):
 
 
 class CanMapping(FrozenModel):
-    """The whole mapping: the road, the motion, or both.
+    """The whole mapping: the road, the motion, the production system, or several of them.
 
     Attributes:
         segment: Needs `position`.
@@ -148,6 +148,7 @@ class CanMapping(FrozenModel):
         curvature: The meaning of curvatures.
         speed: Forward speed, m/s; needs `yaw_rate`.
         yaw_rate: Rate of turn to the left, rad/s; needs `speed`.
+        production: How many vehicles the production system reports, or 1 for any; it reports none at 0.
     """
 
     segment: SegmentSignals | None = None
@@ -156,21 +157,22 @@ class CanMapping(FrozenModel):
     curvature: CurvatureMeaning = CurvatureMeaning()
     speed: NumberSignal | None = None
     yaw_rate: NumberSignal | None = None
+    production: NumberSignal | None = None
 
     @model_validator(mode="after")
     def _check(self) -> CanMapping:
         for first, second in (("segment", "position"), ("speed", "yaw_rate")):
             if (getattr(self, first) is None) != (getattr(self, second) is None):
                 raise ValueError(f"{first}, {second}: expected both sections or neither")
-        if self.segment is None and self.speed is None:
-            raise ValueError("expected the sections segment and position, or speed and yaw_rate, or all four")
+        if self.segment is None and self.speed is None and self.production is None:
+            raise ValueError("expected the sections segment and position, speed and yaw_rate, or production, or more")
         if self.slope is not None and self.segment is None:
             raise ValueError("slope: expected a section segment beside it")
         return self
 
     def sections(self) -> Iterator[tuple[str, Section]]:
         """The sections that name a message, with their names."""
-        for name in ("segment", "position", "slope", "speed", "yaw_rate"):
+        for name in ("segment", "position", "slope", "speed", "yaw_rate", "production"):
             section = getattr(self, name)
             if section is not None:
                 yield name, section

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from foreglow.calibration import read_calibration
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
 from foreglow.geometry import Camera
 from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
@@ -24,8 +25,8 @@ NUM_TRIED_POSES = 100
 """So many poses along the drive are tried on the map when it is opened."""
 
 
-class VehicleFiles:
-    """A `VehicleData` from files, which looks up a frame by its time and size."""
+class VehicleFiles(VehicleData):
+    """What files say, looked up by the time and the size of a frame."""
 
     def __init__(
         self,
@@ -71,7 +72,7 @@ class VehicleFiles:
         """
         if self._log is None or self._log.is_empty:
             return None
-        return self._log.motion(self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1]))
+        return self._log.motion(self._log_time_ns(frame, self._log))
 
     def road(self, frame: Frame) -> RoadAhead | None:
         """The road ahead by map and pose, or else by the latest street message in the log; None where there is none.
@@ -80,6 +81,16 @@ class VehicleFiles:
             ValueError: If poses or log have another clock.
         """
         return self._road_by_map(frame) or self._road_by_message(frame)
+
+    def is_reported(self, frame: Frame) -> bool | None:
+        """Whether the production system reports a vehicle, by the latest message in the log; None where there is none.
+
+        Raises:
+            ValueError: If the log has another clock.
+        """
+        if self._log is None or self._log.is_empty:
+            return None
+        return self._log.is_reported(self._log_time_ns(frame, self._log))
 
     def _camera_of(self, width_px: int, height_px: int) -> Camera | None:
         camera = self._camera
@@ -105,9 +116,11 @@ class VehicleFiles:
     def _road_by_message(self, frame: Frame) -> RoadAhead | None:
         if self._log is None or self._log.is_empty:
             return None
-        time_ns = self._time_ns(frame, self._log.first_ns, self._log.last_ns, self._names[1])
-        message = self._log.street(time_ns)
+        message = self._log.street(self._log_time_ns(frame, self._log))
         return None if message is None else road_from_message(message)
+
+    def _log_time_ns(self, frame: Frame, log: CanLog) -> int:
+        return self._time_ns(frame, log.first_ns, log.last_ns, self._names[1])
 
     def _time_ns(self, frame: Frame, first_ns: int, last_ns: int, name: str) -> int:
         time_ns = frame.timestamp_ns - self._offset_ns

@@ -306,8 +306,10 @@ def _add_breakdown(page: Page, breakdown: Breakdown) -> None:
     page.section("False boxes")
     page.table(_false_boxes_table(breakdown.false_boxes, breakdown.false_boxes_empty))
     page.text("A minute has 18 x 60 images, whatever the rate of the data set.")
-    page.section("By weather")
-    page.table(Table.of(WEATHER_COLUMNS, breakdown.weathers))
+    for aspect, image_groups in (("weather", breakdown.weathers), ("scenario", breakdown.scenarios)):
+        if image_groups:
+            page.section(f"By {aspect}")
+            page.table(Table.of({aspect: lambda group: group.name, **IMAGE_GROUP_COLUMNS}, image_groups))
 
 
 def _add_whose_light(page: Page, found: WhoseLight) -> None:
@@ -347,8 +349,7 @@ FALSE_COLUMNS: Mapping[str, Callable[[tuple[str, FalseBoxes]], object]] = {
     "a minute": lambda named: f"{named[1].per_minute:.0f}",
 }
 
-WEATHER_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
-    "weather": lambda group: group.name,
+IMAGE_GROUP_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
     "images": lambda group: group.false_boxes.num_images,
     "lights": lambda group: group.lights.num,
     "P": lambda group: _number(group.precision),

@@ -8,6 +8,7 @@ STUDIES = {
     "runtime": "foreglow.lab.studies.runtime.command",
     "glare": "foreglow.lab.studies.glare.command",
     "occurrence": "foreglow.lab.studies.occurrence.command",
+    "detection-range": "foreglow.lab.studies.detection_range.command",
 }
 """What `foreglow experiment` offers: for each name the module whose function `command` runs the experiment.
 

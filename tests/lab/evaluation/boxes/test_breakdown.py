@@ -15,6 +15,7 @@ from foreglow.lab.evaluation.boxes.lights import empty_images, read_lights
 from foreglow.lab.evaluation.vehicles import first_found, share_found_ahead
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.evaluation.scored_boxes import light, predictions_of, split_labels
+from tests.lab.studies import ranged_drives
 
 # Sequence 0: nothing, then a hidden vehicle's rail and haze, then its lamp and a reflection. Sequence 1: a lamp.
 LABELS = split_labels(
@@ -45,7 +46,7 @@ def fixture_matched() -> LightMatches:
 
 
 def test_groups_worked_by_hand(matched: LightMatches) -> None:
-    found = break_down(matched, 0.5, LABELS.weather_of)
+    found = break_down(matched, 0.5, LABELS)
     figures = {
         (aspect, group.name): (group.num, group.recall, group.ceiling)
         for aspect, groups in found.groups.items()
@@ -90,13 +91,27 @@ def test_the_whole_agrees_with_the_metrics(matched: LightMatches, threshold: flo
 
 
 def test_weathers_worked_by_hand(matched: LightMatches) -> None:
-    dry, rain = break_down(matched, 0.5, LABELS.weather_of).weathers
+    dry, rain = break_down(matched, 0.5, LABELS).weathers
     assert (dry.name, dry.lights.num, dry.lights.recall, dry.precision) == ("dry", 4, 0.5, 0.4)
     assert math.isclose(dry.lights.f1, 2 / (2 + (3 + 2) / 2))
     assert (dry.false_boxes.num, dry.false_boxes.num_images) == (3, 3)
     assert (rain.name, rain.lights.recall, rain.lights.f1, rain.false_boxes.num) == ("rain", 0.0, 0.0, 0)
     assert math.isnan(rain.precision)
     assert break_down(matched, 0.5).weathers == ()
+
+
+def test_scenarios_are_groups_of_images_as_weathers_are(matched: LightMatches) -> None:
+    found = break_down(matched, 0.5, LABELS)
+    assert [group.name for group in found.scenarios] == ["motorway", "village"]
+    for scenario, weather in zip(found.scenarios, found.weathers, strict=True):
+        assert scenario.lights.num == weather.lights.num
+        assert scenario.false_boxes == weather.false_boxes
+
+
+def test_scenarios_of_a_simulated_split(tmp_path: Path) -> None:
+    labels = read_split_labels(PVDN(ranged_drives.make_split(tmp_path)))
+    assert set(labels.scenario_of.values()) == {"straight", "sag"}
+    assert labels.scenario_of.keys() == labels.sequence_of.keys()
 
 
 def test_groups_divide_the_lights(matched: LightMatches) -> None:
@@ -149,6 +164,7 @@ def test_labels_of_a_split(tmp_path: Path) -> None:
     assert labels.empty_images == set(empty_images(dataset))
     assert labels.time_s == {5: 0.0, 7: 1 / 18, 11: 0.0, 12: 1 / 18, 13: 2 / 18}
     assert labels.sequence_of == {5: 1, 7: 1, 11: 3, 12: 3, 13: 3}
+    assert labels.scenario_of == {}
     assert labels.weather_of == {5: "dry", 7: "dry", 11: "rain", 12: "rain", 13: "rain"}
     for image_id, points in labels.keypoints_px.items():
         assert np.array_equal(points, dataset.keypoints_px(image_id))

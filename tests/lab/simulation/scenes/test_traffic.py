@@ -121,7 +121,7 @@ def test_mixtures_are_of_known_scenarios_and_whole() -> None:
     for shares in MIXTURES.values():
         assert set(shares) <= set(SCENARIOS)
         assert sum(shares.values()) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="mixture: expected one of pvdn, standard, got 'mine'"):
+    with pytest.raises(ValueError, match="mixture: expected one of pvdn, standard, r48, got 'mine'"):
         draw_scenes(1, 1, "train", "mine")
 
 
@@ -135,3 +135,18 @@ def test_lanes_are_checked() -> None:
         Scene(road=RoadSpec(num_lanes=2), ego=EgoSpec(lane_number=2))
     with pytest.raises(ValueError, match="median_m: expected at least 1 m"):
         RoadSpec(median="barrier")
+
+
+def test_the_road_of_un_r48_shows_both_vehicles_at_the_ranges_that_it_asks_for() -> None:
+    scene = scenario("r48", 4)
+    road = Road(scene.road)
+    assert scene.road.curvature_per_m == scene.road.elevation_m == ((0.0, 0.0),)
+    ranges_m: dict[str, list[float]] = {"oncoming": [], "own": []}
+    for time_s in np.arange(0.0, scene.duration_s, 0.5):
+        ego_m, _ = interpolated(scene.ego.timetable, [time_s])
+        for vehicle in scene.vehicles:
+            s_m, _ = interpolated(vehicle.timetable, [time_s])
+            assert 0.0 < s_m[0] < road.length_m
+            ranges_m[vehicle.lane].append(float(s_m[0] - ego_m[0]))
+    for lane, required_m in (("oncoming", 400.0), ("own", 100.0)):
+        assert min(ranges_m[lane]) < 0.5 * required_m < 1.4 * required_m < max(ranges_m[lane])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,19 @@ import numpy as np
 import pytest
 
 from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR
+from foreglow.geometry import Camera, Pose
 from foreglow.lab.evaluation import Predictions
-from foreglow.lab.studies.demo.figures import LIGHT_BGR, SIGHT_BGR, TILE_PX, moments_picture, write_moments
+from foreglow.lab.studies.demo.figures import (
+    BEAM_BGR,
+    LIGHT_BGR,
+    SIGHT_BGR,
+    TILE_PX,
+    moments_picture,
+    write_moments,
+)
+from foreglow.lab.studies.demo.metrics import Moment
 from foreglow.types import Frame
-from tests.lab.evaluation.scored_boxes import predictions_of
+from tests.lab.evaluation.scored_boxes import light, predictions_of
 from tests.lab.studies.demo.test_page import NEVER, story_of
 from tests.stand_ins import night_image
 
@@ -40,6 +50,21 @@ def test_three_moments_side_by_side_whatever_the_size(width_px: int, height_px: 
 
 def test_sixteen_bits() -> None:
     assert moments_picture(STORY, frames(640, 480, dtype=np.uint16), BOXES, 0.5).mean() > 10
+
+
+@pytest.mark.slow
+def test_six_moments_are_two_rows_and_show_the_dark_gap() -> None:
+    gaps_rad = {3.25: (-0.1, 0.1), 3.5: (-0.1, 0.1)}
+    seen = {time_s: Moment(time_s, light(7, 12, 10, kind="rail"), 0.9) for time_s in (2.75, 3.25, 4.0)}
+    whole = dataclasses.replace(STORY, confirmed_s=2.75, seen=seen, gaps_rad=gaps_rad)
+    assert list(whole.moments) == ["light", "found", "confirmed", "dimmed", "sight", "reported"]
+    camera = Camera(640, 480, (656.0, 656.0), (320.0, 240.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
+    its_frames = [dataclasses.replace(one, camera=camera) for one in frames(640, 480, (1, 5, 6, 7, 9, 10))]
+    picture = moments_picture(whole, its_frames, BOXES, 0.5)
+    three = moments_picture(STORY, frames(640, 480), BOXES, 0.5)
+    assert picture.shape[1] == three.shape[1]
+    assert picture.shape[0] - three.shape[0] > TILE_PX[1] / 2
+    assert share_of(picture, BEAM_BGR) > share_of(three, BEAM_BGR) == 0.0
 
 
 def test_a_missed_vehicle_has_two_moments_and_no_green() -> None:

@@ -48,7 +48,8 @@ def test_a_story_worked_by_hand(dataset: PVDN) -> None:
     assert (story.sight.time_s, story.sight.light.position_px) == (2 / 18, (30.0, 28.0))
     assert story.is_hidden_first
     assert math.isnan(story.confirmed_s)
-    assert [moment.light.image_id for moment in story.moments] == [11, 12, 13]
+    images = {name: moment.light.image_id for name, moment in story.moments.items()}
+    assert images == {"light": 11, "found": 12, "sight": 13, "reported": 13}
     assert (story.production_s, story.duration_s) == (2 / 18, 2 / 18)  # image 13 is of the category for low beam
     assert math.isclose(story.times.lead_s, 1 / 18)
     assert (story.num_images_before, story.num_boxes_before) == (0, 0)
@@ -58,7 +59,7 @@ def test_what_never_happens_is_none(dataset: PVDN) -> None:
     (missed,) = tell_stories(dataset, Predictions({}, {}), 0.5)
     assert missed.found is None
     assert math.isnan(missed.light.score)
-    assert [moment.light.image_id for moment in missed.moments] == [11, 13]
+    assert list(missed.moments) == ["light", "sight", "reported"]
     write(dataset.root / "labels/keypoints/000013.json", {"image_id": 13, "annotations": []})
     (unseen,) = tell_stories(PVDN(dataset.root), predictions_of({11: [(15, 25, 25, 35, 0.7)]}), 0.5)
     assert unseen.sight is None
@@ -131,3 +132,4 @@ def test_a_story_with_tracks(dataset: PVDN) -> None:
     }
     (story,) = tell_stories(PVDN(dataset.root), boxes, 0.5, tracks)
     assert (story.times.found_s, story.confirmed_s) == (0.0, 1 / 18)
+    assert story.moments["confirmed"].light.image_id == 12

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from foreglow.lab.evaluation.vehicles import FirstFound
 from foreglow.lab.studies.demo.metrics import Moment, Story
-from foreglow.lab.studies.demo.page import MAX_ROWS, conclusion, gap_line, story_lines, story_table
+from foreglow.lab.studies.demo.page import MAX_ROWS, conclusion, story_lines, story_table
 from tests.lab.evaluation.scored_boxes import light
 
 NEVER = math.nan
@@ -59,15 +59,20 @@ def test_what_the_tracker_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("opened_s", "expected"),
+    ("gap_s", "expected"),
     [
-        (NEVER, "=> no dark gap in the beam where it came into sight"),
-        (2.25, "=> dark gap in the beam 1.25 s before it was there"),
-        (1.5, "=> dark gap in the beam 2.00 s before it was there, opened for something else"),
+        ((), "no dark gap there"),
+        ((3.5,), "dark gap there as it came into sight"),
+        ((2.25, 3.5), "dark gap there 1.25 s before"),
+        ((1.5, 3.5), "dark gap there 2.00 s before, for something else"),
     ],
 )
-def test_what_the_beam_did(opened_s: float, expected: str) -> None:
-    assert gap_line(story_of(2.0, 2.3, 3.5), opened_s) == expected
+def test_what_the_beam_did(gap_s: tuple[float, ...], expected: str) -> None:
+    gaps_rad = dict.fromkeys(gap_s, (0.1, 0.2))
+    story = dataclasses.replace(story_of(2.0, 2.3, 3.5, confirmed_s=3.75), gaps_rad=gaps_rad)
+    wanted = f"detected 1.20 s before it was there, confirmed 0.25 s after, {expected}"
+    assert conclusion(story, is_classified=True) == wanted
+    assert story_lines(story, is_classified=True)[-1] == f"=> {wanted}"
 
 
 def test_without_a_model_it_is_only_proposed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import Instance, LabelledSource
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
+from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.lab.evaluation.boxes.lights import (
@@ -119,6 +121,7 @@ class Breakdown:
     whole: LightGroup
     groups: Mapping[str, tuple[LightGroup, ...]]
     weathers: tuple[ImageGroup, ...]
+    scenarios: tuple[ImageGroup, ...]
     false_boxes: FalseBoxes
     false_boxes_empty: FalseBoxes
 
@@ -157,6 +160,7 @@ class SplitLabels:
         sequence_of: By image id, its sequence's id.
         time_s: By image id, from the first image of its sequence, seconds.
         shares: Whose light is in the proposals; empty where that is not stored, or was not read.
+        scenario_of: By image id, its sequence's scenario, such as `village`; empty where the split is not simulated.
     """
 
     name: str
@@ -168,6 +172,7 @@ class SplitLabels:
     sequence_of: Mapping[int, int]
     time_s: Mapping[int, float]
     shares: SplitShares = field(default_factory=dict)
+    scenario_of: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
@@ -210,6 +215,11 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
         ValueError: If a file is broken.
     """
     ids = dataset.frame_ids
+    sequence_of = {image_id: dataset.sequence(image_id).id for image_id in ids}
+    scenario_of: dict[int, str] = {}
+    if has_truth(dataset.root):
+        scenario = cache(read_truth(dataset.root).scenario)
+        scenario_of = {image_id: scenario(sequence_id) for image_id, sequence_id in sequence_of.items()}
     return SplitLabels(
         name=dataset.name,
         rate_hz=dataset.rate_hz,
@@ -217,7 +227,8 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
         doubtful_px={image_id: _positions(dataset.doubtful(image_id)) for image_id in ids},
         empty_images=frozenset(empty_images(dataset)),
         weather_of={image_id: dataset.sequence(image_id).weather.name.lower() for image_id in ids},
-        sequence_of={image_id: dataset.sequence(image_id).id for image_id in ids},
+        scenario_of=scenario_of,
+        sequence_of=sequence_of,
         time_s={image_id: dataset.time_s(image_id) for image_id in ids},
         shares=read_split_shares(dataset) if with_shares else {},
     )
@@ -239,8 +250,11 @@ def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
     )
 
 
-def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int, str] | None = None) -> Breakdown:
-    """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted."""
+def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | None = None) -> Breakdown:
+    """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted.
+
+    By weather and by scenario only where there are `labels`, those of the split.
+    """
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & matched.is_false
@@ -250,13 +264,16 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
         recall, ceiling = share(is_found[members]), share(matched.best_scores[members] > NEVER)
         return LightGroup(name, int(members.sum()), recall, ceiling, f1_of(precision, recall))
 
-    weather = np.array([(weather_of or {}).get(image_id, "") for image_id in matches.image_ids], object)
-    weathers = []
-    for name in sorted(set((weather_of or {}).values())):
-        has_point, has_box = (weather == name)[matches.image_of_point], (weather == name)[matches.image_of_box]
-        tp, fp = is_found[has_point].sum(), is_false[has_box].sum()
-        false = _false_boxes(is_false & has_box, matched.has_doubtful, int((weather == name).sum()))
-        weathers.append(ImageGroup(name, ratio(tp, tp + fp), group(name, has_point, ratio(tp, tp + fp)), false))
+    def image_groups(name_of: Mapping[int, str]) -> tuple[ImageGroup, ...]:
+        names = np.array([name_of.get(image_id, "") for image_id in matches.image_ids], object)
+        found = []
+        for name in sorted(set(name_of.values())):
+            has_point, has_box = (names == name)[matches.image_of_point], (names == name)[matches.image_of_box]
+            tp, fp = is_found[has_point].sum(), is_false[has_box].sum()
+            false = _false_boxes(is_false & has_box, matched.has_doubtful, int((names == name).sum()))
+            found.append(ImageGroup(name, ratio(tp, tp + fp), group(name, has_point, ratio(tp, tp + fp)), false))
+        return tuple(found)
+
     return Breakdown(
         threshold=threshold,
         precision=precision,
@@ -265,7 +282,8 @@ def break_down(matched: LightMatches, threshold: float, weather_of: Mapping[int,
             aspect: tuple(group(name, is_member) for name, is_member in members.items() if is_member.any())
             for aspect, members in _members(matched.lights).items()
         },
-        weathers=tuple(weathers),
+        weathers=() if labels is None else image_groups(labels.weather_of),
+        scenarios=() if labels is None else image_groups(labels.scenario_of),
         false_boxes=_false_boxes(is_false, matched.has_doubtful, matches.num_images),
         false_boxes_empty=_false_boxes(is_false & matched.is_in_empty, matched.has_doubtful, matched.num_empty_images),
     )

@@ -131,7 +131,7 @@ def examine(
         detector=detector,
         rate_hz=labels.rate_hz,
         quality=evaluate_boxes(labels.keypoints_px, predictions, threshold),
-        breakdown=break_down(matched, threshold, labels.weather_of),
+        breakdown=break_down(matched, threshold, labels),
         vehicles=first_found(labels, matched, threshold),
         ranking=rank(labels, predictions) if matched.matches.is_scored else None,
         run_time_ms=run_time_ms or {},

@@ -5,10 +5,13 @@ from __future__ import annotations
 from foreglow.lab.simulation.scenes.draw import Draw
 from foreglow.lab.simulation.scenes.scene import CameraSpec, SensorSpec, WeatherSpec
 
+WEATHERS = {"dry": 0.55, "wet": 0.2, "rain": 0.1, "snow": 0.08, "mist": 0.07}
+"""Kinds of weather with their shares."""
 
-def draw_weather(draw: Draw) -> tuple[WeatherSpec, float]:
-    """The weather, and how wet the road is."""
-    kind = draw.choice(["dry", "wet", "rain", "snow", "mist"], [0.55, 0.2, 0.1, 0.08, 0.07])
+
+def draw_weather(draw: Draw, *, is_even: bool = False) -> tuple[WeatherSpec, float]:
+    """The weather, and how wet the road is; `is_even` draws all kinds alike."""
+    kind = draw.choice(list(WEATHERS), None if is_even else list(WEATHERS.values()))
     haze = {
         "dry": (5e-5, 3e-4),
         "wet": (1e-4, 6e-4),

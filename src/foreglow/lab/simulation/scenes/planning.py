@@ -103,7 +103,7 @@ def plan_encounter(draw: Draw, layout: Layout, wetness: float) -> Plan:
     ego_mps = _speed_mps(draw, course, cruising_mps)
     other_mps = _speed_mps(draw, course, draw.uniform(15.0, 27.0))
     length_m = float(round(start_m + (ego_mps + other_mps) * LONGEST_S + 60.0))
-    spec = _road(draw, course, length_m, wetness)
+    spec = draw_road(draw, course, length_m, wetness)
     surroundings = draw_surroundings(draw, course.style, length_m, course.bends)
     ego = ((0.0, start_m), (10.0, round(start_m + 10.0 * ego_mps, 2)))
     road, free = Road(spec), corridor(surroundings, spec.lane_width_m)
@@ -181,7 +181,8 @@ def draw_vehicle(
     )
 
 
-def _road(draw: Draw, course: Course, length_m: float, wetness: float) -> RoadSpec:
+def draw_road(draw: Draw, course: Course, length_m: float, wetness: float) -> RoadSpec:
+    """A two-lane road of this course: its markings, its wear, and clothoids at its bends."""
     points = [(0.0, 0.0)]
     for start, end, bend in course.bends:
         transition = min(draw.uniform(15.0, 45.0), (end - start) / 2.5)

@@ -10,6 +10,7 @@ from foreglow.lab.simulation.scenes import courses
 from foreglow.lab.simulation.scenes.country import cyclists, following, queue
 from foreglow.lab.simulation.scenes.courses import Layout
 from foreglow.lab.simulation.scenes.draw import Draw
+from foreglow.lab.simulation.scenes.level_road import level_road
 from foreglow.lab.simulation.scenes.mirror import mirrored
 from foreglow.lab.simulation.scenes.motorway import motorway
 from foreglow.lab.simulation.scenes.planning import planned_scene
@@ -50,6 +51,7 @@ SCENARIOS: dict[str, DrawScene] = {
     "left_motorway": _left(motorway),
     "left_queue": _left(queue),
     "left_town": _left(town),
+    "r48": level_road,
 }
 """Every scenario by name."""
 
@@ -82,9 +84,11 @@ MIXTURES: dict[str, dict[str, float]] = {
         "left_queue": 0.02,
         "left_town": 0.03,
     },
+    "r48": {"r48": 1.0},
 }
 """What data sets are drawn from: scenarios with their shares. In `pvdn`, most are roads that hide the other car, since
-these are what provident detection is about; `standard` has as much of other traffic and of lit streets."""
+these are what provident detection is about; `standard` has as much of other traffic and of lit streets. `r48` is the
+straight level road of UN R48."""
 
 BALANCED: frozenset[str] = frozenset({"standard"})
 """Mixtures in which every second drive has no vehicle with its lamps on, and half of either kind have all of our matrix

@@ -1,4 +1,4 @@
-"""A picture of a drive's story: first light, detection and sight side by side, each with the light enlarged."""
+"""A picture of a drive's story: first light, detection, confirmation, dimming, sight, each with the light enlarged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR, Colour, Picture
+from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR, TRACK_BGR, Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation import Predictions
@@ -25,6 +25,8 @@ REDUCTION = 2
 TILE_PX = (1280, 720)
 MARGIN_PX, GAP_PX = 56, 36
 TITLE_PX, CAPTION_PX, TIMELINE_PX = 130, 150, 190
+NUM_COLUMNS = 3
+TITLE_SCALE = 2.0
 
 LENS_PX = (448, 280)
 LENS_FACTOR = 4
@@ -41,6 +43,7 @@ TEXT_BGR = (232, 230, 228)
 FAINT_BGR = (150, 146, 142)
 LIGHT_BGR = (70, 190, 250)
 SIGHT_BGR = (250, 225, 190)
+BEAM_BGR = (220, 130, 235)
 FADED_BGR = (112, 100, 90)
 """Colour of rejected boxes."""
 
@@ -55,6 +58,7 @@ class _Scene:
         words: What happens, for the caption.
         note: A few more words; may be empty.
         colour_bgr: Of its number and its enlargement.
+        gap_rad: Right and left border of the dark gap in which the vehicle comes into sight; None without one.
     """
 
     moment: Moment
@@ -62,6 +66,7 @@ class _Scene:
     note: str
     colour_bgr: Colour
     frame: Frame
+    gap_rad: tuple[float, float] | None
 
 
 def write_moments(
@@ -79,35 +84,44 @@ def write_moments(
 def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predictions, threshold: float) -> Picture:
     """The picture of `story`; arguments as for `write_moments`."""
     scenes = _scenes(story, frames, is_classified=predictions.is_scored)
-    num = len(scenes)
-    width_px = 2 * MARGIN_PX + num * TILE_PX[0] + (num - 1) * GAP_PX
-    height_px = TITLE_PX + TILE_PX[1] + CAPTION_PX + TIMELINE_PX
+    num_columns, num_rows = min(len(scenes), NUM_COLUMNS), -(-len(scenes) // NUM_COLUMNS)
+    width_px = 2 * MARGIN_PX + num_columns * TILE_PX[0] + (num_columns - 1) * GAP_PX
+    row_px = TILE_PX[1] + CAPTION_PX
+    height_px = TITLE_PX + num_rows * row_px + TIMELINE_PX
     sheet: Picture = np.full((height_px, width_px, 3), GROUND_BGR, np.uint8)
     title = f"The {story.vehicle} was {conclusion(story, is_classified=predictions.is_scored)}"
-    _write(sheet, title, (MARGIN_PX, TITLE_PX - 44), 2.0, TEXT_BGR)
+    title_px = cv2.getTextSize(title, _FONT, TITLE_SCALE, 2)[0][0]
+    scale = TITLE_SCALE * min(1.0, (width_px - 2 * MARGIN_PX) / title_px)
+    _write(sheet, title, (MARGIN_PX, TITLE_PX - 44), scale, TEXT_BGR)
     tone = Tone.of(scenes[0].frame.image)
     centre_y = float(np.mean([scene.moment.light.position_px[1] / scene.frame.width_px for scene in scenes]))
     for index, scene in enumerate(scenes):
-        left = MARGIN_PX + index * (TILE_PX[0] + GAP_PX)
+        row, column = divmod(index, NUM_COLUMNS)
+        top, left = TITLE_PX + row * row_px, MARGIN_PX + column * (TILE_PX[0] + GAP_PX)
         tile = _tile(scene, tone, centre_y, predictions, threshold)
-        sheet[TITLE_PX : TITLE_PX + TILE_PX[1], left : left + TILE_PX[0]] = tile
-        _draw_caption(sheet, scene, index + 1, (left, TITLE_PX + TILE_PX[1]))
-    _draw_timeline(sheet, story, scenes, TITLE_PX + TILE_PX[1] + CAPTION_PX)
+        sheet[top : top + TILE_PX[1], left : left + TILE_PX[0]] = tile
+        _draw_caption(sheet, scene, index + 1, (left, top + TILE_PX[1]))
+    _draw_timeline(sheet, story, scenes, TITLE_PX + num_rows * row_px)
     small = (width_px // REDUCTION, height_px // REDUCTION)
     return np.asarray(cv2.resize(sheet, small, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> list[_Scene]:
+    looks = {
+        "light": (first_words(story), LIGHT_BGR),
+        "found": (found_word(is_classified), ACCEPTED_BGR),
+        "confirmed": ("confirmed by the tracker", TRACK_BGR),
+        "dimmed": ("beam dark where it will be", BEAM_BGR),
+        "sight": (f"{story.vehicle} in sight", SIGHT_BGR),
+        "reported": ("the production system reports it", TEXT_BGR),
+    }
     scenes = []
-    for moment, frame in zip(story.moments, frames, strict=True):
-        where = PLACES[moment.light.kind]
-        if moment is story.light:
-            scenes.append(_Scene(moment, first_words(story), where, LIGHT_BGR, frame))
-        elif moment is story.found:
-            note = where if math.isnan(moment.score) else f"{where}, score {moment.score:.2f}"
-            scenes.append(_Scene(moment, found_word(is_classified), note, ACCEPTED_BGR, frame))
-        else:
-            scenes.append(_Scene(moment, f"{story.vehicle} in sight", "", SIGHT_BGR, frame))
+    for (name, moment), frame in zip(story.moments.items(), frames, strict=True):
+        note = "" if name == "sight" else PLACES[moment.light.kind]
+        if name == "found" and not math.isnan(moment.score):
+            note += f", score {moment.score:.2f}"
+        gap_rad = (story.gaps_rad or {}).get(moment.time_s)
+        scenes.append(_Scene(moment, looks[name][0], note, looks[name][1], frame, gap_rad))
     return scenes
 
 
@@ -122,11 +136,26 @@ def _tile(scene: _Scene, tone: Tone, centre_y: float, predictions: Predictions, 
     picture[: whole.shape[0], : whole.shape[1]] = whole[:, : TILE_PX[0], None]
     x, y = (factor * value for value in scene.moment.light.position_px)
     lens = _lens(picture, (x, y))
+    if scene.gap_rad is not None:
+        _draw_gap(picture, scene.frame, scene.gap_rad, factor)
     _draw_boxes(picture, scene.frame.frame, predictions, threshold, factor)
     top = min(max(round(centre_y * TILE_PX[0] - HORIZON_SHARE * TILE_PX[1]), 0), rows - TILE_PX[1])
     tile = picture[top : top + TILE_PX[1]]
     _draw_lens(tile, lens, (round(x), round(y) - top), scene.colour_bgr)
     return tile
+
+
+def _draw_gap(picture: Picture, frame: Frame, gap_rad: tuple[float, float], factor: float) -> None:
+    """Lines at the borders of a dark gap, and a tint between them."""
+    assert frame.camera is not None
+    azimuths = np.array(gap_rad)
+    directions = np.stack([np.cos(azimuths), np.sin(azimuths), np.zeros(2)], axis=-1)
+    columns = frame.camera.project(directions @ frame.camera.vehicle_from_camera.rotation)[:, 0]
+    right, left = np.clip(np.rint(factor * columns), 0, picture.shape[1] - 1).astype(int).tolist()
+    inside = picture[:, left : right + 1]
+    inside[:] = (0.85 * inside + 0.15 * np.array(BEAM_BGR)).astype(np.uint8)
+    for x in (left, right):
+        cv2.line(picture, (x, 0), (x, picture.shape[0]), BEAM_BGR, 3, cv2.LINE_AA)
 
 
 def _lens(picture: Picture, at_px: tuple[float, float]) -> Picture:
@@ -191,10 +220,6 @@ def _draw_timeline(sheet: Picture, story: Story, scenes: Sequence[_Scene], top_p
         begin, end = x_of(story.times.found_s), x_of(story.times.lamp_s)
         cv2.rectangle(sheet, (begin, y - 9), (end, y + 9), ACCEPTED_BGR, -1, cv2.LINE_AA)
         _write_centred(sheet, f"{story.times.lead_s:.2f} s ahead", (begin + end) // 2, y - 28, ACCEPTED_BGR)
-    if not math.isnan(story.production_s):
-        x = x_of(story.production_s)
-        cv2.line(sheet, (x, y - 22), (x, y + 22), TEXT_BGR, 4, cv2.LINE_AA)
-        _write_centred(sheet, f"production system {story.production_s:.2f} s", x, y - 36, TEXT_BGR)
     latest = -math.inf
     for number, scene in enumerate(scenes, start=1):
         latest = max(latest + 60, x_of(scene.moment.time_s))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -51,6 +51,9 @@ class Story:
         duration_s: From the first image of the sequence to the last.
         num_images_before: Images of the sequence before the first light.
         num_boxes_before: Accepted boxes in them that hold no light at all, not even doubtful light.
+        seen: By time, the one of its lights with the highest score, in every image that shows any.
+        gaps_rad: By time, from its opening until the vehicle is in sight, right and left border of the dark gap in
+            which it comes into sight; empty without such a gap, None where there is no beam.
     """
 
     sequence: str
@@ -64,6 +67,8 @@ class Story:
     duration_s: float
     num_images_before: int
     num_boxes_before: int
+    seen: Mapping[float, Moment] = field(default_factory=dict)
+    gaps_rad: Mapping[float, tuple[float, float]] | None = None
 
     @property
     def is_hidden_first(self) -> bool:
@@ -71,13 +76,31 @@ class Story:
         return not self.times.light_s >= self.times.lamp_s
 
     @property
-    def moments(self) -> tuple[Moment, ...]:
-        """First light, detection and sight, as far as they happen."""
-        return tuple(moment for moment in (self.light, self.found, self.sight) if moment is not None)
+    def gap_s(self) -> float:
+        """When the dark gap opened in which it comes into sight, be it for something else; NaN without one."""
+        return min(self.gaps_rad or (math.nan,))
+
+    @property
+    def moments(self) -> dict[str, Moment]:
+        """`light`, `found`, `confirmed`, `dimmed`, `sight` and `reported`, as far as it is seen then, by time."""
+        moments = {
+            "light": self.light,
+            "found": self.found,
+            "confirmed": self.seen.get(self.confirmed_s),
+            "dimmed": self.seen.get(self.gap_s),
+            "sight": self.sight,
+            "reported": self.seen.get(self.production_s),
+        }
+        known = {name: moment for name, moment in moments.items() if moment is not None}
+        return dict(sorted(known.items(), key=lambda named: named[1].time_s))
 
 
 def tell_stories(
-    dataset: LabelledSource, predictions: Predictions, threshold: float, tracks: Mapping[int, Tracks] | None = None
+    dataset: LabelledSource,
+    predictions: Predictions,
+    threshold: float,
+    tracks: Mapping[int, Tracks] | None = None,
+    gaps_rad: Mapping[int, Floats] | None = None,
 ) -> tuple[Story, ...]:
     """The story of every sequence of `dataset` in which an oncoming vehicle's light is visible.
 
@@ -86,6 +109,7 @@ def tell_stories(
         predictions: What a run made of them; without scores every box counts as accepted.
         threshold: Boxes with a score above this are accepted.
         tracks: By image id, what the same run followed; None for nothing.
+        gaps_rad: By image id, shape (G, 2), right and left borders of its gaps, as in `BeamCommand`; None for no beam.
 
     Raises:
         FileNotFoundError: If a label file is missing.
@@ -120,6 +144,7 @@ def tell_stories(
             labels.sequence_of[image_id] == sequence.id and labels.time_s[image_id] < times.light_s
             for image_id in image_ids
         ]
+        sight = _moment(times.lamp_s, lamps[0]) if lamps else None
         _, vehicle_kind, production_s = vehicle_facts(dataset, sequence.id, times.vehicle_id)
         stories.append(
             Story(
@@ -128,48 +153,47 @@ def tell_stories(
                 times=times,
                 light=_moment(times.light_s, min(visible, key=lambda lit: lit[0].rank)),
                 found=_moment(times.found_s, max(boxed, key=lambda lit: lit[1])) if boxed else None,
-                sight=_moment(times.lamp_s, lamps[0]) if lamps else None,
+                sight=sight,
                 confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
                 production_s=production_s,
                 duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
                 num_images_before=sum(before),
                 num_boxes_before=int((is_false & np.array(before)[matched.matches.image_of_box]).sum()),
+                seen={time_s: _moment(time_s, lit) for time_s, lit in sorted(lit_at, key=lambda seen: seen[1][1])},
+                gaps_rad=None if gaps_rad is None or sight is None else gap_at_sight(dataset, sight, gaps_rad),
             )
         )
     return tuple(stories)
 
 
-def gap_opened_s(dataset: LabelledSource, story: Story, gaps_rad: Mapping[int, Floats]) -> float:
-    """When the dark gap opened in which the vehicle of `story` came into sight, from the sequence's first image.
+def gap_at_sight(
+    dataset: LabelledSource, sight: Moment, gaps_rad: Mapping[int, Floats]
+) -> dict[float, tuple[float, float]] | None:
+    """The dark gap in which a vehicle comes into sight, back to where it opened: `Story.gaps_rad`; None without camera.
 
     A gap may move: one that overlaps a gap of the image before is the same one. So it may also have opened for
     something else, and before the vehicle's first light.
 
     Args:
         dataset: Images with calibration.
-        story: Of one of its sequences.
-        gaps_rad: By image id, shape (G, 2), right and left borders of a run's gaps, as in `BeamCommand`.
-
-    Returns:
-        NaN if there was no gap, it never came into sight, or there is no calibration.
+        sight: When the vehicle comes into sight, in one of its sequences.
+        gaps_rad: As for `tell_stories`.
     """
-    if story.sight is None:
-        return math.nan
-    sight_id = story.sight.light.image_id
+    sight_id = sight.light.image_id
     camera = dataset.read(sight_id).camera
     if camera is None:
-        return math.nan
-    ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([story.sight.light.position_px]))[0]
+        return None
+    ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([sight.light.position_px]))[0]
     right = left = math.atan2(ray[1], ray[0])
-    opened_s = math.nan
+    found: dict[float, tuple[float, float]] = {}
     image_ids = [image_id for image_id in dataset.sequence(sight_id).image_ids if image_id <= sight_id]
     for image_id in sorted(image_ids, reverse=True):
         gaps = [gap for gap in gaps_rad.get(image_id, np.zeros((0, 2))).tolist() if gap[0] <= left and right <= gap[1]]
         if not gaps:
             break
         right, left = min(gap[0] for gap in gaps), max(gap[1] for gap in gaps)
-        opened_s = dataset.time_s(image_id)
-    return opened_s
+        found[dataset.time_s(image_id)] = right, left
+    return found
 
 
 def best_story(stories: Iterable[Story]) -> Story | None:

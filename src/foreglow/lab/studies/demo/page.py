@@ -58,20 +58,6 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
     return lines
 
 
-def gap_line(story: Story, opened_s: float) -> str:
-    """Whether the beam was dark where the vehicle came into sight, and since when.
-
-    Args:
-        story: What happens; the vehicle comes into sight.
-        opened_s: When the gap opened; NaN for none.
-    """
-    assert story.sight is not None
-    if math.isnan(opened_s):
-        return "=> no dark gap in the beam where it came into sight"
-    line = f"=> dark gap in the beam {story.sight.time_s - opened_s:.2f} s before it was there"
-    return f"{line}, opened for something else" if opened_s < story.light.time_s else line
-
-
 def first_words(story: Story) -> str:
     """What is visible first."""
     hidden = "hidden " if story.is_hidden_first else ""
@@ -89,17 +75,26 @@ def on_what(moment: Moment) -> str:
 
 
 def conclusion(story: Story, *, is_classified: bool) -> str:
-    """What it comes to."""
-    found, lead_s = found_word(is_classified), story.times.lead_s
-    if story.found is None:
-        return f"not {found}"
+    """What it comes to: by how much it was detected and confirmed, and the beam dark, before it was there."""
+    found = found_word(is_classified)
     if story.sight is None:
-        return f"{found}, and never in sight"
-    if lead_s > 0:
-        return f"{found} {lead_s:.2f} s before it was there"
+        return f"not {found}" if story.found is None else f"{found}, and never in sight"
+    parts = [f"not {found}" if story.found is None else f"{found} {_before(story.times.lead_s, is_whole=True)}"]
+    if not math.isnan(story.confirmed_s):
+        parts.append(f"confirmed {_before(story.sight.time_s - story.confirmed_s)}")
+    if story.gaps_rad is not None:
+        is_other = story.gap_s < story.light.time_s
+        gap = f"dark gap there {_before(story.sight.time_s - story.gap_s)}{', for something else' if is_other else ''}"
+        parts.append(gap if story.gaps_rad else "no dark gap there")
+    return ", ".join(parts)
+
+
+def _before(lead_s: float, *, is_whole: bool = False) -> str:
+    """By how much something was before the vehicle came into sight; only the first of several says before what."""
     if lead_s == 0:
-        return f"{found} as it came into sight"
-    return f"{found} {-lead_s:.2f} s after it came into sight"
+        return "as it came into sight"
+    words, moment = ("before", "it was there") if lead_s > 0 else ("after", "it came into sight")
+    return f"{abs(lead_s):.2f} s {words} {moment}" if is_whole else f"{abs(lead_s):.2f} s {words}"
 
 
 def story_table(stories: Sequence[Story], *, is_classified: bool) -> Table:

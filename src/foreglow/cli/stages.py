@@ -1,0 +1,52 @@
+"""`stages`: every stage of the detector on one frame, as a picture."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foreglow.cli.app import app
+from foreglow.cli.running import open_frames
+from foreglow.options import (
+    PipelineOptions,
+    SourceArgument,
+    SourceOptions,
+    VehicleOptions,
+    option,
+    output_file,
+    with_options,
+)
+
+
+@app.command()
+@with_options
+def stages(
+    source: SourceArgument,
+    out: Annotated[Path, output_file("PNG file to write.")],
+    pipeline: PipelineOptions,
+    reading: SourceOptions,
+    vehicle: VehicleOptions,
+    frame: Annotated[int, option("N", "Which frame, counted from 0; those before it are run, too.", min=0)] = 0,
+) -> None:
+    """Draw what every stage of the detector makes of one frame, and where the road ahead is in it."""
+    from foreglow.files import write_atomic
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.reports.stage_picture import stage_picture
+    from foreglow.pipeline import Pipeline
+
+    require_matplotlib()
+    if out.suffix.lower() != ".png":
+        raise ValueError(f"{out}: expected a picture that ends in .png, got {out.suffix!r}")
+    stepper = Pipeline(pipeline.configuration().detector_only)
+    latest, num_frames = None, 0
+    for taken in itertools.islice(open_frames(source, reading, vehicle), frame + 1):
+        if latest is not None and taken.sequence != latest[0].sequence:
+            stepper.reset()
+        latest, num_frames = (taken, stepper.step(taken)), num_frames + 1
+    if latest is None or num_frames <= frame:
+        raise ValueError(f"--frame: expected one of the {num_frames} frames of {source}, counted from 0, got {frame}")
+    write_atomic(out, stage_picture(*latest, stepper.config))
+    typer.echo(f"frame {latest[0].frame}: {out}")

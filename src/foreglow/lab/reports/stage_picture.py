@@ -1,0 +1,139 @@
+"""Every stage of the detector on one frame, side by side, as the paper draws its pipeline; and the road ahead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.config import PipelineConfig
+from foreglow.geometry import Camera, Floats
+from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, png
+from foreglow.proposals import ReferenceProposer
+from foreglow.proposals.reference import Verdict
+from foreglow.types import Frame, FrameResult, RoadAhead
+
+VERDICTS: dict[Verdict, tuple[str, str]] = {
+    "kept": ("kept", AMBER),
+    "size": ("too small or too large", GREY),
+    "deviation": ("too even", BLUE),
+}
+"""Words and colours of what the filters make of a box."""
+
+GAMMA = 0.4
+"""Working images are shown with this exponent: most of a night frame is dark."""
+
+NEAREST_M = 1.0
+"""Points of the road that are less far in front of the camera are not drawn."""
+
+ROAD = "#4fc3f7"
+PANEL_IN = (4.2, 3.3)
+
+
+def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> bytes:
+    """A PNG with a panel for each stage that made `result` of `frame`, and one for the road ahead where it is known.
+
+    Raises:
+        ModuleNotFoundError: If matplotlib is not installed.
+        ValueError: If the frame is smaller than one working pixel.
+    """
+    from matplotlib.figure import Figure
+
+    proposer = ReferenceProposer(config.proposals)
+    stages = proposer.stages(frame.image)
+    if stages is None:
+        raise ValueError(f"{frame.path}: expected an image of at least one working pixel, got {frame.image.shape}")
+    figure = Figure(figsize=(3 * PANEL_IN[0], 3 * PANEL_IN[1]), layout="constrained")
+    panels = iter(figure.subplots(3, 3).flat)
+
+    _show(next(panels), frame.image, "frame", norm="asinh")
+    _show_working(next(panels), stages.blurred, "I: reduced, stretched, blurred")
+    _show_working(next(panels), stages.mean, "local mean of I")
+    _show_working(next(panels), stages.threshold, "threshold T")
+    _show(next(panels), stages.binary, f"I > T: {np.count_nonzero(stages.binary)} pixels")
+    _show(next(panels), _coloured(stages.labels), f"{int(stages.labels.max())} blobs")
+    judged = proposer.judged(stages, frame.width_px)
+    axes = next(panels)
+    _show_working(axes, stages.blurred, f"{len(judged)} boxes: {len(result.proposals)} pass the filters")
+    for verdict, (words, colour) in VERDICTS.items():
+        boxes = [box for box, its_verdict in judged if its_verdict == verdict]
+        _add_boxes(axes, np.array(boxes).reshape(-1, 4), colour)
+        axes.plot([], [], "s", color=colour, label=f"{words}: {len(boxes)}")
+    axes.legend(loc="lower left", fontsize=7)
+    _show_scores(next(panels), frame, result, config)
+    _show_road(next(panels), frame)
+    return png(figure)
+
+
+def road_px(camera: Camera, road: RoadAhead) -> tuple[Floats, Floats]:
+    """Left and right edge of the road in the image, each of shape (N, 2), full-frame pixels; NaN where out of sight."""
+    along = np.gradient(road.points_m, axis=0)
+    left = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
+    edges = []
+    for side in (1.0, -1.0):
+        offset_m = side * road.half_width_m
+        edge_m = road.points_m + np.column_stack([offset_m * left, offset_m * road.cross_slopes])
+        points = camera.vehicle_from_camera.to_body(edge_m)
+        pixels = np.full((len(points), 2), np.nan)
+        is_ahead = points[:, 0] >= NEAREST_M
+        pixels[is_ahead] = camera.project(points[is_ahead])
+        pixels[np.asarray(((pixels < 0) | (pixels >= [camera.width_px, camera.height_px])).any(axis=1))] = np.nan
+        edges.append(pixels)
+    return edges[0], edges[1]
+
+
+def _show(axes: Any, image: NDArray[Any], title: str, **how: Any) -> None:
+    axes.imshow(image, cmap="gray", interpolation="antialiased", **how)
+    axes.set_title(title, fontsize=10)
+    axes.set_axis_off()
+
+
+def _show_working(axes: Any, image: Floats, title: str) -> None:
+    _show(axes, np.clip(image, 0.0, 1.0) ** GAMMA, title, vmin=0.0, vmax=1.0)
+
+
+def _coloured(labels: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Shape (H, W, 3): each blob in a colour of its own, on black."""
+    colours = 0.35 + 0.65 * np.random.default_rng(0).random((int(labels.max()) + 1, 3))
+    colours[0] = 0.0
+    return np.asarray(colours[labels])
+
+
+def _add_boxes(axes: Any, boxes_xyxy: NDArray[Any], colour: str, line: str = "-", width: float = 0.9) -> None:
+    from matplotlib.patches import Rectangle
+
+    for x1, y1, x2, y2 in (boxes_xyxy - 0.5).tolist():  # pixels are centred on whole numbers
+        axes.add_patch(
+            Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, edgecolor=colour, linestyle=line, linewidth=width)
+        )
+
+
+def _show_scores(axes: Any, frame: Frame, result: FrameResult, config: PipelineConfig) -> None:
+    """The proposals with their scores, and around accepted ones the part of the frame that the classifier sees."""
+    detections = result.detections
+    if detections is None:
+        _show(axes, frame.image, "no classifier", norm="asinh")
+        return
+    accepted = detections.is_accepted
+    _show(axes, frame.image, f"enlarged boxes and scores: {np.count_nonzero(accepted)} accepted", norm="asinh")
+    boxes = detections.boxes_xyxy_px
+    centres, sizes = boxes[:, :2] + (boxes[:, 2:] - boxes[:, :2]) // 2, boxes[:, 2:] - boxes[:, :2]
+    support = OnnxClassifier(config.classifier).spec.support
+    enlarged = np.concatenate([centres - support * sizes, centres + support * sizes], axis=1)
+    limits = [frame.width_px, frame.height_px] * 2
+    _add_boxes(axes, np.clip(enlarged[accepted], 0, limits), GREEN, ":")
+    _add_boxes(axes, boxes[~accepted], GREY, width=0.6)
+    _add_boxes(axes, boxes[accepted], GREEN, width=1.4)
+    for (x1, y1, _, _), score in zip(boxes[accepted].tolist(), detections.scores[accepted].tolist(), strict=True):
+        axes.text(x1, y1 - 4, f"{score:.2f}", color=GREEN, fontsize=7)
+
+
+def _show_road(axes: Any, frame: Frame) -> None:
+    if frame.camera is None or frame.road is None:
+        axes.set_axis_off()
+        return
+    _show(axes, frame.image, "the road ahead, by the car's street data", norm="asinh")
+    for edge_px in road_px(frame.camera, frame.road):
+        axes.plot(edge_px[:, 0] - 0.5, edge_px[:, 1] - 0.5, color=ROAD, linewidth=1.2)

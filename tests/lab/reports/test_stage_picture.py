@@ -1,0 +1,78 @@
+"""Every stage of the detector on one frame, and the road in the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from foreglow.config import preset
+from foreglow.datasets import shipped_drive
+from foreglow.geometry import Camera, Pose
+from foreglow.lab.reports.stage_picture import road_px
+from foreglow.proposals import ReferenceProposer
+from foreglow.types import RoadAhead
+from tests.cli.commands import PNG, complaint, foreglow_command
+
+HEIGHT_M, FOCAL_PX, HALF_WIDTH_M = 1.5, 1000.0, 3.5
+
+
+def camera(yaw: np.ndarray | None = None) -> Camera:
+    mount = Pose(np.array([0.0, 0.0, HEIGHT_M]), np.eye(3) if yaw is None else yaw)
+    return Camera(1280, 960, (FOCAL_PX, FOCAL_PX), (640.0, 480.0), (0.0,) * 5, mount)
+
+
+def straight(*ahead_m: float) -> RoadAhead:
+    return RoadAhead(np.array([[x, 0.0, 0.0] for x in ahead_m]), HALF_WIDTH_M)
+
+
+def test_the_edges_of_a_straight_flat_road_run_to_the_vanishing_point() -> None:
+    left, right = road_px(camera(), straight(10.0, 50.0, 1e6))
+    for index, ahead_m in enumerate((10.0, 50.0)):
+        across_px, down_px = FOCAL_PX * HALF_WIDTH_M / ahead_m, FOCAL_PX * HEIGHT_M / ahead_m
+        np.testing.assert_allclose(left[index], [640.0 - across_px, 480.0 + down_px])
+        np.testing.assert_allclose(right[index], [640.0 + across_px, 480.0 + down_px])
+    np.testing.assert_allclose([left[2], right[2]], [[640.0, 480.0]] * 2, atol=0.01)
+
+
+def test_what_is_beside_or_behind_us_is_not_in_the_image() -> None:
+    left, right = road_px(camera(), straight(-5.0, 0.5, 2.0, 30.0))
+    assert np.isnan(left[:3]).all()
+    assert np.isnan(right[:3]).all()
+    assert np.isfinite([left[3], right[3]]).all()
+
+
+def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:
+    image = np.full((960, 1280), 10, np.uint8)
+    image[300:330, 300:330] = 250  # a lamp
+    image[600:660, 600:800] = 250  # too large
+    config = preset("paper").proposals
+    proposer = ReferenceProposer(config)
+    stages = proposer.stages(image)
+    assert stages is not None
+    judged = proposer.judged(stages, 1280)
+    assert sorted(verdict for _, verdict in judged) == ["kept", "size"]
+    (kept,) = (np.array(box) for box, verdict in judged if verdict == "kept")
+    np.testing.assert_array_equal(2 * kept, proposer.propose(image).boxes_xyxy_px[0])
+    strict = ReferenceProposer(config.model_copy(update={"min_deviation": 0.9}))
+    assert {verdict for _, verdict in strict.judged(stages, 1280)} == {"deviation", "size"}
+
+
+@pytest.mark.slow
+def test_the_command_draws_nine_panels(tmp_path: Path) -> None:
+    out = tmp_path / "stages.png"
+    assert str(out) in foreglow_command("stages", shipped_drive(), "--frame", 3, "--out", out).stdout
+    picture = cv2.imread(str(out))
+    assert picture is not None
+    thirds = [part for rows in np.array_split(picture, 3) for part in np.array_split(rows, 3, axis=1)]
+    assert min(part.std() for part in thirds) > 10  # none is empty: this drive knows its road
+
+
+def test_what_cannot_be_drawn(tmp_path: Path) -> None:
+    assert "ends in .png" in complaint("stages", shipped_drive(), "--out", tmp_path / "stages.jpg")
+    image = tmp_path / "night.png"
+    image.write_bytes(PNG)
+    told = complaint("stages", image, "--frame", 1, "--out", tmp_path / "stages.png")
+    assert f"--frame: expected one of the 1 frames of {image}, counted from 0, got 1" in told
