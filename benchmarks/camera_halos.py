@@ -90,7 +90,7 @@ def read_real(lamp: Lamp, gamma: float, *, leaves_out_colours: bool) -> Values:
     is_read, image = clip.read()
     if not is_read:
         raise ValueError(f"{lamp.path}: expected a frame {lamp.frame}")
-    grey = 255.0 * (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) / 255.0) ** gamma
+    grey: Values = 255.0 * (np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float64) / 255.0) ** gamma
     if leaves_out_colours:
         marked = np.ptp(image.astype(np.int16), axis=2) > COLOURED
         grey[cv2.dilate(marked.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = np.nan

@@ -41,7 +41,7 @@ def sheet(
         key.append("left" if is_left else "right")
         pair = cv2.hconcat(images if is_left else images[::-1])
         cv2.putText(pair, str(number), (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 255)
-        pairs.append(cv2.copyMakeBorder(pair, *[BORDER_PX] * 4, cv2.BORDER_CONSTANT, value=128))
+        pairs.append(np.pad(pair, BORDER_PX, constant_values=128))
     pairs += [np.full_like(pairs[0], 128)] * (-num % PAIRS_PER_ROW)
     rows = [cv2.hconcat(pairs[at : at + PAIRS_PER_ROW]) for at in range(0, len(pairs), PAIRS_PER_ROW)]
     return np.asarray(cv2.vconcat(rows)), key
