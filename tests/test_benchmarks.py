@@ -13,7 +13,9 @@ import pytest
 
 from benchmarks import (
     beam,
+    camera_halos,
     camera_looks,
+    camera_sheet,
     distance,
     guard_sweep,
     lamps_in_proposals,
@@ -221,3 +223,44 @@ def test_errors_of_a_calibration_by_hand() -> None:
     assert figures["pitch_within_sigma"] == pytest.approx(2 / 3)
     assert figures["yaw_within_sigma"] == pytest.approx(1 / 3)
     assert figures["yaw_90_deg"] == pytest.approx(0.56)
+
+
+def test_halo_of_a_profile_is_its_own_and_not_that_of_another(tmp_path: Path) -> None:
+    import cv2
+
+    lamps = camera_halos.profile_lamps("dashcam_small")
+    camera = lamps.camera
+    rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
+    angles = np.degrees(np.arctan(np.hypot(columns - 200.5, rows - 150.5) / camera.focal_px[0]))
+    offset = (np.array([200.5, 150.5]) - [camera.width_px / 2, camera.height_px / 2]) / camera.width_px
+    middles = np.sqrt(camera_halos.EDGES_DEG[1:] * camera_halos.EDGES_DEG[:-1])
+    light = np.interp(np.log(np.maximum(angles, 0.1)), np.log(middles), np.log(0.1 * lamps.luminances(offset, 0.0)))
+    cv2.imwrite(str(tmp_path / "lamp.png"), np.rint(lamps.grey(np.exp(light))).astype(np.uint8))
+    hfov_deg = 2 * np.degrees(np.arctan(camera.width_px / 2 / camera.focal_px[0]))
+    worst = {}
+    for profile in ("dashcam_small", "town_dashcam"):
+        lamp = f"{profile}={tmp_path / 'lamp.png'}@200,150"
+        camera_halos.main([lamp, "--hfov", str(hfov_deg), "--out", str(tmp_path)])
+        (found,) = json.loads((tmp_path / "halos.json").read_text()).values()
+        worst[profile] = found["worst"]
+    assert worst["dashcam_small"] < 1.2 < 2.0 < worst["town_dashcam"]
+
+
+@pytest.mark.parametrize("text", ["phone", "phone=clip.mp4", "phone=clip.mp4@1", "phone=clip.mp4#x@1,2", "phone@1,2"])
+def test_halo_of_a_lamp_that_is_not_described(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        camera_halos.main([text])
+    assert "expected PROFILE=FILE[#FRAME]@X,Y[,APART]" in capsys.readouterr().err
+
+
+def test_the_key_of_a_sheet_says_where_the_real_images_are() -> None:
+    real, simulated = [np.full((9, 16), 200.0)] * 12, [np.full((9, 16), 50.0)] * 12
+    picture, key = camera_sheet.sheet(real, simulated, width_px=160, seed=3)
+    height, width = 90 + 2 * camera_sheet.BORDER_PX, 320 + 2 * camera_sheet.BORDER_PX
+    for number, side in enumerate(key):
+        row, column = divmod(number, camera_sheet.PAIRS_PER_ROW)
+        pair = picture[row * height : (row + 1) * height, column * width : (column + 1) * width]
+        middles = {"left": pair[70, 80], "right": pair[70, 260]}
+        assert middles[side] == 200
+        assert sorted(middles.values()) == [50, 200]
+    assert set(key) == {"left", "right"}

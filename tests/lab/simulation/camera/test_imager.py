@@ -145,3 +145,12 @@ def test_images_far_apart_have_more_bits_since_less_is_predicted() -> None:
         stream = Encoder(EncoderSpec(kbps=1000.0), 96, 72, step_s)
         errors.append(np.mean([np.abs(stream.through(image).astype(float) - image).mean() for image in images]))
     assert errors[1] < 0.8 * errors[0], errors
+
+
+def test_without_a_toe_black_ends_at_an_edge_and_with_one_it_fades() -> None:
+    ramp = np.linspace(0.0, 1.0, 401, dtype=np.float32)[np.newaxis]
+    hard, soft = (Tone(ToneSpec(gamma=1.0, crush=0.2, toe=toe)).grey(ramp)[0] for toe in (0.0, 0.1))
+    assert np.allclose(hard, 255 * np.maximum(ramp[0] - 0.2, 0.0) / 0.8, atol=0.05)
+    assert (np.diff(soft[4::4]) > 0).all()  # no light is lost
+    assert (soft[0], soft[-1]) == pytest.approx((0.0, 255.0), abs=0.05)
+    assert np.diff(hard, 2).max() > 5 * np.diff(soft, 2).max()

@@ -221,6 +221,7 @@ class ToneSpec(SpecModel):
         gamma: Exponent of the curve's inverse; 1 is linear.
         strength: Height of the shoulder or of the logarithm: ratio of white and the end of the linear part.
         crush: Share of the range that becomes black.
+        toe: Share of the range over which it does: with 0 at once, so that faint light and its noise end at an edge.
         black_level: Grey level of black.
         white_level: Grey level of white.
         smooth: Share of the fine detail that spatial denoising removes where it is weaker than `noise_level`.
@@ -234,6 +235,7 @@ class ToneSpec(SpecModel):
     gamma: Annotated[float, Field(gt=0, le=5)] = 2.2
     strength: Annotated[float, Field(ge=1, le=1e5)] = 4.0
     crush: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    toe: Share = 0.0
     black_level: Annotated[float, Field(ge=0, lt=128)] = 0.0
     white_level: Annotated[float, Field(gt=128, le=255)] = 255.0
     smooth: Share = 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,7 @@ class Tone:
         self._spec = spec
         signal = np.linspace(0.0, 1.0, TABLE_SIZE) ** 2
         span = spec.white_level - spec.black_level
-        crushed = np.maximum(_curve(spec, signal) - spec.crush, 0.0) / (1.0 - spec.crush)
-        self._table = (spec.black_level + span * crushed).astype(np.float32)
+        self._table = (spec.black_level + span * _crushed(spec, _curve(spec, signal))).astype(np.float32)
         self._previous: Image | None = None
 
     def grey(self, signal: Image) -> Image:
@@ -61,3 +62,12 @@ def _curve(spec: ToneSpec, signal: NDArray[np.float64]) -> NDArray[np.float64]:
         signal = exposed * (1.0 + exposed / spec.strength**2) / (1.0 + exposed)
         signal = signal / signal[-1]
     return np.asarray(np.clip(signal, 0.0, 1.0) ** (1.0 / spec.gamma))
+
+
+def _crushed(spec: ToneSpec, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values from 0 to 1 less what becomes black: a hyperbola that has the hard crush as its asymptotes."""
+
+    def above(value: Any) -> Any:
+        return 0.5 * (value - spec.crush + np.sqrt((value - spec.crush) ** 2 + spec.toe**2))
+
+    return np.asarray((above(values) - above(0.0)) / (above(1.0) - above(0.0)))
