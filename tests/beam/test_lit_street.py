@@ -67,6 +67,7 @@ def test_what_is_counted() -> None:
     assert found_in(image_of(*LAMPS, value=80)) == 0  # too dark
     assert found_in(image_of(*LAMPS, ground=110)) == 0  # no contrast
     assert found_in(image_of(LAMPS[0], size_rad=math.radians(8))) == 0  # a wall
+    assert found_in(image_of((0.0, LAMPS[0][1]), LAMPS[0])) == 1  # marker lamps of a lorry
     assert found_in(image_of((0.0, 0.0), (0.1, math.radians(2)))) == 0  # vehicles, or lamps far away
     assert found_in(image_of(*LAMPS).astype(np.uint16) * 4) == 2  # 10 bits
     assert found_in(image_of(*LAMPS)[:, ::-1][:, ::-1]) == 2  # other strides

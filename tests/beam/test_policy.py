@@ -240,6 +240,19 @@ def test_light_beside_a_vehicle_that_has_passed_is_no_hidden_vehicle() -> None:
         assert after[-1]  # light that is still there is somebody's
 
 
+def test_a_lamp_that_passes_close_by_sinks_and_stays_a_lamp() -> None:
+    """At 8 m a lamp is as low as light on the road: what was beside it is not to be taken for a hidden vehicle."""
+    made = policy()
+    for number, (lamp, light) in enumerate(approach(EDGE_RAD)):
+        tracks = tracks_at(number, lamp, light)
+        boxes = tracks.boxes_xyxy_px.copy()
+        boxes[0] = box_around(lamp.azimuth_rad, math.radians(-1 - 0.6 * number), 0.006)
+        gaps = made.gaps(frame(number), dataclasses.replace(tracks, boxes_xyxy_px=boxes))
+        (gap,) = gaps
+        assert gap.right_rad < lamp.azimuth_rad < gap.left_rad
+    assert not made.gaps(frame(12), tracks_at(12, light))
+
+
 def test_new_light_after_a_vehicle_has_passed_is_the_next_ones() -> None:
     new = (LIGHT._replace(azimuth_rad=0.02, number=9),)
     assert gaps_of_each([*approach(EDGE_RAD), new])[-1]

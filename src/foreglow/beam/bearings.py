@@ -25,7 +25,7 @@ from foreglow.types import Frame, Tracks
 RATE_GAIN = 0.25
 """Weight of a new rate in the filtered one, (2); a rate from two frames alone would be noise."""
 
-LEAVING_S = 0.3
+LEAVING_S = 0.5
 """A light leaves the image if its box reaches the left or the right border within this time."""
 
 

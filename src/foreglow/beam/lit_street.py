@@ -15,7 +15,7 @@ less than the 8 `on_s` that it would need at the speeds of high beam.
 
 A spot is a group of neighbouring blocks of the image in which the greatest value is at least a share of white, and
 twice the median of all blocks at these elevations. Groups that are wide or high are no lamps: walls and billboards, or
-the glare of lamps near by.
+the glare of lamps near by. Spots at the same elevation count once: the marker lamps of a lorry ahead are a pair.
 """
 
 from __future__ import annotations
@@ -38,6 +38,9 @@ BLOCKS_ACROSS = 160
 
 ONE_LAMP = 0.125
 """Weight of a single spot, (2)."""
+
+APART_DEG = 1.0
+"""Lamps at different distances differ at least so much in elevation."""
 
 MAX_STEP_S = 0.5
 """A longer time between two frames counts as this one."""
@@ -78,7 +81,7 @@ class LitStreet:
         return self.is_lit
 
     def num_lamps(self, image: Image, camera: Camera) -> int:
-        """The number of spots in `image` that may be lamps on posts."""
+        """The number of elevations at which spots in `image` may be lamps on posts."""
         if camera is not self._camera:
             self._look_through(camera)
         rows, size_px = self._rows, self._block_px
@@ -102,7 +105,12 @@ class LitStreet:
         groups, _ = ndimage.label(is_bright, EIGHT_CONNECTED)
         most = self._max_blocks
         spans = ndimage.find_objects(groups)
-        return sum(y.stop - y.start <= most and x.stop - x.start <= most for y, x in spans)
+        middles = sorted(y.start + y.stop for y, x in spans if y.stop - y.start <= most and x.stop - x.start <= most)
+        num, last = 0, -np.inf
+        for middle in middles:
+            if middle - last >= 2 * self._apart_blocks:
+                num, last = num + 1, middle
+        return num
 
     def _look_through(self, camera: Camera) -> None:
         """Finds the blocks of `camera`'s images in which lamps on posts are seen."""
@@ -116,6 +124,7 @@ class LitStreet:
         self._is_high = is_high[self._rows]
         block_deg = np.degrees(self._block_px / camera.focal_px[0])
         self._max_blocks = max(round(self._config.max_size_deg / block_deg), 2)
+        self._apart_blocks = max(round(APART_DEG / block_deg), 1)
 
     def _directions(self, camera: Camera, shape: tuple[int, int]) -> Floats:
         """Unit vectors in the vehicle's frame through the middles of all blocks, shape (rows, columns, 3)."""

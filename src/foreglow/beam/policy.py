@@ -30,7 +30,8 @@ NEAREST_M = 20.0
 at 10 m would be as wide as the whole beam."""
 
 LOWEST_LAMP_RAD = math.radians(-5.0)
-"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road."""
+"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road, unless it
+was a lamp before: that passes us."""
 
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
@@ -188,7 +189,11 @@ class ForeglowPolicy:
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
-        seen = {track_id: bearing for track_id, bearing in bearings.items() if not self._is_road(bearing)}
+        seen = {
+            track_id: bearing
+            for track_id, bearing in bearings.items()
+            if track_id in self._lamps or not self._is_road(bearing)
+        }
         acted = {track_id: bearing for track_id, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
             acted |= {track_id: bearing for track_id, bearing in seen.items() if _is_coming(bearing)}

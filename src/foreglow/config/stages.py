@@ -185,8 +185,6 @@ class TrackerConfig(FrozenModel):
         enlargement: Boxes of detections are enlarged by this factor before they are compared with tracks (p).
         enlarge_tracks: Whether boxes of tracks are enlarged as well; not in the paper.
         min_iou: A detection may take a track if the IoU of these boxes is above this (p).
-        jump_reach: A track that no box overlaps takes a free one whose centre is at most this many box widths and heights
-            away; 0 for none.
         range_gate: And if their ranges are at most this many standard deviations apart; infinity for no gate.
         merge_iou: A track without a detection ends if its IoU with another track is above this; 1 for never.
         compensate_yaw: Whether predicted boxes are shifted by our yaw rate, if camera and motion are known.
@@ -221,7 +219,6 @@ class TrackerConfig(FrozenModel):
     enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5
     enlarge_tracks: bool = False
     min_iou: Annotated[float, Field(ge=0, lt=1)] = 0.1
-    jump_reach: Annotated[float, Field(ge=0, le=10)] = 0.0
     range_gate: Annotated[float, Field(gt=0, allow_inf_nan=True)] = inf
     merge_iou: Annotated[float, Field(gt=0, le=1)] = 1.0
     compensate_yaw: bool = False

@@ -90,38 +90,6 @@ def assign_optimal(overlap: Floats, min_overlap: float) -> Assignment:
     return assigned
 
 
-def with_jumps(assigned: Assignment, tracks_cxcywh: Floats, boxes_cxcywh: Floats, reach: float) -> Assignment:
-    """`assigned`, where tracks without a detection take detections without a track that are near.
-
-    Near means that the offset of the centres, in mean widths and heights of the two boxes, is at most `reach`; the
-    nearest pairs go first. Light that runs along a guard rail jumps by its own width and changes its size, so that
-    boxes need not overlap.
-
-    Args:
-        assigned: Shape (M,), as every assignment.
-        tracks_cxcywh: Shape (M, 4), predicted centres and sizes.
-        boxes_cxcywh: Shape (N, 4), centres and sizes of the detections.
-        reach: Greatest offset.
-
-    >>> boxes = np.array([[0.0, 0, 4, 4], [50, 0, 4, 4]])
-    >>> with_jumps(np.array([-1, -1]), boxes, np.array([[6.0, 0, 2, 2], [90, 0, 2, 2]]), 2.5).tolist()
-    [0, -1]
-    """
-    free_tracks = np.flatnonzero(assigned == UNASSIGNED)
-    free_boxes = np.setdiff1d(np.arange(len(boxes_cxcywh)), assigned)
-    if not (len(free_tracks) and len(free_boxes)):
-        return assigned
-    tracks, boxes = tracks_cxcywh[free_tracks, np.newaxis], boxes_cxcywh[free_boxes]
-    offsets = 2.0 * (tracks[..., :2] - boxes[:, :2]) / (tracks[..., 2:4] + boxes[:, 2:4])
-    distances = np.hypot(offsets[..., 0], offsets[..., 1])
-    assigned = assigned.copy()
-    for index in np.argsort(distances, axis=None, kind="stable")[: np.count_nonzero(distances <= reach)]:
-        track, box = divmod(int(index), len(free_boxes))
-        if assigned[free_tracks[track]] == UNASSIGNED and free_boxes[box] not in assigned:
-            assigned[free_tracks[track]] = free_boxes[box]
-    return assigned
-
-
 ASSOCIATIONS: Mapping[str, Callable[[Floats, float], Assignment]] = MappingProxyType(
     {"greatest_iou": assign_greatest, "optimal": assign_optimal}
 )

@@ -19,7 +19,6 @@ from foreglow.tracking.association import (
     is_duplicate,
     is_range_apart,
     overlaps,
-    with_jumps,
 )
 from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
@@ -140,8 +139,7 @@ class AlphaBetaTracker:
             return np.full(len(states), UNASSIGNED)
         enlargements = (config.enlargement if config.enlarge_tracks else 1.0, config.enlargement)
         overlap = self._overlaps(found.values, found.sigmas_m, enlargements)
-        assigned = self._assign(overlap, config.min_iou)
-        return with_jumps(assigned, states.values, found.values, config.jump_reach) if config.jump_reach else assigned
+        return self._assign(overlap, config.min_iou)
 
     def _overlaps(self, values: Floats, sigmas_m: Floats, enlargements: tuple[float, float] = (1.0, 1.0)) -> Floats:
         """Overlap of each track with each box of `values`, both enlarged; 0 where their ranges are too far apart."""
