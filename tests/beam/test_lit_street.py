@@ -68,6 +68,8 @@ def test_what_is_counted() -> None:
     assert found_in(image_of(*LAMPS, ground=110)) == 0  # no contrast
     assert found_in(image_of(LAMPS[0], size_rad=math.radians(8))) == 0  # a wall
     assert found_in(image_of((0.0, LAMPS[0][1]), LAMPS[0])) == 1  # marker lamps of a lorry
+    post = [(-0.165, math.radians(8.4 - 0.3 * step)) for step in range(10)]
+    assert found_in(image_of(LAMPS[1], *post)) == 1  # a lamp and its lit post
     assert found_in(image_of((0.0, 0.0), (0.1, math.radians(2)))) == 0  # vehicles, or lamps far away
     assert found_in(image_of(*LAMPS).astype(np.uint16) * 4) == 2  # 10 bits
     assert found_in(image_of(*LAMPS)[:, ::-1][:, ::-1]) == 2  # other strides

@@ -15,7 +15,8 @@ less than the 8 `on_s` that it would need at the speeds of high beam.
 
 A spot is a group of neighbouring blocks of the image in which the greatest value is at least a share of white, and
 twice the median of all blocks at these elevations. Groups that are wide or high are no lamps: walls and billboards, or
-the glare of lamps near by. Spots at the same elevation count once: the marker lamps of a lorry ahead are a pair.
+the glare of lamps near by. Nor are those more than twice as high as wide: a lit post below its lamp. Spots at the same
+elevation count once: the marker lamps of a lorry ahead are a pair.
 """
 
 from __future__ import annotations
@@ -105,7 +106,12 @@ class LitStreet:
         groups, _ = ndimage.label(is_bright, EIGHT_CONNECTED)
         most = self._max_blocks
         spans = ndimage.find_objects(groups)
-        middles = sorted(y.start + y.stop for y, x in spans if y.stop - y.start <= most and x.stop - x.start <= most)
+        sizes = [(y.stop - y.start, x.stop - x.start) for y, x in spans]
+        middles = sorted(
+            y.start + y.stop
+            for (y, _), (height, width) in zip(spans, sizes, strict=True)
+            if max(height, width) <= most and height <= 2 * width
+        )
         num, last = 0, -np.inf
         for middle in middles:
             if middle - last >= 2 * self._apart_blocks:
