@@ -13,10 +13,10 @@ evidence E of a lit street, in seconds, changes over a frame interval dt:
 The road counts as lit once E reaches `on_s`, and until E is 0 again. A single lamp, as at a junction, is in view for
 less than the 8 `on_s` that it would need at the speeds of high beam.
 
-A spot is a group of neighbouring blocks of the image in which the greatest value is at least a share of white, and
-twice the median of all blocks at these elevations. Groups that are wide or high are no lamps: walls and billboards, or
-the glare of lamps near by. Nor are those more than twice as high as wide: a lit post below its lamp. Spots at the same
-elevation count once: the marker lamps of a lorry ahead are a pair.
+A spot is a group of neighbouring blocks of the image in which the greatest value is at least a share of white, twice
+the median and 0.6 times the maximum of all blocks at these elevations. Groups that are wide or high are no lamps: walls
+and billboards, or the glare of lamps near by. Nor are those more than twice as high as wide: a lit post below its lamp.
+Spots at the same elevation count once: the marker lamps of a lorry ahead are a pair.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ BLOCKS_ACROSS = 160
 
 ONE_LAMP = 0.125
 """Weight of a single spot, (2)."""
+
+MIN_OF_BRIGHTEST = 0.6
+"""It also has at least this share of the brightest block: posts and walls are darker than the lamps that light them."""
 
 APART_DEG = 1.0
 """Lamps at different distances differ at least so much in elevation."""
@@ -102,7 +105,8 @@ class LitStreet:
         is_bright = (blocks >= bright) & self._is_high
         if not is_bright.any():
             return 0
-        is_bright &= blocks >= MIN_CONTRAST * np.median(blocks[self._is_high])
+        high = blocks[self._is_high]
+        is_bright &= blocks >= max(MIN_CONTRAST * np.median(high), MIN_OF_BRIGHTEST * high.max())
         groups, _ = ndimage.label(is_bright, EIGHT_CONNECTED)
         most = self._max_blocks
         spans = ndimage.find_objects(groups)
