@@ -94,7 +94,9 @@ class Stages:
         from foreglow.beam import BeamStage
 
         config = self.config
-        return BeamStage(config.beam, config.guard, self._plugins[2]) if config.beam.policy != "none" else None
+        if config.beam.policy == "none":
+            return None
+        return BeamStage(config.beam, config.guard, self._plugins[2], config.lit_street)
 
     def build(self) -> None:
         """Makes all stages now, so that what is wrong with one is known before the first frame."""

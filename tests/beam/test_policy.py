@@ -210,6 +210,60 @@ def test_a_gap_is_held_and_then_light_returns() -> None:
     assert command.mode == BeamMode.FULL
 
 
+EDGE_RAD = 0.42
+"""Near the left border of the image: a lamp there passes us."""
+
+
+def approach(last_rad: float, num_frames: int = 12) -> list[tuple[Seen, ...]]:
+    """A lamp that moves to `last_rad`, beside light on something that stays."""
+    azimuths = np.linspace(0.3 * last_rad, last_rad, num_frames)
+    light = LIGHT._replace(azimuth_rad=-0.02, number=7)
+    return [(LAMP._replace(azimuth_rad=float(azimuth)), light) for azimuth in azimuths]
+
+
+def gaps_of_each(frames: list[tuple[Seen, ...]]) -> list[list[Gap]]:
+    made = policy()
+    return [made.gaps(frame(number), tracks_at(number, *seen)) for number, seen in enumerate(frames)]
+
+
+def test_no_gap_is_held_for_what_has_left_the_image() -> None:
+    for last_rad, is_held in ((EDGE_RAD, False), (0.1, True)):
+        last = gaps_of_each([frame[:1] for frame in approach(last_rad)] + [()])[-1]
+        assert bool(holding(last, last_rad)) == is_held
+
+
+def test_light_beside_a_vehicle_that_has_passed_is_no_hidden_vehicle() -> None:
+    alone = (approach(0.0)[0][1],)
+    for last_rad, is_passed in ((EDGE_RAD, True), (0.1, False)):
+        after = gaps_of_each(approach(last_rad) + [alone] * 70)[-70:]
+        assert bool(after[10]) != is_passed
+        assert after[-1]  # light that is still there is somebody's
+
+
+def test_a_lamp_that_passes_close_by_sinks_and_stays_a_lamp() -> None:
+    """At 8 m a lamp is as low as light on the road: what was beside it is not to be taken for a hidden vehicle."""
+    made = policy()
+    for number, (lamp, light) in enumerate(approach(EDGE_RAD)):
+        tracks = tracks_at(number, lamp, light)
+        boxes = tracks.boxes_xyxy_px.copy()
+        boxes[0] = box_around(lamp.azimuth_rad, math.radians(-1 - 0.6 * number), 0.006)
+        gaps = made.gaps(frame(number), dataclasses.replace(tracks, boxes_xyxy_px=boxes))
+        (gap,) = gaps
+        assert gap.right_rad < lamp.azimuth_rad < gap.left_rad
+    assert not made.gaps(frame(12), tracks_at(12, light))
+
+
+def test_new_light_after_a_vehicle_has_passed_is_the_next_ones() -> None:
+    new = (LIGHT._replace(azimuth_rad=0.02, number=9),)
+    assert gaps_of_each([*approach(EDGE_RAD), new])[-1]
+
+
+def test_light_that_is_explained_is_so_only_until_the_next_lamp_is_lost_ahead() -> None:
+    first, light = approach(EDGE_RAD), approach(0.0)[0][1]
+    second = LAMP._replace(azimuth_rad=0.05, number=11)
+    assert gaps_of_each([*first, (light,), (light, second), *[(light,)] * 10])[-1]
+
+
 @pytest.mark.parametrize(
     ("seen", "name"), [(LAMP, "min_confidence"), (LIGHT, "min_hidden_confidence")], ids=["lamp", "light"]
 )

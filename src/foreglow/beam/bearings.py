@@ -25,6 +25,9 @@ from foreglow.types import Frame, Tracks
 RATE_GAIN = 0.25
 """Weight of a new rate in the filtered one, (2); a rate from two frames alone would be noise."""
 
+LEAVING_S = 0.5
+"""A light leaves the image if its box reaches the left or the right border within this time."""
+
 
 @dataclass(slots=True)
 class Bearing:
@@ -39,6 +42,7 @@ class Bearing:
         direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
         confidence: The greatest confidence that the track ever had.
         is_plausible: Whether the track may be acted on.
+        is_leaving: Whether its box is at the left or the right border of the image, or will be within `LEAVING_S`.
     """
 
     azimuth_rad: float
@@ -49,6 +53,7 @@ class Bearing:
     direct: float
     confidence: float
     is_plausible: bool
+    is_leaving: bool
 
 
 class Bearings:
@@ -80,17 +85,21 @@ class Bearings:
             tracks.direct_probabilities.tolist(),
             tracks.confidences.tolist(),
             tracks.is_plausible.tolist(),
+            tracks.boxes_xyxy_px[:, ::2].tolist(),
             strict=True,
         )
-        for track_id, azimuth, elevation, half, range_m, direct, confidence, is_plausible in rows:
+        leaving_px = LEAVING_S * frame.camera.focal_px[0]
+        for track_id, azimuth, elevation, half, range_m, direct, confidence, is_plausible, (x1, x2) in rows:
             before, rate = known.get(track_id), 0.0
             azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
                     rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)  # (2)
+            shift_px = leaving_px * rate
+            is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= frame.width_px
             self._bearings[track_id] = Bearing(
-                azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible
+                azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible, is_leaving
             )
         return self._bearings
 

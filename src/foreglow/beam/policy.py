@@ -30,7 +30,8 @@ NEAREST_M = 20.0
 at 10 m would be as wide as the whole beam."""
 
 LOWEST_LAMP_RAD = math.radians(-5.0)
-"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road."""
+"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road, unless it
+was a lamp before: that passes us."""
 
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
@@ -38,6 +39,10 @@ UNKNOWN_NEAR_M = 40.0
 MIN_COMING_DIRECT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
 """A lamp that comes into sight gets a gap before its track is confirmed if it is this likely to be a lamp, this
 likely to be light at all, and this far away: nearer lamps would have been seen earlier."""
+
+EXPLAINED_S = 3.0
+"""Light beside a lamp that then passed us is that vehicle's, or was lit by it or by us, for so long after it has gone:
+until then what reflects it has passed us as well."""
 
 HIDDEN = -1
 """Stands for the track id in a gap for a hidden vehicle; smaller numbers stand for further such gaps."""
@@ -146,6 +151,8 @@ class ForeglowPolicy:
       further along the road: the gap covers most of the probability of where it will appear (`occurrence`). Without a
       road, it is at the light.
     * While a lamp is in sight, any other light is attributed to it, and gets no gap.
+    * A lamp that leaves the image at its side has passed: its gap is not held, and the light that was attributed to it
+      is not taken for another vehicle's for `EXPLAINED_S`.
     * While a gap is open, lamps get gaps before their tracks are confirmed. A vehicle that comes into sight needs a
       few frames to be confirmed, and its gap must not close in the meantime.
 
@@ -166,6 +173,9 @@ class ForeglowPolicy:
         self._bearings.reset()
         self._writer.reset()
         self._held: dict[int, tuple[int, Gap]] = {}
+        self._lamps: dict[int, Bearing] = {}
+        self._lights: frozenset[int] = frozenset()
+        self._explained_ns: dict[int, int] = {}
         self.expected: Occurrence | None = None
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
@@ -179,20 +189,42 @@ class ForeglowPolicy:
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
-        seen = {track_id: bearing for track_id, bearing in bearings.items() if not self._is_road(bearing)}
+        seen = {
+            track_id: bearing
+            for track_id, bearing in bearings.items()
+            if track_id in self._lamps or not self._is_road(bearing)
+        }
         acted = {track_id: bearing for track_id, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
             acted |= {track_id: bearing for track_id, bearing in seen.items() if _is_coming(bearing)}
-        self._held = {
-            track_id: (now_ns, self._lamp_gap(bearing)) for track_id, bearing in acted.items() if self._is_lamp(bearing)
-        }
+        lamps = {track_id: bearing for track_id, bearing in acted.items() if self._is_lamp(bearing)}
+        passed = {track_id for track_id, bearing in self._lamps.items() if bearing.is_leaving and track_id not in lamps}
+        self._explain(now_ns, lamps, passed, bearings)
+        self._held = {track_id: (now_ns, self._lamp_gap(bearing)) for track_id, bearing in lamps.items()}
+        unexplained = [bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns]
         self._held |= {
-            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, acted.values()))
+            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, unexplained))
         }
         for track_id, (since_ns, gap) in held.items():
-            if track_id not in self._held and 0 <= now_ns - since_ns <= self._hold_ns:
+            if track_id not in self._held and track_id not in passed and 0 <= now_ns - since_ns <= self._hold_ns:
                 self._held[track_id] = since_ns, gap
         return [gap for _, gap in self._held.values()]
+
+    def _explain(
+        self, now_ns: int, lamps: Mapping[int, Bearing], passed: Collection[int], bearings: Mapping[int, Bearing]
+    ) -> None:
+        """Remembers which light was seen beside the last lamp in sight, once that has passed us."""
+        self._explained_ns = {
+            track_id: since_ns
+            for track_id, since_ns in self._explained_ns.items()
+            if track_id in bearings and 0 <= now_ns - since_ns <= EXPLAINED_S * 1e9
+        }
+        if lamps:
+            self._explained_ns = {}
+            self._lights = frozenset(bearings.keys() - lamps.keys())
+        elif passed and passed == self._lamps.keys():
+            self._explained_ns |= dict.fromkeys(self._lights & bearings.keys(), now_ns)
+        self._lamps = dict(lamps)
 
     def _is_sure(self, bearing: Bearing) -> bool:
         """Whether a track is acted on; for light without a lamp this needs more confidence than for a lamp."""

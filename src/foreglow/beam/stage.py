@@ -1,4 +1,4 @@
-"""The whole fifth stage: a policy, followed by the guard."""
+"""The whole fifth stage: a policy, low beam where the road is lit, and the guard."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from foreglow.beam.guard import Guard
+from foreglow.beam.lit_street import ROAD_LIT, LitStreet
 from foreglow.beam.policy import BeamPolicy, make_policy
-from foreglow.config import BeamConfig, GuardConfig
+from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked
 from foreglow.types import BeamCommand, Frame, Tracks
@@ -18,7 +19,11 @@ class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it."""
 
     def __init__(
-        self, config: BeamConfig, guard: GuardConfig, policy: BeamPolicy | type[BeamPolicy] | None = None
+        self,
+        config: BeamConfig,
+        guard: GuardConfig,
+        policy: BeamPolicy | type[BeamPolicy] | None = None,
+        lit_street: LitStreetConfig | None = None,
     ) -> None:
         """Reads the lamps and makes the policy.
 
@@ -26,6 +31,7 @@ class BeamStage:
             config: Parameters of the policy.
             guard: Parameters of the guard, which checks the commands of every policy.
             policy: A policy, an object or a class; None for the one that `config` names.
+            lit_street: Parameters of what finds lit streets; None for the defaults.
 
         Raises:
             FileNotFoundError: If the file that describes the lamps does not exist.
@@ -34,6 +40,7 @@ class BeamStage:
         headlamps = read_headlamps(config.headlamps)
         self._min_direct = config.min_direct
         self._policy = built(policy, make_policy, config, headlamps)
+        self._lit_street = LitStreet(lit_street or LitStreetConfig())
         self._guard = Guard(guard, headlamps)
 
     def command(
@@ -47,9 +54,12 @@ class BeamStage:
         direct = tracks.direct_probabilities
         is_vehicle = np.isnan(direct) | (direct > self._min_direct)
         wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
+        if self._lit_street.update(frame):
+            faults = (*faults, ROAD_LIT)
         return self._guard.check(wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle)
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
         self._guard.reset()
+        self._lit_street.reset()
         self._policy.reset()

@@ -15,6 +15,7 @@ from foreglow.config.stages import (
     ClassifierConfig,
     DistanceConfig,
     GuardConfig,
+    LitStreetConfig,
     LiveConfig,
     ProposalConfig,
     StandingConfig,
@@ -31,6 +32,7 @@ class PipelineConfig(FrozenModel):
     distance: DistanceConfig = DistanceConfig()
     tracker: TrackerConfig = TrackerConfig()
     beam: BeamConfig = BeamConfig()
+    lit_street: LitStreetConfig = LitStreetConfig()
     guard: GuardConfig = GuardConfig()
     live: LiveConfig = LiveConfig()
     standing: StandingConfig = StandingConfig()

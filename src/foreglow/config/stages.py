@@ -298,6 +298,28 @@ class BeamConfig(FrozenModel):
     restore_s: Annotated[float, Field(gt=0, le=10)] = 0.5
 
 
+class LitStreetConfig(FrozenModel):
+    """Parameters of what finds lit streets, where the high beam stays off; `docs/beam.md` describes it.
+
+    Attributes:
+        enabled: Whether there is low beam on lit roads; `beam.policy` decides everywhere else.
+        min_elevation_deg: Lowest elevation above the horizontal at which a bright spot may be a lamp on a post.
+        max_elevation_deg: Highest elevation.
+        min_brightness: Such a spot has at least this share of the greatest value of the image's format.
+        max_size_deg: And is at most so wide and high.
+        on_s: For so long two lamps or more must be in view before the road counts as lit; eight times as long for one.
+        off_s: For so long none must be in view before the road counts as dark again.
+    """
+
+    enabled: bool = True
+    min_elevation_deg: Annotated[float, Field(ge=0, le=90)] = 4.0
+    max_elevation_deg: Annotated[float, Field(ge=0, le=90)] = 20.0
+    min_brightness: Annotated[float, Field(gt=0, le=1)] = 0.35
+    max_size_deg: Annotated[float, Field(gt=0, le=90)] = 4.0
+    on_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    off_s: Annotated[float, Field(gt=0, le=60)] = 3.0
+
+
 class GuardConfig(FrozenModel):
     """Parameters of the guard, which checks every beam command; `docs/guard.md` describes what it enforces.
 

@@ -34,7 +34,7 @@ class Replay:
             ValueError: If it is broken.
         """
         self.config = config
-        self._beam = BeamStage(config.beam, config.guard)
+        self._beam = BeamStage(config.beam, config.guard, lit_street=config.lit_street)
         self._results = results
         self._origin = origin
 

@@ -37,13 +37,22 @@ from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
 MIN_SIZE_PX = 1.0
 """Predicted boxes never become smaller than this."""
 
+MIN_STEP_S = 1e-3
+"""Frames that are less apart count as this far apart: no camera is faster, and rates divide by the step."""
+
+MAX_TURN_RADPS = 10.0
+"""No car turns faster: such a yaw rate is not known."""
+
+MAX_TRACKS = 512
+"""More are not followed: those with the fewest detections end, tentative ones first."""
+
 
 class AlphaBetaTracker:
     """The paper's tracker, with the further options that `TrackerConfig` names.
 
     With the clock `time`, a frame with the time and the boxes of the previous frame counts as a repetition, and the
     same tracks are returned. Any other frame that is not later than the previous one ends all tracks, and so does a
-    gap longer than `max_gap_s`; ids are not reused.
+    gap longer than `max_gap_s`; ids are not reused. With either clock, an image of another size ends all tracks.
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking.
     """
@@ -65,6 +74,7 @@ class AlphaBetaTracker:
         self._now_s = 0.0
         self._plausible_s = -math.inf
         self._timestamp_ns: int | None = None
+        self._size_px: tuple[int, int] | None = None
         self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
         self._next_id = 0
         self._states = self._born(0)
@@ -75,10 +85,13 @@ class AlphaBetaTracker:
         if self._is_again(frame, detections):
             return self._tracks
         step_s = self._step_s(frame)
-        if not 0.0 < step_s <= self._config.max_gap_s:
+        size_px = frame.width_px, frame.height_px
+        if not 0.0 < step_s <= self._config.max_gap_s or size_px != (self._size_px or size_px):
             self._states = self._born(0)
             step_s = 1.0 / self._config.rate_hz
+        step_s = max(step_s, MIN_STEP_S)
         self._now_s += step_s
+        self._size_px = size_px
         self._timestamp_ns, self._boxes = frame.timestamp_ns, detections.boxes_xyxy_px
 
         found = measurements(detections, ranges, self._config.min_score)
@@ -114,8 +127,9 @@ class AlphaBetaTracker:
 
     def _predict(self, frame: Frame, step_s: float) -> None:
         values = predict(self._states.values, self._states.rates, step_s)
-        if self._config.compensate_yaw and frame.camera is not None and frame.motion is not None:
-            values[:, :2] += turn_shift_px(frame.camera, values[:, :2], frame.motion.yaw_rate_radps * step_s)
+        turn_radps = math.nan if frame.motion is None else frame.motion.yaw_rate_radps
+        if self._config.compensate_yaw and frame.camera is not None and abs(turn_radps) <= MAX_TURN_RADPS:
+            values[:, :2] += turn_shift_px(frame.camera, values[:, :2], turn_radps * step_s)
         values[:, 2:RANGE] = np.maximum(values[:, 2:RANGE], MIN_SIZE_PX)
         self._states.values = values
 
@@ -198,6 +212,9 @@ class AlphaBetaTracker:
         if self._config.merge_iou < 1.0 and len(states) > 1:
             overlap = self._overlaps(states.values, states.sigmas_m)
             is_over |= is_duplicate(overlap, states.num_misses == 0, states.num_hits, self._config.merge_iou)
+        if len(states) > MAX_TRACKS:
+            ranking = np.lexsort((states.ids, -states.num_hits, ~states.is_plausible, is_over))
+            is_over[ranking[MAX_TRACKS:]] = True
         if is_over.any():
             self._states = states.where(~is_over)
 

@@ -36,7 +36,8 @@ def assert_same(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("drive", [approach(), empty_drive()], ids=lambda one: one.name)
 def test_round_trip(drive: GlareDrive, tmp_path: Path) -> None:
-    drive = dataclasses.replace(drive, pictures={"The approach": "a.mp4"})
+    is_lit = np.arange(len(drive.times_s)) % 3 == 1
+    drive = dataclasses.replace(drive, pictures={"The approach": "a.mp4"}, is_lit=is_lit)
     write_glare_drive(tmp_path / "drive.npz", drive)
     assert_same(drive, read_glare_drive(tmp_path / "drive.npz"))
     assert [path.name for path in tmp_path.iterdir()] == ["drive.npz"]
@@ -50,6 +51,13 @@ def stored(path: Path) -> dict[str, Any]:
 
 def about(arrays: dict[str, Any], **changes: Any) -> Any:
     return np.frombuffer(json.dumps(json.loads(arrays["about"].tobytes()) | changes).encode(), np.uint8)
+
+
+def test_files_from_before_lit_roads_were_known(tmp_path: Path) -> None:
+    arrays = stored(tmp_path / "drive.npz")
+    del arrays["is_lit"]
+    np.savez(tmp_path / "drive.npz", **arrays)
+    assert not read_glare_drive(tmp_path / "drive.npz").is_lit.any()
 
 
 @pytest.mark.parametrize("missing", ["about", "times_s", "road.leds_lx", "eyes.0.base_lx", "runs.5.levels"])

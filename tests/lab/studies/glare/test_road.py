@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from foreglow.lab.simulation import Scene
+from foreglow.lab.simulation.scenes.scene import RoadSpec
+from foreglow.lab.simulation.scenes.surroundings import StreetLamp, SurroundingsSpec
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.metrics import phase_light, phases, road_share, switching, wrong_dimming
+from foreglow.lab.studies.glare.metrics import lit_road, phase_light, phases, road_share, switching, wrong_dimming
+from foreglow.lab.studies.glare.simulate import StreetLight
 
 NUM = 20
 SEEN = range(6, 10)
@@ -137,3 +141,45 @@ def test_low_beam_has_no_event_but_is_dimmed_all_the_time() -> None:
     assert (found.num_events, found.dimmed_s, found.leds_off_s) == (0, 10.0, 10.0)
     almost = wrong_dimming(its, run(f15=0.991), phases(its).is_free)
     assert (almost.num_events, almost.dimmed_s) == (0, 0.0)
+
+
+LIT = np.isin(np.arange(NUM), range(11, 17))
+"""A street that is lit from 11 to 16 s."""
+
+
+def test_on_lit_roads_no_dimming_is_wrong() -> None:
+    found = phases(drive(is_lit=LIT))
+    assert frames_of(found.is_free) == [0, 1, 17, 18, 19]
+    assert frames_of(found.is_passed) == [17, 18, 19]
+    dimmed = run(f13=0.0, f14=0.0)
+    assert wrong_dimming(drive(), dimmed, phases(drive()).is_free).num_events == 1
+    assert wrong_dimming(drive(is_lit=LIT), dimmed, found.is_free).num_events == 0
+
+
+def test_high_beam_on_lit_roads_counts_after_two_seconds() -> None:
+    late = lit_road(drive(is_lit=LIT), run(f14=0.0, f15=0.0))
+    assert (late.seconds, late.high_s, late.num_streets, late.num_switched) == (4.0, 2.0, 1, 0)
+    in_time = lit_road(drive(is_lit=LIT), run(f13=0.0, f14=0.0, f15=0.0, f16=0.0))
+    assert (in_time.high_s, in_time.num_switched) == (0.0, 1)
+    dimmed = lit_road(drive(is_lit=LIT), run(f13=0.5, f14=0.5, f15=0.5, f16=0.5))
+    assert (dimmed.high_s, dimmed.num_switched) == (4.0, 0)
+
+
+def test_low_beam_on_dark_roads_is_counted_once() -> None:
+    found = lit_road(drive(is_lit=LIT), run(f3=0.0, f4=0.0, f8=0.2, f13=0.0, f16=0.0, f17=0.0))
+    assert (found.dark_s, found.num_low) == (14.0, 1)
+    assert lit_road(drive(speeds_mps=np.full(NUM, 5.0)), run(f3=0.0)).num_low == 0
+
+
+def lamps(*at_m: float, intensity_cd: float = 1000.0) -> Scene:
+    row = tuple(StreetLamp(side="right", s_m=s_m, height_m=7.0, intensity_cd=intensity_cd) for s_m in at_m)
+    surroundings = SurroundingsSpec(street_lamps=row)
+    return Scene(name="x", duration_s=2.0, road=RoadSpec(length_m=600.0), surroundings=surroundings)
+
+
+def test_where_a_road_is_lit() -> None:
+    assert StreetLight(lamps(*range(0, 400, 30))).is_lit(100.0)
+    assert not StreetLight(lamps(*range(0, 400, 30))).is_lit(450.0)
+    assert not StreetLight(lamps(130.0)).is_lit(100.0)
+    assert not StreetLight(lamps()).is_lit(100.0)
+    assert not StreetLight(lamps(*range(0, 400, 30), intensity_cd=0.0)).is_lit(100.0)

@@ -173,6 +173,7 @@ class GlareDrive:
         eyes: One for each other driver; their ids differ.
         runs: What was shone, by the policy's name.
         light_s: By vehicle id, when its first light is labelled, be it a reflection; without entry, never.
+        is_lit: Shape (T,), whether lamps on posts light the road; an empty array becomes False throughout.
         pictures: Pictures or videos of the drive, by caption: paths relative to the folder of the report.
 
     Raises:
@@ -188,10 +189,14 @@ class GlareDrive:
     road: RoadLight
     runs: Mapping[str, PolicyRun]
     light_s: Mapping[int, float] = field(default_factory=dict)
+    is_lit: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     pictures: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         num_frames = len(np.atleast_1d(self.times_s))
+        if not len(self.is_lit):
+            object.__setattr__(self, "is_lit", np.zeros(num_frames, np.bool_))
+        _keep(self, "is_lit", np.bool_, (num_frames,))
         for name in ("times_s", "speeds_mps"):
             _keep(self, name, np.float64, (num_frames,))
         if not num_frames or not (np.diff(self.times_s) > 0).all() or not np.isfinite(self.times_s).all():
@@ -269,7 +274,7 @@ def write_glare_drive(path: Path, drive: GlareDrive) -> None:
     }
     text = json.dumps(about, allow_nan=False).encode()
     arrays: dict[str, NDArray[Any]] = {"about": np.frombuffer(text, np.uint8)}
-    arrays |= {"times_s": drive.times_s, "speeds_mps": drive.speeds_mps}
+    arrays |= {"times_s": drive.times_s, "speeds_mps": drive.speeds_mps, "is_lit": drive.is_lit}
     arrays |= {f"road.{name}": getattr(drive.road, name) for name in _ROAD_ARRAYS}
     for index, eye in enumerate(drive.eyes):
         arrays |= {f"eyes.{index}.{name}": getattr(eye, name) for name in _EYE_ARRAYS}
@@ -311,6 +316,7 @@ def read_glare_drive(path: Path) -> GlareDrive:
             road=RoadLight(**part("road", _ROAD_ARRAYS)),
             runs={name: PolicyRun(name, **part(f"runs.{index}", _RUN_ARRAYS)) for index, name in enumerate(about.runs)},
             light_s={_vehicle_id(key): time_s for key, time_s in about.light_s.items()},
+            is_lit=arrays.get("is_lit", np.zeros(0, np.bool_)),  # without it: from before lit roads were known
             pictures=about.pictures,
         )
     except ValueError as error:

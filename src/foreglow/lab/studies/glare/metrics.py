@@ -40,6 +40,12 @@ AHEAD_S = 3.0
 MIN_SPEED_MPS = 32.0 / 3.6
 """Below this speed low beam is asked for, and lost light is nobody's fault."""
 
+SWITCH_S = 2.0
+"""Time, seconds, in which a policy may switch to low beam once the road is lit."""
+
+DARK_LEVEL = 0.01
+"""There is low beam if no LED is above."""
+
 FULL_LEVEL = 0.99
 """A lamp shines full beam if no LED is below."""
 
@@ -242,7 +248,7 @@ def _glare(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Phases:
-    """When other vehicles matter to us. Frames slower than `MIN_SPEED_MPS` are in none.
+    """When other vehicles matter to us. Frames slower than `MIN_SPEED_MPS`, or on lit roads, are in none.
 
     A vehicle is there from its first labelled light, or the first frame in which it sees us, to the last frame with a
     range; where that is the drive's last frame, or a range was never known, to the end.
@@ -315,6 +321,27 @@ class Dimming:
     road_lost_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class LitRoad:
+    """High beam on lit roads, and low beam on dark ones; it adds up over drives.
+
+    Attributes:
+        seconds: Time on lit roads, from `SWITCH_S` after each begins.
+        high_s: Time of these with high beam, gaps or not: a fault.
+        num_streets: Stretches of lit road that take longer than `SWITCH_S`.
+        num_switched: Those in which there was low beam at `SWITCH_S`, or before.
+        dark_s: Time on dark roads.
+        num_low: Times that high beam ended there in low beam: a fault as well.
+    """
+
+    seconds: float
+    high_s: float
+    num_streets: int
+    num_switched: int
+    dark_s: float
+    num_low: int
+
+
 def phases(drive: GlareDrive) -> Phases:
     """When other vehicles matter in `drive`."""
     times_s = drive.times_s
@@ -325,7 +352,7 @@ def phases(drive: GlareDrive) -> Phases:
         is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + RESTORE_S)
         is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + RESTORE_S)
         is_after |= times_s > end_s + RESTORE_S
-    is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS)
+    is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS) & ~drive.is_lit
     return Phases(is_present & is_fast, is_after & ~is_shadowed & is_fast, ~is_near & is_fast)
 
 
@@ -393,4 +420,30 @@ def wrong_dimming(drive: GlareDrive, run: PolicyRun, is_free: NDArray[np.bool_])
         dimmed_s=float(is_dimmed.sum() / drive.rate_hz),
         leds_off_s=float(leds_off[is_dimmed].sum() / drive.rate_hz),
         road_lost_s=float(road_lost[is_dimmed].sum() / drive.rate_hz),
+    )
+
+
+def lit_road(drive: GlareDrive, run: PolicyRun) -> LitRoad:
+    """What `run` shines where the road is lit, and where it is not."""
+    is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS)
+    is_low = np.asarray((run.levels <= DARK_LEVEL).all(axis=(1, 2)))
+    waits = round(SWITCH_S * drive.rate_hz)
+    is_late = np.zeros(len(drive.times_s), np.bool_)
+    num_streets = num_switched = 0
+    starts = np.flatnonzero(np.diff(drive.is_lit.astype(np.int8), prepend=0) > 0)
+    ends = np.flatnonzero(np.diff(drive.is_lit.astype(np.int8), append=0) < 0) + 1
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        is_late[start + waits : end] = True
+        if end - start > waits:
+            num_streets += 1
+            num_switched += bool(is_low[start : start + waits + 1].any())
+    is_late &= is_fast
+    is_dark = ~drive.is_lit & is_fast
+    return LitRoad(
+        seconds=float(is_late.sum() / drive.rate_hz),
+        high_s=float((is_late & ~is_low).sum() / drive.rate_hz),
+        num_streets=num_streets,
+        num_switched=num_switched,
+        dark_s=float(is_dark.sum() / drive.rate_hz),
+        num_low=int((is_dark[:-1] & is_dark[1:] & ~is_low[:-1] & is_low[1:]).sum()),
     )

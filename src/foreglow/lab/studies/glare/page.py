@@ -22,7 +22,7 @@ from foreglow.lab.studies.glare.figures import (
     lux_figure,
     sensitivity_figure,
 )
-from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S
+from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S, SWITCH_S
 from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
@@ -227,7 +227,7 @@ def _notes(results: GlareResults) -> Iterator[str]:
     )
     yield (
         "A vehicle is present from its first labelled light, or first sight of us, until it has passed. Frames below "
-        "32 km/h count neither for road light nor for wrong dimming: there low beam is asked for."
+        "32 km/h, and on lit roads, count neither for road light nor for wrong dimming: there low beam is asked for."
     )
     yield (
         f"Wrong dimming: full beam (all LEDs at {FULL_LEVEL:g} or more) goes below full while nobody is there. Nobody "
@@ -281,6 +281,12 @@ def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[t
         "While nobody is there yet, or any more.",
         _table(_dimming_columns(lambda policy: policy.between), policies),
     )
+    if any(policy.lit_roads.num_streets for policy in policies):
+        yield (
+            "Lit roads",
+            f"High beam more than {SWITCH_S:g} s after a lit road begins is a fault. There is no wrong dimming there.",
+            _table(_LIT_ROADS, policies),
+        )
     yield "Switching", "Changes of the road's light, as a share of full beam.", _table(_SWITCHING, policies)
 
 
@@ -314,6 +320,15 @@ _ROAD: Columns = {
     "own lane after": lambda policy: percent(policy.passed.own_lane.value),
     "verge after": lambda policy: percent(policy.passed.verge.value),
     "seconds after": lambda policy: number(policy.passed.seconds, 0),
+}
+
+_LIT_ROADS: Columns = {
+    "minutes": lambda policy: number(policy.lit_roads.minutes, 1),
+    "with high beam": lambda policy: percent(policy.lit_roads.high_share),
+    "streets": lambda policy: str(policy.lit_roads.num_streets),
+    "low beam in time": lambda policy: percent(policy.lit_roads.switched_share),
+    "minutes on dark roads": lambda policy: number(policy.lit_roads.dark_minutes, 1),
+    "switched to low beam there, an hour": lambda policy: number(policy.lit_roads.low_per_hour, 1),
 }
 
 _SWITCHING: Columns = {

@@ -23,8 +23,10 @@ from foreglow.lab.studies.glare.metrics import (
     EyeScore,
     Glare,
     Limits,
+    LitRoad,
     PhaseLight,
     Switching,
+    lit_road,
     phase_light,
     phases,
     score_eye,
@@ -51,6 +53,7 @@ class DriveScore:
     passed: PhaseLight
     switching: Switching
     dimming: Dimming
+    lit_road: LitRoad
 
     def of_group(self, is_oncoming: bool) -> tuple[EyeScore, ...]:
         """The oncoming, or the preceding drivers."""
@@ -78,6 +81,7 @@ def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits) -> DriveScore
         passed=phase_light(drive, run, when.is_passed),
         switching=switching(drive, run),
         dimming=wrong_dimming(drive, run, when.is_free),
+        lit_road=lit_road(drive, run),
     )
 
 
@@ -316,4 +320,37 @@ class WrongDimming:
             dimmed_share=ratio(dimmed_s, math.fsum(seconds)),
             area_dimmed=ratio(math.fsum(drive.leds_off_s for drive in drives), dimmed_s),
             road_dimmed=ratio(math.fsum(drive.road_lost_s for drive in drives), dimmed_s),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LitRoads:
+    """High beam on lit roads, and low beam on dark ones. See `LitRoad`.
+
+    Attributes:
+        minutes: Time on lit roads; without any, the shares are NaN.
+        high_share: Share of it with high beam.
+        switched_share: Share of the lit streets with low beam in time.
+        low_per_hour: Times that high beam ended in low beam on dark roads, an hour there.
+    """
+
+    minutes: float
+    high_share: float
+    num_streets: int
+    switched_share: float
+    dark_minutes: float
+    low_per_hour: float
+
+    @classmethod
+    def of(cls, drives: Sequence[LitRoad]) -> LitRoads:
+        """All drives together."""
+        rows = [dataclasses.astuple(drive) for drive in drives] or [(0.0,) * len(dataclasses.fields(LitRoad))]
+        seconds, high_s, num_streets, num_switched, dark_s, num_low = map(math.fsum, zip(*rows, strict=True))
+        return cls(
+            minutes=seconds / 60.0,
+            high_share=ratio(high_s, seconds),
+            num_streets=int(num_streets),
+            switched_share=ratio(num_switched, num_streets),
+            dark_minutes=dark_s / 60.0,
+            low_per_hour=ratio(num_low, dark_s / 3600.0),
         )

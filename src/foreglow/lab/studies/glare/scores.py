@@ -14,6 +14,7 @@ from foreglow.lab.studies.glare.metrics import (
 from foreglow.lab.studies.glare.pooled import (
     DriveScore,
     GroupGlare,
+    LitRoads,
     RoadKept,
     Smoothness,
     WrongDimming,
@@ -37,6 +38,7 @@ class PolicyScore:
         smoothness: How much the light changes.
         empty: Wrong dimming in drives without any other driver.
         between: Wrong dimming in the other drives, long before and after.
+        lit_roads: High beam on lit roads, and low beam on dark ones.
     """
 
     name: str
@@ -47,6 +49,7 @@ class PolicyScore:
     smoothness: Smoothness
     empty: WrongDimming
     between: WrongDimming
+    lit_roads: LitRoads
     drives: tuple[DriveScore, ...]
 
     @classmethod
@@ -63,6 +66,7 @@ class PolicyScore:
             smoothness=Smoothness.of([drive.switching for drive in drives]),
             empty=WrongDimming.of([drive.dimming for drive in drives if drive.is_empty], seed),
             between=WrongDimming.of([drive.dimming for drive in drives if not drive.is_empty], seed),
+            lit_roads=LitRoads.of([drive.lit_road for drive in drives]),
             drives=tuple(drives),
         )
 

@@ -24,7 +24,7 @@ from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
 from foreglow.lab.studies.glare.scores import POLICIES
-from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps
+from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps, street_lamp
 from foreglow.tracking import make_tracker
 from foreglow.types import Frame, FrameResult, Tracks
 
@@ -36,6 +36,14 @@ ROAD_DISTANCES_M = np.arange(40.0, 121.0, 10.0)
 
 VERGE_M = 0.75
 """Distance of the point on the verge from the right edge of the carriageway."""
+
+
+LIT_M = np.arange(0.0, 101.0, 5.0)
+"""Where it is asked whether the road is lit, arc lengths ahead of our rear axle."""
+
+MIN_LIT_LX, MIN_LIT_SHARE = 0.5, 0.75
+"""A road is lit where lamps on posts give at least so much, on at least this share of `LIT_M`; one lamp alone lights
+some 40 m of it."""
 
 
 class EyeLight(NamedTuple):
@@ -290,6 +298,33 @@ class Drives:
             yield tracker.update(frame, result.detections, result.ranges)
 
 
+class StreetLight:
+    """The light of a drive's lamps on posts on our lane, as on a flat road without anything in between."""
+
+    def __init__(self, scene: Scene) -> None:
+        edge_m = Road(scene.road).half_width_m
+        self._lane_m = -0.5 * edge_m
+        lamps = [lamp for lamp in scene.surroundings.street_lamps if lamp.intensity_cd > 0]
+        sides = [1.0 if lamp.side == "left" else -1.0 for lamp in lamps]
+        self._positions_m = np.array(
+            [
+                (lamp.s_m, side * (edge_m + lamp.offset_m), lamp.height_m)
+                for lamp, side in zip(lamps, sides, strict=True)
+            ]
+        ).reshape(-1, 3)
+        self._intensities_cd = np.array([lamp.intensity_cd for lamp in lamps])
+
+    def is_lit(self, s_m: float) -> bool:
+        """Whether the road ahead of the arc length `s_m` is lit."""
+        points_m = np.stack([s_m + LIT_M, np.full(len(LIT_M), self._lane_m), np.zeros(len(LIT_M))], axis=1)
+        offsets_m = points_m[:, np.newaxis] - self._positions_m
+        distances_m = np.linalg.norm(offsets_m, axis=2)
+        downwards = np.stack([-offsets_m[..., 2], offsets_m[..., 0], offsets_m[..., 1]], axis=-1)
+        intensities_cd = self._intensities_cd * street_lamp().towards(downwards)
+        lux = (intensities_cd * downwards[..., 0] / distances_m**3).sum(axis=1)
+        return bool((lux >= MIN_LIT_LX).mean() >= MIN_LIT_SHARE)
+
+
 class _Record:
     """What is gathered of a drive, frame by frame."""
 
@@ -321,6 +356,7 @@ class _Record:
         if start == len(times_s):
             raise ValueError(f"{name}: expected a drive of more than {RUN_IN_S:g} s, got {scene.duration_s:g} s")
         base_lx, leds_lx = zip(*self._road[start:], strict=True)
+        street = StreetLight(scene)
         return GlareDrive(
             name=name,
             scenario=scene.name,
@@ -336,6 +372,7 @@ class _Record:
                 for policy, levels in self._levels.items()
             },
             light_s=self._first_lights(times_s),
+            is_lit=np.array([street.is_lit(known.ego_s_m) for known in self.known[start:]]),
         )
 
     def _sightings_of(self, vehicle_id: int) -> list[tuple[DriveFrame, VehicleTruth]]:
