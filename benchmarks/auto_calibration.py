@@ -34,12 +34,12 @@ from foreglow.lab.simulation.camera.profile import CameraProfile, read_profiles
 from foreglow.lab.simulation.scenes.draw import Draw
 
 PROFILES = ("dashcam", "town_dashcam", "phone", "action_cam", "webcam")
-SEED = 4021
+SEED = 4022
 SPLIT: Literal["test"] = "test"
 SIZE_PX = (640, 480)
-RATE_HZ = 8.0
+RATE_HZ = 4.0
 PAIR_S = 0.06
-"""Pairs of frames show motion; four pairs a second."""
+"""Pairs of frames show motion; two pairs a second."""
 
 QUALITY = "fast"
 
