@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -121,6 +123,7 @@ def _add_output(name: str, text: str) -> None:
 _add_stage("detector", "Find boxes that may hold light, and score them: image to detections.")
 _add_stage("distance", "Estimate how far away the light in each box is: detections to ranges.")
 _add_stage("tracking", "Follow light over time: ranges to tracks.")
+_add_stage("markers", "Publish tracks as MarkerArray for RViz, and as Detection2DArray where vision_msgs is installed.")
 _add_output("beam", "Command the headlamps, checked by the guard: tracks to beam, as a topic and on the CAN bus.")
 _add_output("pipeline", "Run all four in one node: image to beam.")
 
@@ -138,8 +141,12 @@ def everything(
     loop: LoopOption = False,
     limit: LimitOption = None,
     is_networked: NetworkOption = False,
+    markers: Annotated[bool, flag("--markers", "Run the node `markers`, too.")] = False,
 ) -> None:
-    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again."""
+    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again.
+
+    A terminal shows a status line.
+    """
     from foreglow.datasets import open_source
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_camera
@@ -155,10 +162,12 @@ def everything(
     shared = _arguments(calibration=calibration, **dataclasses.asdict(pipeline))
     nodes = {name: [name, *shared, *ending] for name in ("detector", "distance", "tracking")}
     nodes["beam"] = ["beam", *shared, *_arguments(**dataclasses.asdict(output)), *ending]
+    if markers:
+        nodes["markers"] = ["markers", *shared, *ending]
     played = _arguments(speed=speed, limit=limit, calibration=calibration, **dataclasses.asdict(capture))
     player = ["source", frames, *played, *(["--loop"] if loop else []), "--wait", *ending]
-    with InterruptFlag() as interrupt:
-        code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True))
+    with InterruptFlag() as interrupt, _status_line(list(nodes), ros_arguments) as wait:
+        code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True), wait)
     raise typer.Exit(code)
 
 
@@ -169,6 +178,31 @@ def launch_file() -> None:
     from importlib.resources import files
 
     typer.echo(files("foreglow") / "runtime" / "ros2" / "foreglow_launch.py")
+
+
+@contextlib.contextmanager
+def _status_line(names: Sequence[str], ros_arguments: Sequence[str]) -> Iterator[Callable[[float], None]]:
+    """How to let time pass: on a terminal, with a line that says what the nodes do."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from foreglow.runtime.ros2.status_line import StatusLine
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield time.sleep
+        return
+    line = StatusLine(names, ros_arguments)
+    with console.status("waiting for the first frame") as shown:
+
+        def wait(seconds: float) -> None:
+            line.receive(seconds)
+            shown.update(escape(line.text(time.monotonic())))
+
+        try:
+            yield wait
+        finally:
+            line.close()
 
 
 def _arguments(**options: object) -> list[str]:
@@ -192,6 +226,7 @@ def _run_node(
 ) -> None:
     ros_arguments = _prepare(context, node.is_networked)
     from foreglow.calibration import read_calibration
+    from foreglow.runtime.ros2.markers import MarkerNode
     from foreglow.runtime.ros2.stages import NODES, Setting
     from foreglow.runtime.run import InterruptFlag
 
@@ -200,7 +235,8 @@ def _run_node(
     camera = None if node.calibration is None else read_calibration(node.calibration)
     setting = Setting(config, camera, bus, output.deadline, ros_arguments)
     with InterruptFlag() as interrupt:
-        NODES[name](setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+        make = MarkerNode if name == "markers" else NODES[name]
+        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
     _finish(interrupt)
 
 
