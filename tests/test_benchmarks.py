@@ -216,7 +216,9 @@ def test_errors_of_a_calibration_by_hand() -> None:
         {"pitch_error_deg": error, "pitch_sigma_deg": sigma, "yaw_error_deg": 2 * error, "yaw_sigma_deg": sigma}
         for error, sigma in zip(errors, sigmas, strict=True)
     ]
-    figures = summary(rows)
+    figures = summary(rows, np.array([[0.1, 0.1], [0.2, 0.4], [0.3, 0.5]]))
+    assert (figures["lamps"], figures["ratio"]) == (3, pytest.approx(2.0))
+    assert "ratio" not in summary(rows, np.zeros((0, 2)))
     assert (figures["calibrated"], figures["pitch_median_deg"]) == (3, 0.2)
     assert figures["pitch_within_sigma"] == pytest.approx(2 / 3)
     assert figures["yaw_within_sigma"] == pytest.approx(1 / 3)

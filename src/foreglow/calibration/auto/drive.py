@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.calibration.auto.flow import Motion, follow, is_next, travel
-from foreglow.calibration.auto.lines import MAX_WAYS, Direction, Segments, find_segments, meet, num_ways, vote
+from foreglow.calibration.auto.lines import (
+    MAX_WAYS,
+    MIN_WAYS,
+    Direction,
+    Segments,
+    find_segments,
+    meet,
+    num_ways,
+    vote,
+)
 from foreglow.calibration.auto.still import StillEdges
 from foreglow.calibration.auto.views import Lens, View, views_of
 from foreglow.calibration.values import Intrinsics, Mount
@@ -39,10 +48,11 @@ MAX_POINT_SIGMA = 0.05
 
 NUM_VOTERS = 40
 
-LINES_FLOOR_DEG = 0.12
-FLOW_FLOOR_DEG = 0.6
-"""Least standard deviations: of the lines, since roads bend, rise and bank; of the flow, since the light on the road
-goes with the car, and a camera in front of the rear axle moves sideways in a bend."""
+LINES_FLOOR_DEG = (0.14, 0.1)
+FLOW_FLOOR_DEG = (0.6, 0.6)
+"""Least standard deviations of yaw and pitch: of the lines, since roads bend, rise and bank, as found on 41 simulated
+drives; of the flow, since the light on the road goes with the car, and a camera in front of the rear axle moves
+sideways in a bend."""
 
 MAX_YAW_RATE_RADPS = math.radians(3.0)
 """In sharper bends, the flow is not used for the direction."""
@@ -119,8 +129,8 @@ def calibrate_drive(
             f"{len(drive.segments)} frames"
         )
     estimates = [
-        _Estimate.of(directions, floor_deg)
-        for directions, floor_deg in ((lines, LINES_FLOOR_DEG), (flows, FLOW_FLOOR_DEG))
+        _Estimate.of(directions, floors_deg)
+        for directions, floors_deg in ((lines, LINES_FLOOR_DEG), (flows, FLOW_FLOOR_DEG))
         if len(directions) >= MIN_DIRECTIONS
     ]
     if not estimates:
@@ -195,10 +205,11 @@ class _Drive:
         lines, flows, num_streaked = [], [], 0
         for segments, motion in frames:
             line = None if start is None else meet(segments, start, self.lens.focal_px)
-            if line is not None and num_ways(segments, line.point) > MAX_WAYS:
+            ways = 0.0 if line is None else num_ways(segments, line.point)
+            if ways > MAX_WAYS:
                 num_streaked += 1
                 continue
-            if line is not None and line.worst_sigma < MAX_POINT_SIGMA:
+            if line is not None and ways >= MIN_WAYS and line.worst_sigma < MAX_POINT_SIGMA:
                 lines.append(line)
             if (
                 motion is not None
@@ -217,12 +228,12 @@ class _Estimate:
     sigmas: Floats
 
     @classmethod
-    def of(cls, directions: Sequence[Direction], floor_deg: float) -> _Estimate:
+    def of(cls, directions: Sequence[Direction], floors_deg: tuple[float, float]) -> _Estimate:
         """The mean of many directions; the spread of the drive's parts is its standard deviation."""
         parts = np.array_split(np.arange(len(directions)), min(NUM_PARTS, len(directions) // 2))
         points = np.array([_mean([directions[index] for index in part]) for part in parts])
         spreads = 1.483 * np.median(np.abs(points - np.median(points, axis=0)), axis=0)
-        sigmas = np.hypot(spreads / math.sqrt(len(parts)), math.radians(floor_deg))
+        sigmas = np.hypot(spreads / math.sqrt(len(parts)), np.radians(floors_deg))
         return cls(_mean(directions), sigmas)
 
 

@@ -72,8 +72,9 @@ WAY_SIGMA = 0.02
 WAY_STEP_DEG = 5.0
 """A segment whose line passes the vanishing point within `WAY_SIGMA` leads there on one of the ways of this width."""
 
-MAX_WAYS = 10.0
-"""On simulated drives, the lines of a road take 3 to 9 ways, and streaks of snow in our light 11 to 19."""
+MIN_WAYS, MAX_WAYS = 2.0, 10.0
+"""On simulated drives, the lines of a road take 3 to 9 ways, streaks of snow in our light 11 to 19, and lamps mirrored
+in a wet road 1 to 2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
