@@ -164,14 +164,17 @@ def summary(rows: Sequence[dict[str, Any]], lamp_errors: Floats) -> dict[str, fl
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--drives", type=int, default=40, help="number of drives, shared by five profiles")
+    parser.add_argument(
+        "--drives", type=int, default=40, help="number of drives, shared by five profiles, or by the splits"
+    )
     parser.add_argument("--splits", type=Path, nargs="+", help="splits that were simulated before")
     parser.add_argument("--out", type=Path, default=RESULTS / "auto_calibration")
     given = parser.parse_args()
     rows, lamp_errors = [], []
-    for root in given.splits or render(given.out, -(-given.drives // len(PROFILES))):
+    per_split = -(-given.drives // len(given.splits or PROFILES))
+    for root in given.splits or render(given.out, per_split):
         cameras = {}
-        for drive in sorted((root / "images").iterdir()):
+        for drive in sorted((root / "images").iterdir())[:per_split]:
             row, camera = judge(drive)
             if camera is not None:
                 cameras[drive.name] = camera
