@@ -165,7 +165,7 @@ def summary(rows: Sequence[dict[str, Any]], lamp_errors: Floats) -> dict[str, fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--drives", type=int, default=40, help="number of drives, shared by five profiles, or by the splits"
+        "--drives", type=int, default=40, help="number of drives, shared by profiles or splits"
     )
     parser.add_argument("--splits", type=Path, nargs="+", help="splits that were simulated before")
     parser.add_argument("--out", type=Path, default=RESULTS / "auto_calibration")
