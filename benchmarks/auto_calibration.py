@@ -2,9 +2,9 @@
 
 Drives of the standard mixture, each with another mount of the camera, are rendered small and exposed for five camera
 profiles; a command that was stopped goes on with the first drive that is missing. `--splits` takes splits that were
-simulated before, instead. The calibration gets the lens of each drive and the camera's height, and has to find the
-rest. It prints the errors of pitch and yaw, the share within the stated sigma, and by how much the ranges of lamps are
-worse than with the exact calibration.
+simulated before, instead. Drives that were judged are not judged again. The calibration gets the lens of each drive and
+the camera's height, and has to find the rest. It prints the errors of pitch and yaw, the share within the stated sigma,
+and by how much the ranges of lamps are worse than with the exact calibration.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ from foreglow.config import preset
 from foreglow.datasets import open_source
 from foreglow.display.progress import SceneProgress
 from foreglow.distance import make_estimator
-from foreglow.geometry import Camera, Floats, rotation_angles_rad
+from foreglow.geometry import Camera, rotation_angles_rad
 from foreglow.lab.simulation import (
     DatasetConfig,
     Scene,
@@ -81,28 +82,27 @@ def render(out: Path, num_scenes: int) -> list[Path]:
         return [summary.root for summary in simulate_datasets(targets, scenes, expose, progress=progress)]
 
 
-def judge(drive: Path) -> tuple[dict[str, Any], Camera | None]:
-    """What `calibrate auto` makes of a simulated drive, with the errors of pitch and yaw, degrees; and its camera."""
+def judge(drive: Path) -> dict[str, Any]:
+    """What `calibrate auto` makes of a simulated drive: the errors of pitch and yaw, degrees, and of ranges."""
     source = open_source(drive)
     first = next(iter(source))
-    assert first.camera is not None
-    name = f"{drive.parents[3].name}/{drive.name}"
-    lens = lens_of(first, name)
+    assert first.camera is not None, "simulated"
+    name = name_of(drive)
     try:
         found = calibrate_drive(
             source,
-            lens,
+            lens_of(first, name),
             name=name,
             rate_hz=source.rate_hz,
             num_frames=source.num_frames,
             height_m=float(first.camera.vehicle_from_camera.position_m[2]),
         )
     except ValueError as error:
-        return {"drive": name, "refused": str(error)}, None
+        return {"drive": name, "refused": str(error)}
     angles = [rotation_angles_rad(each.vehicle_from_camera.rotation) for each in (found.camera, first.camera)]
     yaw_deg, pitch_deg, _ = np.degrees(np.subtract(angles[0], angles[1])).tolist()
     sigmas = found.camera.mount_sigmas
-    row = {
+    return {
         "drive": name,
         "pitch_error_deg": pitch_deg,
         "pitch_sigma_deg": math.degrees(sigmas.pitch_rad),
@@ -111,78 +111,77 @@ def judge(drive: Path) -> tuple[dict[str, Any], Camera | None]:
         "line_frames": found.num_lines,
         "flow_pairs": found.num_flows,
         "frames": found.num_views,
+        "range_errors": range_errors(drive, found.camera),
     }
-    return row, found.camera
 
 
-def range_errors(root: Path, cameras: Mapping[str, Camera]) -> Floats:
-    """Relative errors of the ranges of lamps in sight, with the exact calibration and with `cameras`.
+def name_of(drive: Path) -> str:
+    """Profile and sequence."""
+    return f"{drive.parents[3].name}/{drive.name}"
 
-    Args:
-        root: A split.
-        cameras: The calibrations of its drives by name; drives without one are left out.
 
-    Returns:
-        Shape (N, 2), without lamps that one of them gives no range.
+def range_errors(drive: Path, camera: Camera) -> list[list[float]]:
+    """Relative errors of the ranges of lamps in sight: two for each lamp, with the exact calibration and with `camera`.
+
+    Lamps that one of them gives no range are left out.
     """
     config = preset("foreglow")
     exact, found = make_estimator(config.distance), make_estimator(config.distance)
-    errors = []
-    sequence: str | None = None
-    for sample in SimulatedLights(root, config):
-        frame = sample.frame
+    errors = np.zeros((0, 2))
+    for sample in SimulatedLights(drive.parents[1], config, int(drive.name.removeprefix("S"))):
+        frame, detections = sample.frame, sample.detections
         lamps = [light for light in sample.lights if light.is_direct]
-        if frame.sequence not in cameras or not lamps:
-            continue
-        if frame.sequence != sequence:
-            sequence = frame.sequence
-            exact.reset()
-            found.reset()
-        recalibrated = dataclasses.replace(frame, camera=cameras[frame.sequence])
         boxes, truth_m = [lamp.box for lamp in lamps], np.array([lamp.truth_m for lamp in lamps])
         ranges_m = [
-            estimator.estimate(each, sample.detections).ranges_m[boxes]
-            for estimator, each in ((exact, frame), (found, recalibrated))
+            estimator.estimate(each, detections).ranges_m[boxes]
+            for estimator, each in ((exact, frame), (found, dataclasses.replace(frame, camera=camera)))
         ]
-        errors.append((np.abs(np.stack(ranges_m) / truth_m - 1.0)).T)
-    joined = np.concatenate([np.zeros((0, 2)), *errors])
-    return np.asarray(joined[np.isfinite(joined).all(axis=1)])
+        errors = np.concatenate([errors, np.abs(np.stack(ranges_m, -1) / truth_m[:, None] - 1.0)])
+    return errors[np.isfinite(errors).all(axis=1)].tolist()
 
 
-def summary(rows: Sequence[dict[str, Any]], lamp_errors: Floats) -> dict[str, float]:
+def judged(drives: Iterable[Path], path: Path) -> list[dict[str, Any]]:
+    """What `calibrate auto` makes of the drives; those that have a line in the file `path` are read from there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = {row["drive"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
+    for drive in drives:
+        if name_of(drive) in rows:
+            continue
+        row = rows[name_of(drive)] = judge(drive)
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        shown = {name: value for name, value in row.items() if name != "range_errors"}
+        CONSOLE.print({name: round(value, 2) if isinstance(value, float) else value for name, value in shown.items()})
+    return list(rows.values())
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Median and 90 % of the absolute errors, and the share within one sigma; median errors of the ranges of lamps."""
     figures: dict[str, float] = {"calibrated": len(rows)}
     for angle in ("pitch", "yaw"):
         errors = np.abs([row[f"{angle}_error_deg"] for row in rows])
         figures[f"{angle}_median_deg"], figures[f"{angle}_90_deg"] = np.percentile(errors, [50, 90]).tolist()
         figures[f"{angle}_within_sigma"] = float(np.mean(errors <= [row[f"{angle}_sigma_deg"] for row in rows]))
-    if len(lamp_errors):
-        exact, found = np.median(lamp_errors, axis=0).tolist()
-        figures |= {"lamps": len(lamp_errors), "range_error_exact": exact, "range_error": found, "ratio": found / exact}
+    errors = [pair for row in rows for pair in row["range_errors"]]
+    if errors:
+        exact, found = np.median(errors, axis=0).tolist()
+        figures |= {"lamps": len(errors), "range_error_exact": exact, "range_error": found, "ratio": found / exact}
     return figures
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--drives", type=int, default=40, help="number of drives, shared by profiles or splits"
-    )
+    parser.add_argument("--drives", type=int, default=40, help="number of drives, shared by profiles or splits")
     parser.add_argument("--splits", type=Path, nargs="+", help="splits that were simulated before")
     parser.add_argument("--out", type=Path, default=RESULTS / "auto_calibration")
     given = parser.parse_args()
-    rows, lamp_errors = [], []
     per_split = -(-given.drives // len(given.splits or PROFILES))
-    for root in given.splits or render(given.out, per_split):
-        cameras = {}
-        for drive in sorted((root / "images").iterdir())[:per_split]:
-            row, camera = judge(drive)
-            if camera is not None:
-                cameras[drive.name] = camera
-            rows.append(row)
-            CONSOLE.print({name: round(value, 2) if isinstance(value, float) else value for name, value in row.items()})
-        lamp_errors.append(range_errors(root, cameras))
+    roots = given.splits or render(given.out, per_split)
+    drives = [drive for root in roots for drive in sorted((root / "images").iterdir())[:per_split]]
+    drives.sort(key=lambda drive: drive.name)  # a few of each profile if it is stopped
+    rows = judged(drives, given.out / "drives.jsonl")
     calibrated = [row for row in rows if "refused" not in row]
-    figures = {"drives": len(rows), **(summary(calibrated, np.concatenate(lamp_errors)) if calibrated else {})}
+    figures = {"drives": len(rows), **(summary(calibrated) if calibrated else {})}
     CONSOLE.print({name: round(value, 3) for name, value in figures.items()})
     write_results(given.out / "auto_calibration.json", {"summary": figures, "drives": rows})
 
