@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,6 +30,7 @@ from foreglow.options import (
 )
 
 if TYPE_CHECKING:
+    from foreglow.runtime.ros2.node import FrameNode
     from foreglow.runtime.run import InterruptFlag
 
 ros2 = typer.Typer(no_args_is_help=True, help="Run the pipeline as ROS 2 nodes, each in a process of its own.")
@@ -226,16 +227,21 @@ def _run_node(
 ) -> None:
     ros_arguments = _prepare(context, node.is_networked)
     from foreglow.calibration import read_calibration
-    from foreglow.runtime.ros2.markers import MarkerNode
     from foreglow.runtime.ros2.stages import NODES, Setting
     from foreglow.runtime.run import InterruptFlag
 
     config = pipeline.configuration().commanding()
     bus = None if output.can is None else lamp_bus(output.can, config)
     camera = None if node.calibration is None else read_calibration(node.calibration)
+    make: Callable[[Setting], FrameNode[Any]]
+    if name == "markers":
+        from foreglow.runtime.ros2.markers import MarkerNode
+
+        make = MarkerNode
+    else:
+        make = NODES[name]
     setting = Setting(config, camera, bus, output.deadline, ros_arguments)
     with InterruptFlag() as interrupt:
-        make = MarkerNode if name == "markers" else NODES[name]
         make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
     _finish(interrupt)
 
