@@ -28,12 +28,12 @@ class TrackInView(NamedTuple):
     """A track that has a range.
 
     Attributes:
-        index: In the tracks.
+        row: Its index in the tracks.
         position_m: Shape (3,).
         reach_m: Shape (2, 3), one standard deviation nearer and farther; None where it is infinite.
     """
 
-    index: int
+    row: int
     position_m: Floats
     reach_m: Floats | None
 
@@ -42,11 +42,11 @@ def tracks_in_view(camera: Camera, tracks: Tracks) -> Iterator[TrackInView]:
     """The tracks that have a range, along the viewing rays of their boxes' middles."""
     boxes = tracks.boxes_xyxy_px
     rays = camera.rays(0.5 * (boxes[:, :2] + boxes[:, 2:]))
-    for index in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
-        range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
+    for row in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
+        range_m, sigma_m = float(tracks.ranges_m[row]), float(tracks.sigmas_m[row])
         reach = np.array([range_m, max(0.0, range_m - sigma_m), range_m + sigma_m])
-        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[index])
-        yield TrackInView(index, points[0], points[1:] if math.isfinite(sigma_m) else None)
+        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[row])
+        yield TrackInView(row, points[0], points[1:] if math.isfinite(sigma_m) else None)
 
 
 def track_label(tracks: Tracks, index: int) -> str:
