@@ -137,7 +137,7 @@ def range_errors(drive: Path, camera: Camera) -> list[list[float]]:
             for estimator, each in ((exact, frame), (found, dataclasses.replace(frame, camera=camera)))
         ]
         errors = np.concatenate([errors, np.abs(np.stack(ranges_m, -1) / truth_m[:, None] - 1.0)])
-    return errors[np.isfinite(errors).all(axis=1)].tolist()
+    return [[float(error) for error in pair] for pair in errors if np.isfinite(pair).all()]
 
 
 def judged(drives: Iterable[Path], path: Path) -> list[dict[str, Any]]:
@@ -162,10 +162,10 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         errors = np.abs([row[f"{angle}_error_deg"] for row in rows])
         figures[f"{angle}_median_deg"], figures[f"{angle}_90_deg"] = np.percentile(errors, [50, 90]).tolist()
         figures[f"{angle}_within_sigma"] = float(np.mean(errors <= [row[f"{angle}_sigma_deg"] for row in rows]))
-    errors = [pair for row in rows for pair in row["range_errors"]]
-    if errors:
-        exact, found = np.median(errors, axis=0).tolist()
-        figures |= {"lamps": len(errors), "range_error_exact": exact, "range_error": found, "ratio": found / exact}
+    lamps = [pair for row in rows for pair in row["range_errors"]]
+    if lamps:
+        exact, found = np.median(lamps, axis=0).tolist()
+        figures |= {"lamps": len(lamps), "range_error_exact": exact, "range_error": found, "ratio": found / exact}
     return figures
 
 
