@@ -39,6 +39,9 @@ app.add_typer(ros2, name="ros2")
 PASSING = {"allow_extra_args": True, "ignore_unknown_options": True}
 """Settings of a command that passes arguments from --ros-args on to ROS 2."""
 
+STATUS_S = 0.5
+"""Between two updates of the status line."""
+
 SourceArgument = Annotated[
     str, argument("SOURCE", "A source as for `run`, played at its own rate, or a camera as for `live`.")
 ]
@@ -195,10 +198,15 @@ def _status_line(names: Sequence[str], ros_arguments: Sequence[str]) -> Iterator
         return
     line = StatusLine(names, ros_arguments)
     with console.status("waiting for the first frame") as shown:
+        due_s = 0.0
 
         def wait(seconds: float) -> None:
+            nonlocal due_s
             line.receive(seconds)
-            shown.update(escape(line.text(time.monotonic())))
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                due_s = now_s + STATUS_S
+                shown.update(escape(line.text(now_s)))
 
         try:
             yield wait

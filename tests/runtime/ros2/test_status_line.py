@@ -46,7 +46,7 @@ def report(ros: NoNode, name: str, frames: int, dropped: int = 0, *faults: str) 
 
 def test_the_line_has_frames_losses_beam_and_faults(ros: NoNode) -> None:
     line = StatusLine(["detector", "beam"])
-    assert line.text(0.0) == "0 frames, 0.0 a second; no command yet; silent detector, beam"
+    assert line.text(0.0) == "0 frames, 0.0 a second; no command yet; starting detector, beam"
     report(ros, "detector", 20, 3)
     report(ros, "beam", 18)
     assert line.text(1.0) == "18 frames, 0.0 a second; no command yet; dropped detector 3"

@@ -57,12 +57,14 @@ class StatusLine:
             self._count(now_s, counts[last])
         dropped = {name: values["dropped"] for name, values in known.items() if values.get("dropped", "0") != "0"}
         faults = sorted({fault for values in known.values() for fault in values.get("faults", "").split()})
-        silent = [name for name in self._names if name not in known]
+        starting = [name for name in self._names if name not in self._reports]
+        silent = [name for name in self._names if name in self._reports and name not in known]
         parts = [
             f"{0 if last is None else counts[last]} frames, {self._rate_hz:.1f} a second",
             self._mode,
             *([f"dropped {', '.join(f'{name} {number}' for name, number in dropped.items())}"] if dropped else []),
             *([f"faults {', '.join(faults)}"] if faults else []),
+            *([f"starting {', '.join(starting)}"] if starting else []),
             *([f"silent {', '.join(silent)}"] if silent else []),
         ]
         return "; ".join(parts)
