@@ -215,10 +215,18 @@ def test_errors_of_a_calibration_by_hand() -> None:
 
     errors, sigmas = (-0.1, 0.2, 0.3), (0.2, 0.15, 0.3)
     rows = [
-        {"pitch_error_deg": error, "pitch_sigma_deg": sigma, "yaw_error_deg": 2 * error, "yaw_sigma_deg": sigma}
+        {
+            "pitch_error_deg": error,
+            "pitch_sigma_deg": sigma,
+            "yaw_error_deg": 2 * error,
+            "yaw_sigma_deg": sigma,
+            "range_errors": [[sigma, 2 * sigma]],
+        }
         for error, sigma in zip(errors, sigmas, strict=True)
     ]
     figures = summary(rows)
+    assert (figures["lamps"], figures["ratio"]) == (3, pytest.approx(2.0))
+    assert "ratio" not in summary([row | {"range_errors": []} for row in rows])
     assert (figures["calibrated"], figures["pitch_median_deg"]) == (3, 0.2)
     assert figures["pitch_within_sigma"] == pytest.approx(2 / 3)
     assert figures["yaw_within_sigma"] == pytest.approx(1 / 3)

@@ -50,6 +50,17 @@ def test_the_container_installs_extras_that_exist() -> None:
     assert wanted <= project["optional-dependencies"].keys()
 
 
+def test_the_container_copies_what_the_build_needs() -> None:
+    copies = re.findall(r"^COPY (?!--from)(.+) \S+$", (DEPLOY / "Containerfile").read_text(), re.MULTILINE)
+    names = {name for names in copies for name in names.split()}
+    assert all((ROOT / name).exists() for name in names)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert {project["project"]["readme"], *project["project"]["license-files"], "pyproject.toml"} <= names
+    assert {Path(package).parts[0] for package in project["tool"]["scikit-build"]["wheel"]["packages"]} <= names
+    included = re.findall(r"add_subdirectory\((\w+)|(native)/", (ROOT / "CMakeLists.txt").read_text())
+    assert {name for groups in included for name in groups if name} <= names
+
+
 def test_the_guide_names_the_files() -> None:
     text = (DEPLOY / "index.md").read_text()
     for target in re.findall(r"\]\(([^)#]+)", text):

@@ -18,9 +18,18 @@ _DASH_M, _PERIOD_M = 6.0, 12.0
 
 
 def drive(
-    yaw_deg: float = 0.0, pitch_deg: float = 0.0, num: int = 24, *, speed_mps: float = SPEED_MPS, has_lines: bool = True
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+    num: int = 24,
+    *,
+    speed_mps: float = SPEED_MPS,
+    has_lines: bool = True,
+    num_flakes: int = 0,
 ) -> list[Frame]:
-    """Frames of a camera on this mount; the bonnet hides the rows from `BONNET_ROW` on."""
+    """Frames of a camera on this mount; the bonnet hides the rows from `BONNET_ROW` on.
+
+    Snow falls through the light: of a frame's flakes, each is a streak that leads away from where they come from.
+    """
     camera = LENS.camera(Mount(position_m=(1.7, 0.0, 1.3), yaw_deg=yaw_deg, pitch_deg=pitch_deg))
     posts_m = np.random.default_rng(5).uniform([5.0, 4.0, 0.2], [200.0, 9.0, 1.5], (160, 3))
     posts_m[::2, 1] *= -1.0
@@ -35,6 +44,9 @@ def drive(
             _stripe(image, camera, 5.4, 4.0, 80.0)
             for start_m in np.arange(-way_m % _PERIOD_M - _PERIOD_M, 80.0, _PERIOD_M):
                 _stripe(image, camera, 1.8, max(4.0, start_m), min(80.0, start_m + _DASH_M))
+        for x, y, z in np.random.default_rng(index).uniform([4.0, -4.0, 0.0], [16.0, 4.0, 0.9], (num_flakes, 3)):
+            ends = [(x + side, y, z + 0.08 * side) for side in (0.0, 1.5)]
+            _fill(image, camera, [(a, b + 0.01, c) for a, b, c in ends] + [(a, b - 0.01, c) for a, b, c in ends[::-1]])
         image[BONNET_ROW:] = 40
         noise = np.random.default_rng(index).normal(0.0, 1.0, image.shape)
         frames.append(Frame(np.clip(image + noise, 0, 255).astype(np.uint8), round(index * STEP_S * 1e9), frame=index))

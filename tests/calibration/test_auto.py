@@ -73,6 +73,7 @@ def noise() -> list[Frame]:
         (black(), "nothing moves in it: the car stands, or it is too dark"),
         (drive(speed_mps=0.0), "nothing moves in it: the car stands"),
         (drive(num=1), "expected a drive of at least 10 frames"),
+        (drive(num_flakes=400), "streaks of snow or rain hide it in 2[0-9] of 24 frames"),
         (noise(), "nothing moves in it: the car stands, or it is too dark"),
         ([*drive(num=1), Frame(night_image(), 10**10)], "expected 480x320 px in all frames, got 128x96"),
     ],

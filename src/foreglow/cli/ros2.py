@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,6 +30,7 @@ from foreglow.options import (
 )
 
 if TYPE_CHECKING:
+    from foreglow.runtime.ros2.node import FrameNode
     from foreglow.runtime.run import InterruptFlag
 
 ros2 = typer.Typer(no_args_is_help=True, help="Run the pipeline as ROS 2 nodes, each in a process of its own.")
@@ -35,6 +38,9 @@ app.add_typer(ros2, name="ros2")
 
 PASSING = {"allow_extra_args": True, "ignore_unknown_options": True}
 """Settings of a command that passes arguments from --ros-args on to ROS 2."""
+
+STATUS_S = 0.5
+"""Between two updates of the status line."""
 
 SourceArgument = Annotated[
     str, argument("SOURCE", "A source as for `run`, played at its own rate, or a camera as for `live`.")
@@ -121,6 +127,7 @@ def _add_output(name: str, text: str) -> None:
 _add_stage("detector", "Find boxes that may hold light, and score them: image to detections.")
 _add_stage("distance", "Estimate how far away the light in each box is: detections to ranges.")
 _add_stage("tracking", "Follow light over time: ranges to tracks.")
+_add_stage("markers", "Publish tracks as MarkerArray for RViz, and as Detection2DArray where vision_msgs is installed.")
 _add_output("beam", "Command the headlamps, checked by the guard: tracks to beam, as a topic and on the CAN bus.")
 _add_output("pipeline", "Run all four in one node: image to beam.")
 
@@ -138,8 +145,12 @@ def everything(
     loop: LoopOption = False,
     limit: LimitOption = None,
     is_networked: NetworkOption = False,
+    markers: Annotated[bool, flag("--markers", "Run the node `markers`, too.")] = False,
 ) -> None:
-    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again."""
+    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again.
+
+    A terminal shows a status line.
+    """
     from foreglow.datasets import open_source
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_camera
@@ -155,10 +166,12 @@ def everything(
     shared = _arguments(calibration=calibration, **dataclasses.asdict(pipeline))
     nodes = {name: [name, *shared, *ending] for name in ("detector", "distance", "tracking")}
     nodes["beam"] = ["beam", *shared, *_arguments(**dataclasses.asdict(output)), *ending]
+    if markers:
+        nodes["markers"] = ["markers", *shared, *ending]
     played = _arguments(speed=speed, limit=limit, calibration=calibration, **dataclasses.asdict(capture))
     player = ["source", frames, *played, *(["--loop"] if loop else []), "--wait", *ending]
-    with InterruptFlag() as interrupt:
-        code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True))
+    with InterruptFlag() as interrupt, _status_line(list(nodes), ros_arguments) as wait:
+        code = supervise(nodes, player, lambda: interrupt.is_set, lambda line: typer.echo(line, err=True), wait)
     raise typer.Exit(code)
 
 
@@ -169,6 +182,36 @@ def launch_file() -> None:
     from importlib.resources import files
 
     typer.echo(files("foreglow") / "runtime" / "ros2" / "foreglow_launch.py")
+
+
+@contextlib.contextmanager
+def _status_line(names: Sequence[str], ros_arguments: Sequence[str]) -> Iterator[Callable[[float], None]]:
+    """How to let time pass: on a terminal, with a line that says what the nodes do."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from foreglow.runtime.ros2.status_line import StatusLine
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield time.sleep
+        return
+    line = StatusLine(names, ros_arguments)
+    with console.status("waiting for the first frame") as shown:
+        due_s = 0.0
+
+        def wait(seconds: float) -> None:
+            nonlocal due_s
+            line.receive(seconds)
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                due_s = now_s + STATUS_S
+                shown.update(escape(line.text(now_s)))
+
+        try:
+            yield wait
+        finally:
+            line.close()
 
 
 def _arguments(**options: object) -> list[str]:
@@ -198,9 +241,16 @@ def _run_node(
     config = pipeline.configuration().commanding()
     bus = None if output.can is None else lamp_bus(output.can, config)
     camera = None if node.calibration is None else read_calibration(node.calibration)
+    make: Callable[[Setting], FrameNode[Any]]
+    if name == "markers":
+        from foreglow.runtime.ros2.markers import MarkerNode
+
+        make = MarkerNode
+    else:
+        make = NODES[name]
     setting = Setting(config, camera, bus, output.deadline, ros_arguments)
     with InterruptFlag() as interrupt:
-        NODES[name](setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
     _finish(interrupt)
 
 

@@ -100,6 +100,7 @@ def record(
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,
+    ros2: Annotated[bool, flag("--ros2", "Record ROS 2's messages, which `ros2 bag play` replays.")] = False,
 ) -> None:
     """Record SOURCE and what is found in it as MCAP, for replay and for Foxglove."""
     from foreglow import runtime
@@ -107,5 +108,11 @@ def record(
 
     stepper = Pipeline(pipeline.configuration())
     frames = vehicle.equip(reading.open(source))
-    sinks = [progress_sink(frames, reading.limit), *recording_sinks(out, source, stepper.config)]
+    sinks = [progress_sink(frames, reading.limit)]
+    if ros2:
+        from foreglow.runtime.ros2.bag import BagRecorder
+
+        sinks.append(BagRecorder(out, config=stepper.config, source_name=str(source)))
+    else:
+        sinks += recording_sinks(out, source, stepper.config)
     finish(runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source)), out)

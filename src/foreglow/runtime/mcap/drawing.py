@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from foxglove.messages import (
     CameraCalibration,
@@ -30,23 +28,21 @@ from scipy.spatial.transform import Rotation
 
 from foreglow.geometry import Camera, Floats
 from foreglow.runtime.mcap.channels import CAMERA_FRAME, VEHICLE_FRAME
-from foreglow.types import BeamCommand, Detections, Frame, FrameResult, RoadAhead, Tracks, TrackState
-from foreglow.types.kinds import KIND_WORDS, told_kinds
+from foreglow.runtime.scene import (
+    GAP_RGB,
+    ROAD_RGB,
+    TRACK_RGB,
+    gap_lines,
+    road_lines,
+    track_label,
+    tracks_in_view,
+)
+from foreglow.types import Detections, Frame, FrameResult, Tracks, TrackState
 
 HALF_PIXEL_PX = 0.5
 """In Foxglove the centre of the upper left pixel is (0, 0); here it is (0.5, 0.5)."""
 
-GAP_RANGE_M = 100.0
-"""A gap of unknown range is drawn with this length."""
-
-ROAD_COLOUR = Color(r=0.5, g=0.5, b=0.5, a=1.0)
-GAP_COLOUR = Color(r=0.2, g=0.5, b=1.0, a=1.0)
 PROPOSAL_COLOUR = Color(r=0.6, g=0.6, b=0.6, a=0.7)
-TRACK_COLOURS = {
-    TrackState.TENTATIVE: Color(r=0.7, g=0.7, b=0.7, a=1.0),
-    TrackState.CONFIRMED: Color(r=0.2, g=1.0, b=0.3, a=1.0),
-    TrackState.COASTING: Color(r=1.0, g=0.7, b=0.1, a=1.0),
-}
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """camera_from_optical: the axes of Foxglove's camera (right, down, forward) in ours (forward, left, up)."""
@@ -91,13 +87,13 @@ def boxes_message(result: FrameResult, stamp: Timestamp) -> ImageAnnotations:
         points += _detection_boxes(result.detections, stamp)
     if result.tracks is not None:
         for index, state in enumerate(result.tracks.states.tolist()):
-            box, colour = result.tracks.boxes_xyxy_px[index], TRACK_COLOURS[TrackState(state)]
+            box, colour = result.tracks.boxes_xyxy_px[index], _colour(TRACK_RGB[TrackState(state)])
             points.append(_box_lines(box[None], colour, 2.0, stamp))
             texts.append(
                 TextAnnotation(
                     timestamp=stamp,
                     position=Point2(x=float(box[0]), y=float(box[1]) - 2.0),
-                    text=_track_label(result.tracks, index),
+                    text=track_label(result.tracks, index),
                     font_size=14.0,
                     text_color=colour,
                     background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
@@ -111,10 +107,11 @@ def scene_message(frame: Frame, result: FrameResult, stamp: Timestamp) -> SceneU
     tracks = SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="tracks")
     if result.tracks is not None and frame.camera is not None:
         tracks = _track_entity(frame.camera, result.tracks, stamp)
-    lines = _road_lines(frame.road)
-    road = SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="road", lines=lines)
-    gaps = SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="gaps", lines=_gap_lines(result.beam))
-    return SceneUpdate(entities=[tracks, road, gaps])
+    entities = [tracks]
+    for name, lines, colour in (("road", road_lines(frame.road), ROAD_RGB), ("gaps", gap_lines(result.beam), GAP_RGB)):
+        drawn = [_line(points, _colour(colour)) for points in lines]
+        entities.append(SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id=name, lines=drawn))
+    return SceneUpdate(entities=entities)
 
 
 def _detection_boxes(detections: Detections, stamp: Timestamp) -> list[PointsAnnotation]:
@@ -139,31 +136,16 @@ def _box_lines(boxes: np.ndarray, colour: Color, thickness: float, stamp: Timest
     )
 
 
-def _track_label(tracks: Tracks, index: int) -> str:
-    range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
-    label, kind = f"{tracks.ids[index]}: {tracks.confidences[index]:.2f}", told_kinds(tracks.light_kinds)[index]
-    if kind is not None:
-        label = f"{label}, {KIND_WORDS[kind]}"
-    if math.isnan(range_m):
-        return label
-    return f"{label}, {range_m:.0f} m" + (f" ± {sigma_m:.0f}" if math.isfinite(sigma_m) else "")
-
-
 def _track_entity(camera: Camera, tracks: Tracks, stamp: Timestamp) -> SceneEntity:
     """For each track a cube at its range, a line of plus and minus one sigma along the viewing ray, and a label."""
     cubes, lines, texts = [], [], []
-    boxes = tracks.boxes_xyxy_px
-    rays = camera.rays(0.5 * (boxes[:, :2] + boxes[:, 2:]))
-    for index in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
-        range_m, sigma_m = float(tracks.ranges_m[index]), float(tracks.sigmas_m[index])
-        reach = np.array([range_m, max(0.0, range_m - sigma_m), range_m + sigma_m])
-        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[index])
-        colour = TRACK_COLOURS[TrackState(int(tracks.states[index]))]
-        x, y, z = points[0].tolist()
+    for index, position_m, reach_m in tracks_in_view(camera, tracks):
+        colour = _colour(TRACK_RGB[TrackState(int(tracks.states[index]))])
+        x, y, z = position_m.tolist()
         at = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
         cubes.append(CubePrimitive(pose=at, size=Vector3(x=1.0, y=1.0, z=1.0), color=colour))
-        if math.isfinite(sigma_m):
-            lines.append(_line(points[1:], colour))
+        if reach_m is not None:
+            lines.append(_line(reach_m, colour))
         texts.append(
             TextPrimitive(
                 pose=at,
@@ -171,32 +153,15 @@ def _track_entity(camera: Camera, tracks: Tracks, stamp: Timestamp) -> SceneEnti
                 font_size=14.0,
                 scale_invariant=True,
                 color=colour,
-                text=_track_label(tracks, index),
+                text=track_label(tracks, index),
             )
         )
     return SceneEntity(timestamp=stamp, frame_id=VEHICLE_FRAME, id="tracks", cubes=cubes, lines=lines, texts=texts)
 
 
-def _road_lines(road: RoadAhead | None) -> list[LinePrimitive]:
-    if road is None:
-        return []
-    points = road.points_m
-    along = np.gradient(points[:, :2], axis=0)
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    left = np.stack([-along[:, 1], along[:, 0], road.cross_slopes], -1) * road.half_width_m
-    return [_line(line, ROAD_COLOUR) for line in (points - left, points, points + left)]
-
-
-def _gap_lines(beam: BeamCommand | None) -> list[LinePrimitive]:
-    """Each gap as a triangle from the vehicle's origin to the gap's range."""
-    if beam is None:
-        return []
-    lines = []
-    for borders_rad, range_m in zip(beam.gaps_rad, beam.gap_ranges_m.tolist(), strict=True):
-        reach_m = GAP_RANGE_M if math.isnan(range_m) else range_m
-        ends = reach_m * np.stack([np.cos(borders_rad), np.sin(borders_rad), np.zeros(2)], -1)
-        lines.append(_line(np.stack([np.zeros(3), ends[0], ends[1], np.zeros(3)]), GAP_COLOUR))
-    return lines
+def _colour(rgb: tuple[float, float, float]) -> Color:
+    red, green, blue = rgb
+    return Color(r=red, g=green, b=blue, a=1.0)
 
 
 def _line(points: Floats, colour: Color) -> LinePrimitive:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import foxglove
 from foxglove import channels as typed
-from foxglove.mcap import MCAPWriteOptions
 from foxglove.messages import Log, LogLevel, RawImage, Timestamp
 
-from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.config import PipelineConfig
 from foreglow.datasets.bags import FRAME_TOPIC, FrameMessage
-from foreglow.files import fields_to_json, in_unicode
-from foreglow.outputs import partial_path
+from foreglow.files import fields_to_json
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.times_file import frame_to_times
 from foreglow.runtime.health import Health
@@ -37,20 +33,9 @@ from foreglow.runtime.mcap.channels import (
     TRANSFORM_TOPIC,
 )
 from foreglow.runtime.mcap.drawing import boxes_message, calibration_message, scene_message, transform_message
-from foreglow.runtime.mcap.growing_file import GrowingFile
+from foreglow.runtime.mcap.recording_file import RecordingFile
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamMode, Frame, FrameResult, Image
-
-SUFFIX = ".mcap"
-
-CHUNK_NS = 500_000_000
-"""Longest time span of a chunk: one is written twice a second."""
-
-CHUNK_BYTES = 8 << 20
-"""Largest chunk before compression."""
-
-COMPRESSION_LEVEL = 1
-"""zstd's level; many times faster than 18 images of 1280x960 px a second need."""
 
 MAX_STAMP_NS = (1 << 32) * 1_000_000_000
 """The seconds of Foxglove's timestamps have 32 bits."""
@@ -79,25 +64,8 @@ class McapRecorder:
             OSError: If it cannot be created; the message names the path.
             ValueError: If the path does not end in `.mcap`, or another run is recording into it.
         """
-        if path.suffix.lower() != SUFFIX:
-            raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
-        if path.is_dir():
-            raise ValueError(f"{path}: expected a file to write, or nothing, got a folder")
-        self._path, self._partial = path, partial_path(path)
-        self._file = GrowingFile(self._partial, path)
-        self._context = context = foxglove.Context()  # kept: its channels live as long as it does
-        self._writer = foxglove.open_mcap(
-            self._file,
-            context=context,
-            writer_options=MCAPWriteOptions(
-                chunk_size=CHUNK_BYTES,
-                compression_level=COMPRESSION_LEVEL,
-                compression_threads=0,
-                disable_seeking=True,  # a chunk is written whole
-            ),
-        )
-        texts = {"version": metadata.version("foreglow"), "source": in_unicode(source_name)}
-        self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
+        self._file = RecordingFile(path, config, source_name)
+        context = self._file.context
         # The image comes first: readers take the first image topic.
         self._image = typed.RawImageChannel(IMAGE_TOPIC, context=context)
         self._calibration = typed.CameraCalibrationChannel(CALIBRATION_TOPIC, context=context)
@@ -110,8 +78,6 @@ class McapRecorder:
         self._health = _json_channel(HEALTH_TOPIC, HEALTH_SCHEMA, context)
         self._axis = TimeAxis()
         self._faults: dict[str, tuple[str, ...]] = {}
-        self._chunk_start_ns: int | None = None
-        self._is_open = True
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds a frame.
@@ -132,11 +98,7 @@ class McapRecorder:
         self._result.log(_json({**frame_to_line(frame, result), **frame_to_times(frame, result)}), log_time=time_ns)
         if result.beam is not None:
             self._note_faults("low beam", result.beam.faults, time_ns)
-        if self._chunk_start_ns is None:
-            self._chunk_start_ns = time_ns
-        elif not 0 <= time_ns - self._chunk_start_ns < CHUNK_NS:
-            self._flush()
-        self._check()
+        self._file.wrote(time_ns)
 
     def write_health(self, health: Health) -> None:
         """Adds a health report, and writes the chunk.
@@ -151,8 +113,7 @@ class McapRecorder:
         record["beam"] = None if health.beam is None else BeamMode(health.beam.mode).name.lower()
         self._health.log(_json(record), log_time=time_ns)
         self._note_faults("fault", health.faults, time_ns)
-        self._flush()
-        self._check()
+        self._file.flush()
 
     def close(self) -> None:
         """Completes and renames the file; if a write failed before, it stays `.partial`.
@@ -160,37 +121,15 @@ class McapRecorder:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        if not self._is_open:
-            return
-        had_failed = self._file.error is not None
-        self._finish()
-        if not had_failed:
-            self._check()
-            self._partial.replace(self._path)
+        self._file.close()
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before."""
-        if self._is_open:
-            self._finish()
-            with contextlib.suppress(OSError):
-                self._partial.unlink(missing_ok=True)
-
-    def _finish(self) -> None:
-        self._is_open = False
-        self._writer.close()
-        self._file.close()
-
-    def _flush(self) -> None:
-        self._writer.flush()
-        self._chunk_start_ns = None
-
-    def _check(self) -> None:
-        if self._file.error is not None:
-            raise self._file.error
+        self._file.discard()
 
     def _stamp(self, time_ns: int) -> Timestamp:
         if not 0 <= time_ns < MAX_STAMP_NS:
-            raise ValueError(f"{self._path}: time: expected one from 0 to 2^32 s, got {time_ns / 1e9:.3f} s")
+            raise ValueError(f"{self._file.path}: time: expected one from 0 to 2^32 s, got {time_ns / 1e9:.3f} s")
         return Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
     def _note_faults(self, kind: str, faults: Sequence[str], time_ns: int) -> None:

@@ -50,7 +50,8 @@ class FramePublisher:
             for name in topics.INPUTS
         }
 
-    def messages(self, due: Due) -> list[tuple[str, Any]]:
+    @staticmethod
+    def messages(due: Due) -> list[tuple[str, Any]]:
         """The frame's messages with their topics, in the order of publishing."""
         frame, header = due
         size_px = (frame.width_px, frame.height_px)

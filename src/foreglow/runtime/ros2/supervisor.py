@@ -72,6 +72,7 @@ def supervise(
     source: Sequence[str],
     should_stop: Callable[[], bool],
     say: Callable[[str], None],
+    wait: Callable[[float], None] = time.sleep,
 ) -> int:
     """Runs the nodes until the source ends; returns the exit code.
 
@@ -83,6 +84,7 @@ def supervise(
         source: The arguments for the source.
         should_stop: Whether to end.
         say: Takes a line for the user.
+        wait: Lets so many seconds pass.
     """
     processes = [Process(name, arguments) for name, arguments in nodes.items()]
     player = Process("source", source)
@@ -96,7 +98,7 @@ def supervise(
                     return code
                 if code is not None:
                     say(f"{process.name} has ended ({code}) and is started again")
-            time.sleep(0.02)
+            wait(0.02)
         return 130
     finally:
         everyone = (player, *processes)

@@ -90,8 +90,13 @@ class SimulatedLights:
         left_out: Numbers of the other lights by reason, once all images have been yielded.
     """
 
-    def __init__(self, folder: Path, config: PipelineConfig) -> None:
-        """Opens the split at `folder`; `config` has the detector that finds the boxes.
+    def __init__(self, folder: Path, config: PipelineConfig, sequence_id: int | None = None) -> None:
+        """Opens a split.
+
+        Args:
+            folder: The split.
+            config: Has the detector that finds the boxes.
+            sequence_id: The only drive to take; None for all.
 
         Raises:
             FileNotFoundError: If a file of the data set is missing.
@@ -104,6 +109,7 @@ class SimulatedLights:
                 "labels, as simulated drives have them in simulation/; found none"
             )
         self._truth = read_truth(self._dataset.root)
+        self._sequence_id = sequence_id
         self._detector = Pipeline(config.detector_only)
         self.name, self.rate_hz, self.num_images = self._dataset.name, self._dataset.rate_hz, len(self._dataset)
         self.left_out: Counter[str] = Counter()
@@ -111,6 +117,8 @@ class SimulatedLights:
     def __iter__(self) -> Iterator[Sample]:
         """The images, drive by drive."""
         for sequence in self._dataset.sequences:
+            if self._sequence_id not in (None, sequence.id):
+                continue
             drive = self._truth.sequence(sequence.id)
             has_depth = (drive.root / "depth").is_dir()
             self._detector.reset()

@@ -1,0 +1,89 @@
+"""What runs in the network, in one line: frames, losses, the beam, faults, and the slowest parts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.node import Receiver, make_ros_node
+from foreglow.runtime.ros2.results import read_beam
+
+PREFIX = "foreglow: "
+"""What the names of our nodes begin with in diagnostics."""
+
+STALE_S = 3.0
+"""A node that has not reported for so long is `silent`."""
+
+
+class StatusLine:
+    """Listens to the nodes' reports and to the beam."""
+
+    def __init__(self, names: Sequence[str], ros_arguments: Sequence[str] = ()) -> None:
+        """Joins the network.
+
+        Args:
+            names: The nodes that are expected to report.
+            ros_arguments: The command line from `--ros-args` on.
+        """
+        self.ros = make_ros_node("status", ros_arguments)
+        self._reports: dict[str, tuple[float, Mapping[str, str]]] = {}
+        self._names = names
+        self._mode = "no command yet"
+        self._counted: tuple[float, int] | None = None
+        self._rate_hz = 0.0
+        self.ros.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._report, topics.NUM_KEPT)
+        beam_quality = topics.subscriber_quality(topics.BEAM, 1)
+        self.ros.create_subscription(topics.TYPES[topics.BEAM], topics.BEAM, self._command, beam_quality)
+        self._receiver = Receiver(self.ros)
+
+    def receive(self, timeout_s: float) -> None:
+        """Takes what comes within `timeout_s`; returns early when something has come."""
+        self._receiver.receive(timeout_s)
+
+    def close(self) -> None:
+        """Leaves the network."""
+        self.ros.destroy_node()
+
+    def text(self, now_s: float) -> str:
+        """The line, as of the steady clock's time `now_s`."""
+        known = {name: values for name, (at_s, values) in self._reports.items() if now_s - at_s < STALE_S}
+        counts = {name: int(values.get("frames", 0)) for name, values in known.items()}
+        last = next((name for name in reversed(self._names) if name in counts), None)
+        if last is not None:
+            self._count(now_s, counts[last])
+        dropped = {name: values["dropped"] for name, values in known.items() if values.get("dropped", "0") != "0"}
+        faults = sorted({fault for values in known.values() for fault in values.get("faults", "").split()})
+        starting = [name for name in self._names if name not in self._reports]
+        silent = [name for name in self._names if name in self._reports and name not in known]
+        parts = [
+            f"{0 if last is None else counts[last]} frames, {self._rate_hz:.1f} a second",
+            self._mode,
+            *([f"dropped {', '.join(f'{name} {number}' for name, number in dropped.items())}"] if dropped else []),
+            *([f"faults {', '.join(faults)}"] if faults else []),
+            *([f"starting {', '.join(starting)}"] if starting else []),
+            *([f"silent {', '.join(silent)}"] if silent else []),
+        ]
+        return "; ".join(parts)
+
+    def _count(self, now_s: float, count: int) -> None:
+        if self._counted is None or count < self._counted[1]:
+            self._counted = now_s, count
+        elif count > self._counted[1] and now_s > self._counted[0]:
+            self._rate_hz = (count - self._counted[1]) / (now_s - self._counted[0])
+            self._counted = now_s, count
+
+    def _report(self, message: Any) -> None:
+        for status in message.status:
+            if status.name.startswith(PREFIX):
+                values = {value.key: value.value for value in status.values}
+                self._reports[status.name.removeprefix(PREFIX)] = time.monotonic(), values
+
+    def _command(self, message: Any) -> None:
+        try:
+            self._mode = read_beam(message, topics.BEAM)[1].mode.name.lower().replace("_", "-")
+        except ValueError as error:
+            self._mode = f"unreadable ({error})"

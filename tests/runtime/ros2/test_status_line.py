@@ -1,0 +1,66 @@
+"""The line says what the nodes report; no node is started."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from foreglow.photometry import NUM_LEDS
+from foreglow.runtime.ros2 import status_line
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.node import diagnostics
+from foreglow.runtime.ros2.results import beam_message
+from foreglow.runtime.ros2.status_line import STALE_S, StatusLine
+from foreglow.types import BeamCommand, BeamMode
+
+pytestmark = pytest.mark.ros
+
+
+class NoNode:
+    """Takes subscriptions, and hands messages to them."""
+
+    def __init__(self) -> None:
+        self.callbacks: dict[str, Any] = {}
+
+    def create_subscription(self, _: Any, topic: str, callback: Any, __: Any) -> None:
+        self.callbacks[topic] = callback
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> NoNode:
+    node, now = NoNode(), iter(range(100))
+    monkeypatch.setattr(status_line, "make_ros_node", lambda *_: node)
+    monkeypatch.setattr(status_line, "Receiver", lambda _: None)
+    monkeypatch.setattr(status_line.time, "monotonic", lambda: float(next(now)))
+    return node
+
+
+def report(ros: NoNode, name: str, frames: int, dropped: int = 0, *faults: str) -> None:
+    values = {"frames": str(frames), "dropped": str(dropped), "faults": " ".join(faults)}
+    ros.callbacks["/diagnostics"](diagnostics(name, Header(0), faults, values))
+
+
+def test_the_line_has_frames_losses_beam_and_faults(ros: NoNode) -> None:
+    line = StatusLine(["detector", "beam"])
+    assert line.text(0.0) == "0 frames, 0.0 a second; no command yet; starting detector, beam"
+    report(ros, "detector", 20, 3)
+    report(ros, "beam", 18)
+    assert line.text(1.0) == "18 frames, 0.0 a second; no command yet; dropped detector 3"
+    levels = np.full((2, NUM_LEDS), 0.5)
+    ros.callbacks["beam"](beam_message(Header(5), BeamCommand(5, BeamMode.GLARE_FREE, levels)))
+    report(ros, "detector", 38, 3)
+    report(ros, "beam", 36, 0, "input_missing")
+    assert line.text(3.0) == "36 frames, 9.0 a second; glare-free; dropped detector 3; faults input_missing"
+    assert line.text(3.0 + STALE_S).endswith("silent detector, beam")
+
+
+def test_a_node_that_starts_again_counts_from_there(ros: NoNode) -> None:
+    line = StatusLine(["beam"])
+    for frames in (100, 2, 20):
+        report(ros, "beam", frames)
+        text = line.text(float(frames == 20) + 1.0)
+    assert text == "20 frames, 18.0 a second; no command yet"
