@@ -56,6 +56,7 @@ h1, h2, h3 { line-height: 1.2 } h2 { margin-top: 2.5rem }
 th, td { padding: .3rem .6rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap }
 th:first-child, td:first-child, td.why { text-align: left } td.why { color: var(--accent); white-space: normal }
 tbody tr:nth-child(even) { background: var(--pale) }
+.words th, .words td { text-align: left; white-space: normal; vertical-align: top }
 .pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(400px, 1fr)); gap: 1rem }
 figure { margin: 1.5rem 0 } .pictures figure { margin: 0 } figcaption { font-size: 13px }
 figure img { max-width: 100%; background: #fff; border-radius: 4px }
@@ -77,10 +78,12 @@ class Table:
 
     Attributes:
         rows: As many cells in each as there are columns, or the first cell and a `Missing`.
+        is_wordy: Whether its cells are words, which may take several lines.
     """
 
     head: Sequence[str]
     rows: Sequence[Sequence[object]]
+    is_wordy: bool = False
 
     @classmethod
     def of(cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any]) -> Table:
@@ -100,7 +103,8 @@ class Table:
         """The table as HTML; it scrolls sideways where it is too wide."""
         head = "".join(f"<th>{escape(title)}</th>" for title in self.head)
         rows = "\n".join(f"<tr>{''.join(map(self._html_cell, row))}</tr>" for row in self.rows)
-        return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></div>'
+        kind = "wide words" if self.is_wordy else "wide"
+        return f'<div class="{kind}"><table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></div>'
 
     def csv(self) -> str:
         """The table as CSV, for numbers without units and without dashes."""

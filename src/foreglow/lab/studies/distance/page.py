@@ -25,6 +25,7 @@ from foreglow.lab.studies.distance.metrics import (
     beside_paper,
     find,
     light_sorts,
+    mean_ranges_m,
     relative_errors,
 )
 from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, DistanceResults
@@ -205,6 +206,7 @@ def write_report(results: DistanceResults, folder: Path) -> Path:
         "left_out": dict(sorted(results.left_out.items())),
         "error": SIGN,
         "paper_gp_median": PAPERS_GP,
+        "mean_range_m": mean_ranges_m(results),
         "findings": findings,
     }
     made_with = {"processor": processor_name(), "seed": results.plan.seed}

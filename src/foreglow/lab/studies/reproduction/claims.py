@@ -1,0 +1,229 @@
+"""What the paper says, from `claims.toml`, and what a study's results say to it."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from foreglow.files import read_plain_json, read_toml
+from foreglow.lab.evaluation.ratios import mean
+
+Rule: TypeAlias = Literal["", "same", "close", "at least", "at most"]
+
+REPRODUCED, DIFFERS, NEEDS, TOLD = "reproduced", "differs", "needs", "beside it"
+"""What is said of a claim; `beside it` where both values are told and nothing is compared."""
+
+_STEP = re.compile(r"([^.\[\]]+)|\[([^=\]]+)=([^\]]*)\]")
+_FIELD = re.compile(r"\{([^{}:]+)(?::([^{}]*))?\}")
+_TERM = re.compile(r" ([-+/]) (?![^\[]*\])")
+_OPERATORS: Mapping[str, Callable[[float, float], float]] = {
+    "-": operator.sub,
+    "+": operator.add,
+    "/": operator.truediv,
+}
+_SUMMARIES: Mapping[str, Callable[[Sequence[float]], float]] = {"min": min, "mean": mean}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One thing that the paper says; the head of `claims.toml` explains the fields.
+
+    Attributes:
+        image: Of a figure, the study's file; empty for what is no figure, and for a figure without one of ours.
+    """
+
+    id: str
+    place: str
+    says: str
+    paper: str
+    value: float = math.nan
+    rule: Rule = ""
+    tolerance: float = 0.0
+    study: str = ""
+    ours: tuple[str, ...] = ()
+    image: str = ""
+    reason: str = ""
+    why: str = ""
+    only_pvdn: bool = False
+    is_figure: bool = False
+
+    def __post_init__(self) -> None:
+        if not (self.id and self.place and self.says and self.paper and self.reason):
+            raise ValueError(
+                f"claims.toml: {self.id}: expected id, place, says, paper and reason, and none of them empty"
+            )
+        if bool(self.study) != bool(self.ours or self.image):
+            raise ValueError(f"claims.toml: {self.id}: expected a study with ours or image, or none of them")
+        if bool(self.rule) == math.isnan(self.value):
+            raise ValueError(f"claims.toml: {self.id}: expected value and rule, or none of both")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What our results say to a claim.
+
+    Attributes:
+        ours: Our value in words; the reason where there is none.
+        verdict: One of the four words above.
+        because: Why it differs, or what it needs; may be empty.
+    """
+
+    claim: Claim
+    ours: str
+    verdict: str
+    because: str = ""
+
+
+def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, reason: str = "") -> Answer:
+    """What a study's `results` say to a claim.
+
+    Args:
+        claim: The paper's.
+        results: Of the claim's study, as its JSON file has them; None if it was not run.
+        is_pvdn: Whether they are of PVDN.
+        reason: Why the study was not run.
+    """
+    if claim.image and results is not None:
+        return Answer(claim, "below", TOLD)
+    found = [] if results is None else [text for text in claim.ours if not math.isnan(_first_number(text, results))]
+    if not found:
+        needs = "; ".join(part for part in (claim.reason, reason) if part)
+        return Answer(claim, "no value", NEEDS, needs.removeprefix("needs "))
+    assert results is not None
+    ours = "; ".join(_filled(text, results) for text in found)
+    if claim.only_pvdn and not is_pvdn:
+        return Answer(claim, ours, NEEDS, claim.reason.removeprefix("needs "))
+    if not claim.rule:
+        return Answer(claim, ours, TOLD, claim.why)
+    number = _first_number(found[0], results)
+    if holds(claim, number):
+        return Answer(claim, ours, REPRODUCED, "" if is_pvdn or claim.study == "settings" else "on simulated drives")
+    return Answer(claim, ours, DIFFERS, claim.why or ("" if is_pvdn else "simulated drives, not PVDN"))
+
+
+def holds(claim: Claim, number: float) -> bool:
+    """Whether our number agrees with the paper's by the claim's rule."""
+    slack = 1e-9 + claim.tolerance
+    if claim.rule == "at least":
+        return number >= claim.value - slack
+    if claim.rule == "at most":
+        return number <= claim.value + slack
+    return abs(number - claim.value) <= slack
+
+
+def value_at(results: Any, path: str) -> Any:
+    """The value at a path such as `rows[name=paper].quality.f1`; None where there is none.
+
+    `[key=value]` takes the first item of a list whose key is so; `min` and `mean` behind a list of numbers are theirs.
+
+    >>> value_at({"rows": [{"name": "a", "f": 1}, {"name": "b", "f": [2, 4]}]}, "rows[name=b].f.mean")
+    3.0
+    """
+    found = results
+    for name, key, value in _STEP.findall(path):
+        if key:
+            rows = found if isinstance(found, list) else []
+            found = next((row for row in rows if str(row.get(key)) == value), None)
+        elif isinstance(found, list):
+            found = _SUMMARIES[name](found) if found and name in _SUMMARIES else None
+        else:
+            found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
+
+def _first_number(text: str, results: Any) -> float:
+    """The number of the first field in `text`: NaN if one of its fields has no value, 0 for what is no number."""
+    values = [_computed(expression, results) for expression, _ in _FIELD.findall(text)]
+    if any(value is None for value in values):
+        return math.nan
+    return float(values[0]) if values and isinstance(values[0], int | float) else 0.0
+
+
+def _filled(text: str, results: Any) -> str:
+    return _FIELD.sub(lambda match: _shown(_computed(match[1], results), match[2] or ""), text)
+
+
+def _shown(value: Any, form: str) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(value)
+    if isinstance(value, list):
+        return " x ".join(map(str, value))
+    return format(value, form)
+
+
+def _computed(expression: str, results: Any) -> Any:
+    """The value of a path, or of several with ` - `, ` + ` and ` / ` between them; None if one has none."""
+    first, *others = _TERM.split(expression)
+    value = value_at(results, first)
+    for sign, term in zip(others[::2], others[1::2], strict=True):
+        other = float(term) if term.isdigit() else value_at(results, term)
+        if value is None or other is None:
+            return None
+        value = _OPERATORS[sign](value, other)
+    return value
+
+
+@functools.cache
+def read_claims() -> tuple[Claim, ...]:
+    """All claims, in the order of `claims.toml`.
+
+    Raises:
+        ValueError: If one lacks something, or two have the same id.
+    """
+    told = read_toml(Path(__file__).with_name("claims.toml"))
+    claims = [_claim(fields) for fields in told["claim"]]
+    first_after = next(index for index, claim in enumerate(claims) if claim.id == "table3-ours")
+    claims[first_after:first_after] = [claim for table in told["table"] for claim in _columns(table, told["columns"])]
+    claims += [_claim(fields | {"is_figure": True}) for fields in told["figure"]]
+    ids = [claim.id for claim in claims]
+    twice = {name for name in ids if ids.count(name) > 1}
+    if twice:
+        raise ValueError(f"claims.toml: expected each id once, got {', '.join(sorted(twice))} again")
+    return tuple(claims)
+
+
+def _claim(fields: Mapping[str, Any]) -> Claim:
+    return Claim(**{**fields, "ours": tuple(fields.get("ours", ()))})
+
+
+def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[Claim]:
+    """A claim for each of the paper's values in a row of its table."""
+    for name, paper in table["paper"].items():
+        column = columns[name]
+        number = re.match(r"[\d.]+", paper)
+        is_compared = "rule" in column or "tolerance" in column
+        compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
+        yield _claim(
+            {
+                **{key: table[key] for key in ("place", "study", "reason")},
+                **compared,
+                **column,
+                "id": f"{table['id']}-{name.replace('_', '-')}",
+                "says": f"{table['says']}: {column['says']}",
+                "paper": paper,
+                "ours": [text.replace("{row}", table["row"]) for text in column["ours"]],
+            }
+        )
+
+
+def paper_value(claim_id: str) -> float:
+    """The paper's number of a claim."""
+    return next(claim.value for claim in read_claims() if claim.id == claim_id)
+
+
+def beside_paper(study: str, results_file: Path) -> list[str]:
+    """What a study's command says last: the paper's values, and those of its results, a line each."""
+    results = read_plain_json(results_file)
+    answers = [
+        answer(claim, results, is_pvdn=True) for claim in read_claims() if claim.study == study and not claim.is_figure
+    ]
+    lines = [
+        f"{found.claim.says}: {found.claim.paper}; here {found.ours}" for found in answers if found.verdict != NEEDS
+    ]
+    return ["the paper's values, and those here:", *lines] if lines else []
