@@ -212,9 +212,18 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
         )
 
 
+def paper_words(claim_id: str) -> str:
+    """The paper's value of a claim, as printed."""
+    return _named(claim_id).paper
+
+
 def paper_value(claim_id: str) -> float:
     """The paper's number of a claim."""
-    return next(claim.value for claim in read_claims() if claim.id == claim_id)
+    return _named(claim_id).value
+
+
+def _named(claim_id: str) -> Claim:
+    return next(claim for claim in read_claims() if claim.id == claim_id)
 
 
 def beside_paper(study: str, results_file: Path) -> list[str]:

@@ -71,7 +71,11 @@ class ReproductionPlan:
 
     def has(self, split: SplitName) -> bool:
         """Whether the data set has this split."""
-        return is_split(self.root / split)
+        try:
+            self.split(split)
+        except FileNotFoundError:
+            return False
+        return True
 
     def split(self, name: SplitName) -> Path:
         """The folder of a split.
@@ -104,6 +108,7 @@ class Experiment:
         run: Runs it into that folder.
         needs: Splits that it needs.
         is_simulated: Whether it needs simulated drives.
+        runs_pipeline: Whether our pipeline has a part in it.
     """
 
     results: str
@@ -111,6 +116,7 @@ class Experiment:
     run: Callable[[ReproductionPlan, Path, Workers, Progress], None]
     needs: tuple[SplitName, ...] = ("test",)
     is_simulated: bool = False
+    runs_pipeline: bool = False
 
     def reason(self, plan: ReproductionPlan) -> str:
         """Why it cannot be run with this data; empty if it can."""
@@ -198,11 +204,15 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
 
 
 def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
-    """Digest of what decides an experiment's results; without the folder, which may be moved."""
-    model = plan.paper_model(out)
-    models = [*plan.models.values(), *([] if model is None or name == "detector" else [model])]
-    files = (file for path in models for file in (sorted(path.rglob("*.onnx")) if path.is_dir() else [path]))
-    parts = [data_digest, _words(name, plan, Path()), plan.config.model_dump(mode="json"), *map(file_digest, files)]
+    """Digest of what decides an experiment's results: data, options, models; not the folder, which may be moved."""
+    words = EXPERIMENTS[name].command(plan, out / name)
+    parts = [data_digest, *(str(word).replace(str(out), "") for word in words)]
+    models = [model_path(word) for word in words if isinstance(word, Path)]
+    if EXPERIMENTS[name].runs_pipeline:
+        parts.append(plan.config.model_dump_json())
+        models += [] if plan.config.classifier.model is None else [model_path(plan.config.classifier.model)]
+    files = [path / "model.onnx" if path.is_dir() else path for path in models]
+    parts += [file_digest(file) for file in files if file.is_file()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -398,6 +408,7 @@ def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
     ]
     for name, path in plan.models.items():
         words += [f"--{name}" if name.startswith(("yolo", "published")) else f"--{name}-model", path]
+    words += [] if plan.config.classifier.model is None else ["--our-model", plan.config.classifier.model]
     words += [] if plan.epochs is None else ["--epochs-paper", plan.epochs]
     return words if plan.device == "auto" else [*words, "--device", plan.device]
 
@@ -424,7 +435,10 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         is_simulated=True,
     ),
     "drive": Experiment(
-        "results.json", lambda plan, folder: ("demo", plan.split("test"), "--out", folder, *plan.pipeline), _drive
+        "results.json",
+        lambda plan, folder: ("demo", plan.split("test"), "--out", folder, *plan.pipeline),
+        _drive,
+        runs_pipeline=True,
     ),
     "time-benefit": Experiment(
         "results.json",
@@ -435,6 +449,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *(("--production-category", plan.production_category) if plan.production_category != 6 else ()),
         ),
         _time_benefit,
+        runs_pipeline=True,
     ),
     "glare": Experiment(
         "results.json",
@@ -445,6 +460,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         ),
         _glare,
         is_simulated=True,
+        runs_pipeline=True,
     ),
     "runtime": Experiment(
         "results.json",
@@ -454,6 +470,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *_chain_words(plan, folder),
         ),
         _runtime,
+        runs_pipeline=True,
     ),
 }
 """What is run, by the names of the claims' studies."""
