@@ -61,7 +61,7 @@ def test_each_value_of_a_row_is_a_claim() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"reason": ""}, {"paper": ""}, {"ours": ()}, {"study": ""}, {"value": math.nan}, {"rule": ""}],
+    [{"reason": ""}, {"paper": ""}, {"ours": ()}, {"study": ""}, {"value": math.nan}, {"rule": ""}, {"rule": "least"}],
     ids=lambda changes: next(iter(changes)),
 )
 def test_a_claim_with_something_missing(changes: dict[str, Any]) -> None:
@@ -79,6 +79,13 @@ def test_verdicts() -> None:
     assert told(0.7, rule="", value=math.nan).verdict == TOLD
     assert told(0.83, only_pvdn=True).verdict == NEEDS
     assert told(0.83, only_pvdn=True, is_pvdn=True).verdict == REPRODUCED
+
+
+def test_the_least_of_several() -> None:
+    least = {"rule": "least", "value": math.nan, "ours": ("{rows[name=ours].f1}, {rows[name=paper].f1}",)}
+    assert told(0.83, **least).verdict == REPRODUCED
+    assert (told(0.05, **least).verdict, told(0.05, **least).because[:21]) == (DIFFERS, "contradicts the paper")
+    assert told(0.05, tolerance=0.06, **least).verdict == REPRODUCED
 
 
 def test_without_a_value_there_is_a_reason() -> None:

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 from foreglow.files import read_plain_json, read_toml
 from foreglow.lab.evaluation.ratios import mean
 
-Rule: TypeAlias = Literal["", "same", "close", "at least", "at most"]
+Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
 REPRODUCED, DIFFERS, NEEDS, TOLD = "reproduced", "differs", "needs", "beside it"
 """What is said of a claim; `beside it` where both values are told and nothing is compared."""
@@ -60,8 +60,10 @@ class Claim:
             )
         if bool(self.study) != bool(self.ours or self.image):
             raise ValueError(f"claims.toml: {self.id}: expected a study with ours or image, or none of them")
-        if bool(self.rule) == math.isnan(self.value):
-            raise ValueError(f"claims.toml: {self.id}: expected value and rule, or none of both")
+        if (self.rule in ("", "least")) != math.isnan(self.value):
+            raise ValueError(
+                f"claims.toml: {self.id}: expected a value with a rule that compares with it, and only then"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, re
     """
     if claim.image and results is not None:
         return Answer(claim, "below", TOLD)
-    found = [] if results is None else [text for text in claim.ours if not math.isnan(_first_number(text, results))]
+    found = [] if results is None else [text for text in claim.ours if _is_known(text, results)]
     if not found:
         needs = "; ".join(part for part in (claim.reason, reason) if part)
         return Answer(claim, "no value", NEEDS, needs.removeprefix("needs "))
@@ -101,15 +103,17 @@ def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, re
         return Answer(claim, ours, NEEDS, claim.reason.removeprefix("needs "))
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
-    number = _first_number(found[0], results)
-    if holds(claim, number):
+    if holds(claim, [_numbers(text, results) for text in found]):
         return Answer(claim, ours, REPRODUCED, "" if is_pvdn or claim.study == "settings" else "on simulated drives")
-    return Answer(claim, ours, DIFFERS, claim.why or ("" if is_pvdn else "simulated drives, not PVDN"))
+    because = claim.why or ("" if is_pvdn else "simulated drives, not PVDN")
+    return Answer(claim, ours, DIFFERS, f"contradicts the paper; {because}" if claim.rule == "least" else because)
 
 
-def holds(claim: Claim, number: float) -> bool:
-    """Whether our number agrees with the paper's by the claim's rule."""
-    slack = 1e-9 + claim.tolerance
+def holds(claim: Claim, numbers: Sequence[Sequence[float]]) -> bool:
+    """Whether our numbers agree with the paper by the claim's rule; of each text of `ours` its numbers."""
+    number, slack = numbers[0][0], 1e-9 + claim.tolerance
+    if claim.rule == "least":
+        return all(first <= min(others) + slack for first, *others in numbers)
     if claim.rule == "at least":
         return number >= claim.value - slack
     if claim.rule == "at most":
@@ -120,7 +124,8 @@ def holds(claim: Claim, number: float) -> bool:
 def value_at(results: Any, path: str) -> Any:
     """The value at a path such as `rows[name=paper].quality.f1`; None where there is none.
 
-    `[key=value]` takes the first item of a list whose key is so; `min` and `mean` behind a list of numbers are theirs.
+    `[key=value]` leaves those items of a list whose key is so, and a name behind a list is that of its first item;
+    behind a list of numbers, `min` and `mean` are theirs.
 
     >>> value_at({"rows": [{"name": "a", "f": 1}, {"name": "b", "f": [2, 4]}]}, "rows[name=b].f.mean")
     3.0
@@ -128,21 +133,24 @@ def value_at(results: Any, path: str) -> Any:
     found = results
     for name, key, value in _STEP.findall(path):
         if key:
-            rows = found if isinstance(found, list) else []
-            found = next((row for row in rows if str(row.get(key)) == value), None)
-        elif isinstance(found, list):
-            found = _SUMMARIES[name](found) if found and name in _SUMMARIES else None
+            found = [row for row in found or () if str(row.get(key)) == value]
+        elif isinstance(found, list) and name in _SUMMARIES:
+            found = _SUMMARIES[name](found) if found else None
         else:
-            found = found.get(name) if isinstance(found, Mapping) else None
+            holder = next(iter(found), None) if isinstance(found, list) else found
+            found = holder.get(name) if isinstance(holder, Mapping) else None
     return found
 
 
-def _first_number(text: str, results: Any) -> float:
-    """The number of the first field in `text`: NaN if one of its fields has no value, 0 for what is no number."""
-    values = [_computed(expression, results) for expression, _ in _FIELD.findall(text)]
-    if any(value is None for value in values):
-        return math.nan
-    return float(values[0]) if values and isinstance(values[0], int | float) else 0.0
+def _numbers(text: str, results: Any) -> list[float]:
+    """The fields in `text` that are numbers."""
+    values = (_computed(expression, results) for expression, _ in _FIELD.findall(text))
+    return [float(value) for value in values if isinstance(value, int | float)]
+
+
+def _is_known(text: str, results: Any) -> bool:
+    """Whether every field in `text` has a value."""
+    return all(_computed(expression, results) is not None for expression, _ in _FIELD.findall(text))
 
 
 def _filled(text: str, results: Any) -> str:
@@ -151,7 +159,7 @@ def _filled(text: str, results: Any) -> str:
 
 def _shown(value: Any, form: str) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(value)
+        return "; ".join(value)
     if isinstance(value, list):
         return " x ".join(map(str, value))
     return format(value, form)
