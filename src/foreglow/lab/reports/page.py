@@ -86,9 +86,11 @@ class Table:
     is_wordy: bool = False
 
     @classmethod
-    def of(cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any]) -> Table:
+    def of(
+        cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any], *, is_wordy: bool = False
+    ) -> Table:
         """A row for each item: `columns` says by head what the item's cell holds."""
-        return cls(list(columns), [[cell(item) for cell in columns.values()] for item in items])
+        return cls(list(columns), [[cell(item) for cell in columns.values()] for item in items], is_wordy)
 
     def markdown(self) -> str:
         """The table as Markdown."""

@@ -140,7 +140,7 @@ def test_the_page(reproduced: Reproduced) -> None:
     assert {base64.b64decode(data) for data in shown} == set(files.values())
     assert {"reproduction_7.png", "reproduction_8.png", "reproduction_9.png"} <= set(files)
     record = json.loads((reproduced.out / "results.json").read_text())
-    assert [found["claim"] for found in record["claims"]] == [claim.id for claim in read_claims()]
+    assert [found["id"] for found in record["claims"]] == [claim.id for claim in read_claims()]
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ class Claim:
     """One thing that the paper says; the head of `claims.toml` explains the fields.
 
     Attributes:
-        image: Of a figure, the study's file; empty for what is no figure, and for a figure without one of ours.
+        image: The study's file that is shown instead of a value; empty for none.
     """
 
     id: str
@@ -238,7 +238,7 @@ def beside_paper(study: str, results_file: Path) -> list[str]:
     """What a study's command says last: the paper's values, and those of its results, a line each."""
     results = read_plain_json(results_file)
     answers = [
-        answer(claim, results, is_pvdn=True) for claim in read_claims() if claim.study == study and not claim.is_figure
+        answer(claim, results, is_pvdn=True) for claim in read_claims() if claim.study == study and not claim.image
     ]
     lines = [
         f"{found.claim.says}: {found.claim.paper}; here {found.ours}" for found in answers if found.verdict != NEEDS

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from foreglow.files import fields_to_json, write_atomic
+from foreglow.files import write_atomic
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import DASH, Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import DIFFERS, NEEDS, REPRODUCED, TOLD, Answer, answer, read_claims
@@ -33,6 +33,9 @@ FIGURES = "images"
 """The folder of the figures, beside the page."""
 
 WIDTH_PX, JPEG_QUALITY = 1200, 80
+MAX_PNG_BYTES = 200_000
+"""Plots have less, pictures of a camera more."""
+
 VERDICTS = {
     REPRODUCED: "our value agrees with the paper's by the rule of its claim",
     DIFFERS: "it does not, and why",
@@ -43,15 +46,15 @@ VERDICTS = {
 
 def answers(plan: ReproductionPlan, outcomes: Mapping[str, Outcome]) -> tuple[Answer, ...]:
     """What our results say to every claim of the paper, in its order."""
-    is_pvdn = not plan.is_simulated
+    is_pvdn, nothing = not plan.is_simulated, Outcome("", 0.0)
+    asked = ((claim, outcomes.get(claim.study, nothing)) for claim in read_claims())
+    return tuple(answer(claim, found.results, is_pvdn=is_pvdn, reason=found.reason) for claim, found in asked)
 
-    def of(study: str) -> Outcome:
-        return outcomes.get(study, Outcome("", 0.0))
 
-    return tuple(
-        answer(claim, of(claim.study).results, is_pvdn=is_pvdn, reason=of(claim.study).reason)
-        for claim in read_claims()
-    )
+def summary_lines(found: Sequence[Answer]) -> list[str]:
+    """What the command says: how many claims there are of each verdict."""
+    counts = Counter(result.verdict for result in found)
+    return [f"{len(found)} claims of the paper: " + ", ".join(f"{counts[name]} {name}" for name in VERDICTS)]
 
 
 def write_page(plan: ReproductionPlan, outcomes: Mapping[str, Outcome], out: Path) -> Path:
@@ -61,14 +64,16 @@ def write_page(plan: ReproductionPlan, outcomes: Mapping[str, Outcome], out: Pat
         OSError: If a file cannot be written.
     """
     found = answers(plan, outcomes)
-    figures = dict(_figures(found, out))
-    page = _page(plan, outcomes, found, figures)
+    page = _page(plan, outcomes, found, dict(_figures(found, out)))
     record = {
-        "data": str(plan.data),
+        "data": plan.data,
         "is_simulated": plan.is_simulated,
-        "experiments": {name: fields_to_json(outcome) | {"results": None} for name, outcome in outcomes.items()},
-        "verdicts": Counter(one.verdict for one in found),
-        "claims": [fields_to_json(one.claim) | {**fields_to_json(one), "claim": one.claim.id} for one in found],
+        "experiments": {
+            name: {"command": outcome.command, "seconds": outcome.seconds, "reason": outcome.reason}
+            for name, outcome in outcomes.items()
+        },
+        "verdicts": Counter(result.verdict for result in found),
+        "claims": [_record(result) for result in found],
     }
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     page.write(out / "report.html", results=record)
@@ -76,10 +81,10 @@ def write_page(plan: ReproductionPlan, outcomes: Mapping[str, Outcome], out: Pat
     return out / "report.html"
 
 
-def summary_lines(found: Sequence[Answer]) -> list[str]:
-    """What the command says: how many claims there are of each verdict."""
-    counts = Counter(one.verdict for one in found)
-    return [f"{len(found)} claims of the paper: " + ", ".join(f"{counts[name]} {name}" for name in VERDICTS)]
+def _record(result: Answer) -> dict[str, str]:
+    claim = result.claim
+    told = {name: getattr(claim, name) for name in ("id", "place", "says", "paper", "study")}
+    return told | {"ours": result.ours, "verdict": result.verdict, "because": result.because}
 
 
 def _page(
@@ -93,17 +98,20 @@ def _page(
     if data is not None:
         page.text(f"DATA: {data['splits']}; {data['width_px']} x {data['height_px']} pixels.")
     page.section("Experiments", "What was run; each folder has its own report.")
-    page.table(
-        Table(["experiment", "command", "seconds", "without results, since"], list(_experiments(outcomes)), True)
-    )
-    for place, group in itertools.groupby(found, key=lambda one: _section(one.claim.place)):
-        page.section(place)
-        rows = list(group)
-        head = ["the paper says", "paper", "ours", "verdict", "experiment"]
-        page.table(Table(head, [_row(one) for one in rows], is_wordy=True))
-        for one in rows:
-            if one.claim.id in figures:
-                page.figure(figures[one.claim.id])
+    columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
+        "experiment": lambda item: item[0],
+        "command": lambda item: f"`{item[1].command}`",
+        "seconds": lambda item: f"{item[1].seconds:.0f}",
+        "without results, since": lambda item: item[1].reason or DASH,
+    }
+    page.table(Table.of(columns, outcomes.items(), is_wordy=True))
+    for heading, group in itertools.groupby(found, key=lambda result: _section(result.claim.place)):
+        results = list(group)
+        page.section(heading)
+        page.table(Table.of(COLUMNS, results, is_wordy=True))
+        for result in results:
+            if result.claim.id in figures:
+                page.figure(figures[result.claim.id])
     return page
 
 
@@ -111,53 +119,44 @@ def _section(place: str) -> str:
     """The heading that a place belongs under.
 
     >>> _section("6.2: training"), _section("Table 3: detectors"), _section("Fig. 7")
-    ('6.2', 'Table 3: detectors', 'Figures')
+    ('Section 6.2', 'Table 3: detectors', 'Figures')
     """
     if place.startswith("Fig."):
         return "Figures"
-    return place if place.startswith("Table") else place.partition(":")[0]
+    return place if place.startswith("Table") else f"Section {place.partition(':')[0]}"
 
 
-def _experiments(outcomes: Mapping[str, Outcome]) -> Iterator[list[str]]:
-    for name, outcome in outcomes.items():
-        yield [name, f"`{outcome.command}`", f"{outcome.seconds:.0f}", outcome.reason or DASH]
+def _says(result: Answer) -> str:
+    claim = result.claim
+    if claim.place.startswith("Table"):
+        return claim.says
+    return f"{claim.place.partition(': ')[2] or claim.place}: {claim.says}"
 
 
-def _row(one: Answer) -> list[str]:
-    claim = one.claim
-    parts = claim.place.partition(": ")
-    says = f"{parts[2]}: {claim.says}" if parts[2] and not claim.place.startswith("Table") else claim.says
-    if claim.is_figure:
-        says = f"{claim.place}: {says}"
-    return [
-        says,
-        claim.paper,
-        one.ours,
-        f"{one.verdict}: {one.because}" if one.because else one.verdict,
-        claim.study or DASH,
-    ]
+COLUMNS: Mapping[str, Callable[[Answer], str]] = {
+    "the paper says": _says,
+    "paper": lambda result: result.claim.paper,
+    "ours": lambda result: result.ours,
+    "verdict": lambda result: ": ".join(filter(None, (result.verdict, result.because))),
+    "experiment": lambda result: result.claim.study or DASH,
+}
 
 
 def _figures(found: Sequence[Answer], out: Path) -> Iterator[tuple[str, Figure]]:
-    """The figures of ours that are there, reduced to the page's width."""
-    for one in found:
-        claim = one.claim
+    """Our figures that are there, by their claim, reduced to the page's width."""
+    for result in found:
+        claim = result.claim
         file = out / claim.study / claim.image
-        if claim.image and one.verdict != NEEDS and file.is_file():
-            number = claim.id.removeprefix("figure-")
+        if claim.image and result.verdict != NEEDS and file.is_file():
             data, suffix = _reduced(file)
-            caption = f"{claim.place}. {claim.says}. Paper: {claim.paper}"
-            yield claim.id, Figure(data, caption, f"{FIGURES}/reproduction_{number}.{suffix}")
+            caption = f"Ours for {claim.place}. {claim.says}. Paper: {claim.paper}"
+            name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
+            yield claim.id, Figure(data, caption, f"{FIGURES}/{name}")
 
 
 def _reduced(file: Path) -> tuple[bytes, str]:
     """The picture's file and its suffix: a plot as it is, a larger picture as a smaller JPEG."""
     data = file.read_bytes()
-    picture = np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR), np.uint8)
-    if file.suffix == ".png" and len(data) < MAX_PNG_BYTES:
+    if file.suffix == ".png" and len(data) <= MAX_PNG_BYTES:
         return data, "png"
-    return jpeg(picture, WIDTH_PX, JPEG_QUALITY), "jpg"
-
-
-MAX_PNG_BYTES = 200_000
-"""Plots have less, pictures of a camera more."""
+    return jpeg(np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR), np.uint8), WIDTH_PX, JPEG_QUALITY), "jpg"

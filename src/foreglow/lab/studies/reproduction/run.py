@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,13 +21,16 @@ from foreglow.datasets.simulated import has_truth
 from foreglow.distance import ESTIMATORS
 from foreglow.files import read_plain_json, to_json, write_json_results
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
-from foreglow.lab.studies.detector.models import file_digest, split_digest
+from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
 from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.lab.studies.time_benefit.metrics import HUMAN_AFTER_PRODUCTION_S
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
+
+if TYPE_CHECKING:
+    from foreglow.lab.learning.training_progress import Epoch
 
 STATE = "experiments.json"
 """What has been run, and why others could not be."""
@@ -155,7 +158,7 @@ def run_experiments(
     plan.split("test")
     for name, path in plan.models.items():
         if not path.exists():
-            raise FileNotFoundError(f"{path}: no such model, given with --{name}{'' if 'yolo' in name else '-model'}")
+            raise FileNotFoundError(f"{path}: no such model, given with {ROWS[name].option}")
     out.mkdir(parents=True, exist_ok=True)
     known = read_plain_json(out / STATE) if (out / STATE).exists() else {}
     digest = _data_digest(plan)
@@ -282,22 +285,45 @@ def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
     from foreglow.lab.studies.detector.page import pictures, write_report
     from foreglow.lab.studies.detector.run import run_experiment
 
-    own = plan.config.classifier.model
-    given = {**plan.models, **({} if own is None else {"ours": model_path(own)})}
     asked = DetectorPlan(
         rows=tuple(_detector_rows(plan)),
-        given=given,
+        given={name: model_path(path) for name, path in _detector_models(plan).items()},
         may_train=_may_train(plan),
         epochs={} if plan.epochs is None else {"paper": plan.epochs},
         device=plan.device,
     )
-    results = run_experiment(plan.root, folder, asked, progress=progress)
+    results = run_experiment(plan.root, folder, asked, progress=progress, training=_Training(progress))
     write_report(results, pictures(results, open_labelled(plan.split("test"))), folder)
+
+
+@dataclass(frozen=True, slots=True)
+class _Training:
+    """Passes the progress of a training on: see `RunProgress`."""
+
+    progress: Progress
+
+    def samples(self, split: str, num_done: int, num_images: int) -> None:
+        self.progress(f"{split} images", num_done, num_images)
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
+        self.progress(f"epoch {epoch}, steps", num_done, num_steps)
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
+        self.progress("epochs", epoch.number, num_epochs)
 
 
 def _detector_rows(plan: ReproductionPlan) -> list[str]:
     """Of the YOLOs those that are given: on a processor none can be trained that is worth its row."""
-    return [*(["baseline", "paper"] if _may_train(plan) else []), *plan.models, "ours"]
+    trained = ("baseline", "paper") if _may_train(plan) else ()
+    return [name for name in ROWS if name in trained or name in _detector_models(plan)]
+
+
+def _detector_models(plan: ReproductionPlan) -> dict[str, Path]:
+    """The models that are given, and ours where it is one for the proposals of its row."""
+    own, models = plan.config.classifier.model, dict(plan.models)
+    if own is not None and plan.config.proposals == preset(ROWS["ours"].preset).proposals:
+        models["ours"] = own
+    return models
 
 
 def _may_train(plan: ReproductionPlan) -> bool:
@@ -323,8 +349,13 @@ def _time_benefit(plan: ReproductionPlan, folder: Path, workers: Workers, progre
 def _pooled(plan: ReproductionPlan) -> list[SplitName]:
     """Validation and test, as in the paper, where both have the same frame rate."""
     names: list[SplitName] = ["val", "test"]
-    rates = {name: open_labelled(plan.split(name)).rate_hz for name in names if plan.has(name)}
+    rates = {name: _rate_hz(plan.split(name)) for name in names if plan.has(name)}
     return [name for name, rate_hz in rates.items() if rate_hz == rates["test"]]
+
+
+@functools.cache
+def _rate_hz(split: Path) -> float:
+    return open_labelled(split).rate_hz
 
 
 def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
@@ -406,9 +437,8 @@ def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
         "--rows",
         ",".join(_detector_rows(plan)),
     ]
-    for name, path in plan.models.items():
-        words += [f"--{name}" if name.startswith(("yolo", "published")) else f"--{name}-model", path]
-    words += [] if plan.config.classifier.model is None else ["--our-model", plan.config.classifier.model]
+    for name, path in _detector_models(plan).items():
+        words += [ROWS[name].option, path]
     words += [] if plan.epochs is None else ["--epochs-paper", plan.epochs]
     return words if plan.device == "auto" else [*words, "--device", plan.device]
 
