@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -116,8 +117,8 @@ class Table:
 
     def _html_cell(self, cell: object) -> str:
         if isinstance(cell, Missing):
-            return f'<td class="why" colspan="{len(self.head) - 1}">{escape(cell.reason)}</td>'
-        return f"<td>{escape(str(cell))}</td>"
+            return f'<td class="why" colspan="{len(self.head) - 1}">{_html_words(cell.reason)}</td>'
+        return f"<td>{_html_words(str(cell))}</td>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,13 +170,13 @@ class Page:
 
     def text(self, *lines: str) -> None:
         """Adds a paragraph."""
-        self._add("\n".join(lines), f"<p>{escape(' '.join(lines))}</p>")
+        self._add("\n".join(lines), f"<p>{_html_words(' '.join(lines))}</p>")
 
     def items(self, lines: Iterable[str]) -> None:
         """Adds a list; nothing without lines."""
         lines = list(lines)
         if lines:
-            shown = "\n".join(f"<li>{escape(line)}</li>" for line in lines)
+            shown = "\n".join(f"<li>{_html_words(line)}</li>" for line in lines)
             self._add("\n".join(f"- {line}" for line in lines), f"<ul>\n{shown}\n</ul>")
 
     def table(self, table: Table) -> None:
@@ -260,6 +261,15 @@ class Page:
     def _add(self, markdown: str, its_html: str) -> None:
         self._markdown.append(markdown)
         self._html.append(its_html)
+
+
+def _html_words(text: str) -> str:
+    """Plain text as HTML; what is in backticks is code.
+
+    >>> _html_words("`a` < b")
+    '<code>a</code> &lt; b'
+    """
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def _markdown_row(cells: Iterable[object]) -> str:

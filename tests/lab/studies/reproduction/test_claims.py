@@ -16,6 +16,7 @@ from foreglow.lab.studies.reproduction.claims import (
     NEEDS,
     REPRODUCED,
     TOLD,
+    UNMEASURED,
     Answer,
     Claim,
     answer,
@@ -57,6 +58,7 @@ def test_each_value_of_a_row_is_a_claim() -> None:
     assert row["table3-optimised-f1"].ours == ("{rows[name=paper].examination.quality.f1:.2f}",)
     assert row["table3-optimised-runtime"].value == 21.98
     assert math.isnan(row["table3-optimised-size"].value)
+    assert {claim.row for claim in row.values()} == {"Optimised, 640 x 480", "Optimised, 640 x 480, labelled boxes"}
 
 
 @pytest.mark.parametrize(
@@ -93,6 +95,11 @@ def test_without_a_value_there_is_a_reason() -> None:
     not_run = answer(CLAIM, None, is_pvdn=True, reason="DATA has no train")
     assert not_run.because == "a model; DATA has no train"
     assert not_run.ours
+
+
+def test_what_is_quoted_needs_nothing() -> None:
+    quoted = dataclasses.replace(CLAIM, study="", ours=(), reason="quoted from others")
+    assert answer(quoted, None, is_pvdn=True).verdict == UNMEASURED
 
 
 def test_of_several_values_those_that_are_there() -> None:

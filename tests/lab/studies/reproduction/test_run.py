@@ -15,7 +15,7 @@ import pytest
 
 from foreglow.files import write_json_results
 from foreglow.lab.studies.reproduction import run
-from foreglow.lab.studies.reproduction.claims import NEEDS, Answer, read_claims
+from foreglow.lab.studies.reproduction.claims import NO_VALUE, Answer, read_claims
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
 from foreglow.lab.studies.reproduction.run import EXPERIMENTS, Experiment, Outcome, ReproductionPlan, run_experiments
 from tests.cli.commands import complaint, foreglow_command
@@ -125,7 +125,7 @@ def test_no_claim_is_without_an_answer(reproduced: Reproduced) -> None:
     assert [name for name, outcome in reproduced.outcomes.items() if outcome.results] == list(SMALL)
     assert [found.claim for found in reproduced.answers] == list(read_claims())
     assert all(found.ours and found.verdict for found in reproduced.answers)
-    assert all(found.because for found in reproduced.answers if found.verdict == NEEDS)
+    assert all(found.because for found in reproduced.answers if found.ours == NO_VALUE)
 
 
 @pytest.mark.slow
@@ -146,9 +146,7 @@ def test_the_page(reproduced: Reproduced) -> None:
 @pytest.mark.slow
 def test_fields_of_claims_are_fields_of_results(reproduced: Reproduced) -> None:
     """A claim without a value is one whose results do not have it, and no slip in the table."""
-    without = {
-        found.claim.id for found in reproduced.answers if found.claim.study in SMALL and found.ours == "no value"
-    }
+    without = {found.claim.id for found in reproduced.answers if found.claim.study in SMALL and found.ours == NO_VALUE}
     scene = {f"scene-{what}" for what in ("single", "tracker", "production", "benefit", "delay")}
     assert without <= {*scene, "table1-motion"}
 

@@ -16,8 +16,13 @@ from foreglow.lab.evaluation.ratios import mean
 
 Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
-REPRODUCED, DIFFERS, NEEDS, TOLD = "reproduced", "differs", "needs", "beside it"
+REPRODUCED, DIFFERS, NEEDS, TOLD, UNMEASURED = "reproduced", "differs", "needs", "beside it", "not measurable"
 """What is said of a claim; `beside it` where both values are told and nothing is compared."""
+
+NO_VALUE = "no value"
+
+LABELLED = ", labelled boxes"
+"""What a row of the paper's table in parentheses is called."""
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^=\]]+)=([^\]]*)\]")
 _FIELD = re.compile(r"\{([^{}:]+)(?::([^{}]*))?\}")
@@ -36,6 +41,8 @@ class Claim:
 
     Attributes:
         image: The study's file that is shown instead of a value; empty for none.
+        row: Of a table of the paper, the row that it is in; empty outside of them.
+        column: Of that table.
     """
 
     id: str
@@ -52,6 +59,8 @@ class Claim:
     why: str = ""
     only_pvdn: bool = False
     is_figure: bool = False
+    row: str = ""
+    column: str = ""
 
     def __post_init__(self) -> None:
         if not (self.id and self.place and self.says and self.paper and self.reason):
@@ -72,7 +81,7 @@ class Answer:
 
     Attributes:
         ours: Our value in words; the reason where there is none.
-        verdict: One of the four words above.
+        verdict: One of the five words above.
         because: Why it differs, or what it needs; may be empty.
     """
 
@@ -95,8 +104,9 @@ def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, re
         return Answer(claim, "below", TOLD)
     found = [] if results is None else [text for text in claim.ours if _is_known(text, results)]
     if not found:
-        needs = "; ".join(part for part in (claim.reason, reason) if part)
-        return Answer(claim, "no value", NEEDS, needs.removeprefix("needs "))
+        verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
+        because = claim.reason.removeprefix(f"{NEEDS} ")
+        return Answer(claim, NO_VALUE, verdict, "; ".join(part for part in (because, reason) if part))
     assert results is not None
     ours = "; ".join(_filled(text, results) for text in found)
     if claim.only_pvdn and not is_pvdn:
@@ -207,13 +217,16 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
         number = re.match(r"[\d.]+", paper)
         is_compared = "rule" in column or "tolerance" in column
         compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
+        row = table["says"] + (LABELLED if name.startswith("most_") else "")
         yield _claim(
             {
                 **{key: table[key] for key in ("place", "study", "reason")},
                 **compared,
-                **column,
+                **{key: value for key, value in column.items() if key != "says"},
+                "row": row,
+                "column": column["says"],
                 "id": f"{table['id']}-{name.replace('_', '-')}",
-                "says": f"{table['says']}: {column['says']}",
+                "says": f"{row}: {column['says']}",
                 "paper": paper,
                 "ours": [text.replace("{row}", table["row"]) for text in column["ours"]],
             }

@@ -12,8 +12,18 @@ import numpy as np
 
 from foreglow.files import write_atomic
 from foreglow.lab.reports.figures import jpeg
-from foreglow.lab.reports.page import DASH, Figure, Page, Table
-from foreglow.lab.studies.reproduction.claims import DIFFERS, NEEDS, REPRODUCED, TOLD, Answer, answer, read_claims
+from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
+from foreglow.lab.studies.reproduction.claims import (
+    DIFFERS,
+    NEEDS,
+    NO_VALUE,
+    REPRODUCED,
+    TOLD,
+    UNMEASURED,
+    Answer,
+    answer,
+    read_claims,
+)
 from foreglow.lab.studies.reproduction.run import Outcome, ReproductionPlan
 
 TITLE = "The paper, and what is here"
@@ -41,6 +51,7 @@ VERDICTS = {
     DIFFERS: "it does not, and why",
     TOLD: "both are told; there is nothing to compare, such as words, or a constant of the paper's",
     NEEDS: "what it takes to have a value of ours",
+    UNMEASURED: "quoted by the paper from others, or no matter of measuring",
 }
 
 
@@ -108,11 +119,45 @@ def _page(
     for heading, group in itertools.groupby(found, key=lambda result: _section(result.claim.place)):
         results = list(group)
         page.section(heading)
-        page.table(Table.of(COLUMNS, results, is_wordy=True))
+        in_rows = [result for result in results if result.claim.row]
+        if in_rows:
+            page.table(_paper_table(in_rows))
+            page.items(_differences(in_rows))
+        page.table(Table.of(COLUMNS, [result for result in results if not result.claim.row], is_wordy=True))
         for result in results:
             if result.claim.id in figures:
                 page.figure(figures[result.claim.id])
     return page
+
+
+def _paper_table(results: Sequence[Answer]) -> Table:
+    """The paper's table: for each of its rows the paper's values, ours, and the verdicts."""
+    columns = list(dict.fromkeys(result.claim.column for result in results))
+    rows: list[list[object]] = []
+    for row, group in itertools.groupby(results, key=lambda result: result.claim.row):
+        by_column = {result.claim.column: result for result in group}
+
+        def cells(of: Callable[[Answer], str], known: Mapping[str, Answer] = by_column) -> list[str]:
+            return [of(known[column]) if column in known else DASH for column in columns]
+
+        rows.append([f"{row}: paper", *cells(lambda result: result.claim.paper)])
+        reasons = dict.fromkeys(result.because for result in by_column.values() if result.ours == NO_VALUE)
+        if len(reasons) == 1 and all(result.ours == NO_VALUE for result in by_column.values()):
+            rows.append(["ours", Missing(f"{NEEDS}: {next(iter(reasons))}")])
+        else:
+            rows.append(["ours", *cells(lambda result: result.ours)])
+            rows.append(["verdict", *cells(lambda result: result.verdict)])
+    return Table(["", *columns], rows)
+
+
+def _differences(results: Sequence[Answer]) -> Iterator[str]:
+    """Why values of a table differ: a line for each reason."""
+    reasons: dict[str, list[str]] = {}
+    for result in results:
+        if result.verdict == DIFFERS:
+            reasons.setdefault(result.because, []).append(result.claim.says)
+    for reason, claims in reasons.items():
+        yield f"{DIFFERS}, {reason}: {len(claims)} values"
 
 
 def _section(place: str) -> str:

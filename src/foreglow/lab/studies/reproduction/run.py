@@ -18,7 +18,7 @@ from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import SPLIT_NAMES, CategoryConfig, ImageCategory, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.simulated import has_truth
-from foreglow.distance import ESTIMATORS
+from foreglow.display.summary_lines import counted as counted_words
 from foreglow.files import read_plain_json, to_json, write_json_results
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
@@ -239,7 +239,6 @@ def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
         "headlamps": {"num_leds": read_headlamps(None).num_leds},
         "human_s": HUMAN_DELAY_S,
         "human_after_production_s": HUMAN_AFTER_PRODUCTION_S,
-        "estimators": ", ".join(ESTIMATORS),
     }
     write_json_results(folder / "results.json", {"made_with": provenance(), **to_json(settings)})
 
@@ -258,7 +257,8 @@ def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Prog
     test = open_labelled(plan.split("test"))
     height_px, width_px = test.read(test.frame_ids[0]).image.shape
     words = ", ".join(
-        f"{name} {about['num_images']} images of {about['num_sequences']} drives at {about['rate_hz']:g} Hz"
+        f"{name} {counted_words(about['num_images'], 'image')} of {counted_words(about['num_sequences'], 'drive')} "
+        f"at {about['rate_hz']:g} Hz"
         for name, about in splits.items()
     )
     record = {
