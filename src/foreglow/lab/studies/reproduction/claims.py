@@ -102,13 +102,13 @@ def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, re
     """
     if claim.image and results is not None:
         return Answer(claim, "below", TOLD)
-    found = [] if results is None else [text for text in claim.ours if _is_known(text, results)]
+    found = [] if results is None else [text for text in claim.ours if filled(text, results)]
     if not found:
         verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
         because = claim.reason.removeprefix(f"{NEEDS} ")
         return Answer(claim, NO_VALUE, verdict, "; ".join(part for part in (because, reason) if part))
     assert results is not None
-    ours = "; ".join(_filled(text, results) for text in found)
+    ours = "; ".join(filled(text, results) for text in found)
     if claim.only_pvdn and not is_pvdn:
         return Answer(claim, ours, NEEDS, claim.reason.removeprefix("needs "))
     if not claim.rule:
@@ -158,12 +158,14 @@ def _numbers(text: str, results: Any) -> list[float]:
     return [float(value) for value in values if isinstance(value, int | float)]
 
 
-def _is_known(text: str, results: Any) -> bool:
-    """Whether every field in `text` has a value."""
-    return all(_computed(expression, results) is not None for expression, _ in _FIELD.findall(text))
+def filled(text: str, results: Any) -> str:
+    """`text` with its fields filled in; empty if one has no value.
 
-
-def _filled(text: str, results: Any) -> str:
+    >>> filled("{num} of {of.num:.1f}", {"num": 1, "of": {"num": 2}}), filled("{num}", {})
+    ('1 of 2.0', '')
+    """
+    if any(_computed(expression, results) is None for expression, _ in _FIELD.findall(text)):
+        return ""
     return _FIELD.sub(lambda match: _shown(_computed(match[1], results), match[2] or ""), text)
 
 

@@ -22,9 +22,10 @@ from foreglow.lab.studies.reproduction.claims import (
     UNMEASURED,
     Answer,
     answer,
+    filled,
     read_claims,
 )
-from foreglow.lab.studies.reproduction.run import Outcome, ReproductionPlan
+from foreglow.lab.studies.reproduction.run import EXPERIMENTS, Outcome, ReproductionPlan
 
 TITLE = "The paper, and what is here"
 SOURCE = "Ewecker et al., Provident Vehicle Detection at Night for Advanced Driver Assistance Systems, arXiv 2107.11302"
@@ -112,6 +113,7 @@ def _page(
     columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
         "experiment": lambda item: item[0],
         "command": lambda item: f"`{item[1].command}`",
+        "measured on": lambda item: filled(EXPERIMENTS[item[0]].measured_on, item[1].results) or DASH,
         "seconds": lambda item: f"{item[1].seconds:.0f}",
         "without results, since": lambda item: item[1].reason or DASH,
     }

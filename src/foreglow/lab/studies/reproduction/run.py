@@ -109,6 +109,7 @@ class Experiment:
         results: The file with its results, in its folder.
         command: The command that does the same, of a plan and its own folder in that of the reproduction.
         run: Runs it into that folder.
+        measured_on: What its results say of that, with fields as in a claim's `ours`.
         needs: Splits that it needs.
         is_simulated: Whether it needs simulated drives.
         runs_pipeline: Whether our pipeline has a part in it.
@@ -117,6 +118,7 @@ class Experiment:
     results: str
     command: Callable[[ReproductionPlan, Path], Sequence[object]]
     run: Callable[[ReproductionPlan, Path, Workers, Progress], None]
+    measured_on: str = ""
     needs: tuple[SplitName, ...] = ("test",)
     is_simulated: bool = False
     runs_pipeline: bool = False
@@ -445,7 +447,7 @@ def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "settings": Experiment(
-        "results.json", lambda plan, folder: ("reproduce", plan.data, "--out", folder.parent), _settings, ()
+        "results.json", lambda plan, folder: ("reproduce", plan.data, "--out", folder.parent), _settings, needs=()
     ),
     "data": Experiment("results.json", lambda plan, folder: ("reproduce", plan.data, "--out", folder.parent), _data),
     "tune": Experiment(
@@ -455,19 +457,24 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *("--out", folder),
         ),
         _tune,
+        "{paper.train.num_images} images of train, {paper.val.num_images} of val",
         ("train", "val", "test"),
     ),
-    "detector": Experiment("results.json", _detector_words, _detector),
+    "detector": Experiment(
+        "results.json", _detector_words, _detector, "{num_images} images of {num_sequences} drives, {split}"
+    ),
     "distance": Experiment(
         "results.json",
         lambda plan, folder: ("experiment", "distance", plan.root, "--out", folder),
         _distance,
+        "{num_images} images, {num_lights} lights, {split}",
         is_simulated=True,
     ),
     "drive": Experiment(
         "results.json",
         lambda plan, folder: ("demo", plan.split("test"), "--out", folder, *plan.pipeline),
         _drive,
+        "{sequence}",
         runs_pipeline=True,
     ),
     "time-benefit": Experiment(
@@ -479,6 +486,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *(("--production-category", plan.production_category) if plan.production_category != 6 else ()),
         ),
         _time_benefit,
+        "{num_sequences} drives, {name}",
         runs_pipeline=True,
     ),
     "glare": Experiment(
@@ -489,6 +497,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *_chain_words(plan, folder),
         ),
         _glare,
+        "{seconds:.0f} s of driving",
         is_simulated=True,
         runs_pipeline=True,
     ),
@@ -500,6 +509,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *_chain_words(plan, folder),
         ),
         _runtime,
+        "{networks[name=in process].num_frames} images, {data}",
         runs_pipeline=True,
     ),
 }
