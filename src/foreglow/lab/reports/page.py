@@ -98,7 +98,7 @@ class Table:
         lines = [_markdown_row(self.head), "|---" * len(self.head) + "|"]
         for row in self.rows:
             if isinstance(row[-1], Missing):
-                row = [row[0], f"*{row[-1].reason}*", *[""] * (len(self.head) - 2)]
+                row = [row[0], f"*{row[-1].reason}*", *[DASH] * (len(self.head) - 2)]
             lines.append(_markdown_row(row))
         return "\n".join(lines)
 

@@ -97,6 +97,13 @@ def test_without_a_value_there_is_a_reason() -> None:
     assert not_run.ours
 
 
+def test_times_of_a_busy_machine() -> None:
+    results = {"rows": [{"name": "paper", "f1": 0.82}]}
+    assert answer(CLAIM, results, is_pvdn=True, is_busy=True).verdict == REPRODUCED
+    timed = answer(dataclasses.replace(CLAIM, is_timed=True), results, is_pvdn=True, is_busy=True)
+    assert (timed.ours, timed.verdict) == ("0.82", NEEDS)
+
+
 def test_what_is_quoted_needs_nothing() -> None:
     quoted = dataclasses.replace(CLAIM, study="", ours=(), reason="quoted from others")
     assert answer(quoted, None, is_pvdn=True).verdict == UNMEASURED

@@ -58,6 +58,7 @@ class Claim:
     reason: str = ""
     why: str = ""
     only_pvdn: bool = False
+    is_timed: bool = False
     is_figure: bool = False
     row: str = ""
     column: str = ""
@@ -91,13 +92,16 @@ class Answer:
     because: str = ""
 
 
-def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, reason: str = "") -> Answer:
+def answer(
+    claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, is_busy: bool = False, reason: str = ""
+) -> Answer:
     """What a study's `results` say to a claim.
 
     Args:
         claim: The paper's.
         results: Of the claim's study, as its JSON file has them; None if it was not run.
         is_pvdn: Whether they are of PVDN.
+        is_busy: Whether other programs kept the machine busy, so that times say little.
         reason: Why the study was not run.
     """
     if claim.image and results is not None:
@@ -111,6 +115,8 @@ def answer(claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, re
     ours = "; ".join(filled(text, results) for text in found)
     if claim.only_pvdn and not is_pvdn:
         return Answer(claim, ours, NEEDS, claim.reason.removeprefix("needs "))
+    if claim.is_timed and is_busy:
+        return Answer(claim, ours, NEEDS, "an idle machine: this one was busy with other programs")
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
     if holds(claim, [_numbers(text, results) for text in found]):

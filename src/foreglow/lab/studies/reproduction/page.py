@@ -40,6 +40,9 @@ ON_PVDN = (
     "DATA has no simulator's truth beside it, and is taken for PVDN: compared values count as the paper's own data."
 )
 
+BUSY = 2.0
+"""More programs for each core than this make a machine busy: our own workers are at most one each."""
+
 FIGURES = "images"
 """The folder of the figures, beside the page."""
 
@@ -60,7 +63,10 @@ def answers(plan: ReproductionPlan, outcomes: Mapping[str, Outcome]) -> tuple[An
     """What our results say to every claim of the paper, in its order."""
     is_pvdn, nothing = not plan.is_simulated, Outcome("", 0.0)
     asked = ((claim, outcomes.get(claim.study, nothing)) for claim in read_claims())
-    return tuple(answer(claim, found.results, is_pvdn=is_pvdn, reason=found.reason) for claim, found in asked)
+    return tuple(
+        answer(claim, found.results, is_pvdn=is_pvdn, is_busy=found.load > BUSY, reason=found.reason)
+        for claim, found in asked
+    )
 
 
 def summary_lines(found: Sequence[Answer]) -> list[str]:
@@ -149,7 +155,7 @@ def _paper_table(results: Sequence[Answer]) -> Table:
         else:
             rows.append(["ours", *cells(lambda result: result.ours)])
             rows.append(["verdict", *cells(lambda result: result.verdict)])
-    return Table(["", *columns], rows)
+    return Table(["detector", *columns], rows)
 
 
 def _differences(results: Sequence[Answer]) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import os
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -136,12 +137,15 @@ class Outcome:
     """What came of an experiment.
 
     Attributes:
+        seconds: How long it took.
+        load: Programs that wanted a core at its end, over the cores.
         reason: Why there are no results; empty if there are.
         results: As its file has them.
     """
 
     command: str
     seconds: float
+    load: float = 0.0
     reason: str = ""
     results: Mapping[str, Any] | None = None
 
@@ -174,14 +178,14 @@ def run_experiments(
                 todo[name] = name
                 known[name] = {"key": key}
         work = functools.partial(_run, plan, out, inner)
-        for name, (seconds, reason) in outer.each(work, todo, progress, paths=(out, plan.data)):
-            known[name] |= {"seconds": seconds, "reason": reason} | ({"key": ""} if reason else {})
+        for name, told in outer.each(work, todo, progress, paths=(out, plan.data)):
+            known[name] |= told | ({"key": ""} if told["reason"] else {})
             write_json_results(out / STATE, known)
     return {name: _outcome(name, plan, out, known[name]) for name in EXPERIMENTS}
 
 
-def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent: Parent) -> tuple[float, str]:
-    """How long it took, and why there are no results; a reason that the data give ends this experiment alone."""
+def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent: Parent) -> dict[str, Any]:
+    """What is kept of an outcome; a reason that the data give ends this experiment alone."""
     experiment, started_s = EXPERIMENTS[name], time.monotonic()
     reason = experiment.reason(plan)
     if not reason:
@@ -195,13 +199,14 @@ def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent:
             experiment.run(plan, out / name, workers, progress)
         except (FileNotFoundError, ModuleNotFoundError, ValueError) as error:
             reason = str(error).partition("\n")[0]
-    return time.monotonic() - started_s, reason
+    load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason}
 
 
 def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, Any]) -> Outcome:
     file = out / name / EXPERIMENTS[name].results
     results = read_plain_json(file) if file.is_file() and not known["reason"] else None
-    return Outcome(_words(name, plan, out), known["seconds"], known["reason"], results)
+    return Outcome(_words(name, plan, out), known["seconds"], known["load"], known["reason"], results)
 
 
 def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
