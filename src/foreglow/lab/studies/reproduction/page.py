@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from foreglow.display.summary_lines import counted
 from foreglow.files import write_atomic
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
@@ -115,6 +116,11 @@ def _page(
     data = outcomes["data"].results
     if data is not None:
         page.text(f"DATA: {data['splits']}; {data['width_px']} x {data['height_px']} pixels.")
+    if plan.epochs is not None:
+        page.text(
+            f"Here the baseline's and the paper's network, where they are not given, are trained for "
+            f"{counted(plan.epochs, 'epoch')}, the paper's for 300: what they find shows that the chain works, no more."
+        )
     page.section("Experiments", "What was run; each folder has its own report.")
     columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
         "experiment": lambda item: item[0],
