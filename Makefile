@@ -138,7 +138,7 @@ reproduce: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split val --scenes 2 --seed 41
 	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split test --scenes 3 --seed 41
 	$(BIN)/foreglow reproduce $(DATA)/reproduction --out runs/reproduction \
-	    --epochs 2 --trials 40 --images 60 --scenes 1 --jobs 2
+	    --epochs 2 --trials 40 --images 60 --scenes 2 --jobs 2
 
 # The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev
