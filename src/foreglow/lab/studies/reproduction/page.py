@@ -140,6 +140,7 @@ def _page(
         page.table(Table.of(COLUMNS, [result for result in results if not result.claim.row], is_wordy=True))
         for result in results:
             if result.claim.id in figures:
+                page.text(f"{result.claim.place}. {result.claim.says}. Paper: {result.claim.paper}.")
                 page.figure(figures[result.claim.id])
     return page
 
@@ -208,9 +209,8 @@ def _figures(found: Sequence[Answer], out: Path) -> Iterator[tuple[str, Figure]]
         file = out / claim.study / claim.image
         if claim.image and result.verdict != NEEDS and file.is_file():
             data, suffix = _reduced(file)
-            caption = f"Ours for {claim.place}. {claim.says}. Paper: {claim.paper}"
             name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
-            yield claim.id, Figure(data, caption, f"{FIGURES}/{name}")
+            yield claim.id, Figure(data, f"Ours for {claim.place}", f"{FIGURES}/{name}")
 
 
 def _reduced(file: Path) -> tuple[bytes, str]:
