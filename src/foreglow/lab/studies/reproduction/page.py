@@ -166,13 +166,11 @@ def _paper_table(results: Sequence[Answer]) -> Table:
 
 
 def _differences(results: Sequence[Answer]) -> Iterator[str]:
-    """Why values of a table differ: a line for each reason."""
-    reasons: dict[str, list[str]] = {}
-    for result in results:
-        if result.verdict == DIFFERS:
-            reasons.setdefault(result.because, []).append(result.claim.says)
-    for reason, claims in reasons.items():
-        yield f"{DIFFERS}, {reason}: {len(claims)} values"
+    """Why values of a table differ, or do not count: a line for each reason."""
+    told = (result for result in results if result.verdict in (DIFFERS, NEEDS) and result.ours != NO_VALUE)
+    for (verdict, because), num in Counter((result.verdict, result.because) for result in told).items():
+        yield f"{verdict}: {because} ({counted(num, 'value')})"
+    yield "no value: nothing is found that it could be of"
 
 
 def _section(place: str) -> str:
