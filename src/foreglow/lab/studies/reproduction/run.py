@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
 import json
 import os
 import shlex
@@ -197,7 +198,7 @@ def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent:
         (out / name / experiment.results).unlink(missing_ok=True)
         try:
             experiment.run(plan, out / name, workers, progress)
-        except (FileNotFoundError, ModuleNotFoundError, ValueError) as error:
+        except (FileNotFoundError, ImportError, ValueError) as error:
             reason = str(error).partition("\n")[0]
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason}
@@ -253,7 +254,7 @@ def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
 def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
     """What is in DATA."""
     folders = (path for name in SPLIT_NAMES for path in (plan.data / name, *plan.data.glob(f"*/{name}")))
-    splits = {}
+    splits: dict[str, dict[str, Any]] = {}
     for path in sorted(filter(is_split, folders)):
         dataset = open_labelled(path)
         splits[str(path.relative_to(plan.data))] = {
@@ -422,7 +423,16 @@ def _runtime(plan: ReproductionPlan, folder: Path, workers: Workers, progress: P
     from foreglow.lab.studies.runtime.run import run_experiment
 
     split, chain = plan.split("test"), _chain(plan, folder)
-    write_report(run_experiment(split, plan.config, ("process", "ros2"), NUM_PACED, progress, chain), folder)
+    write_report(run_experiment(split, plan.config, _networks(), NUM_PACED, progress, chain), folder)
+
+
+def _networks() -> tuple[str, ...]:
+    """What run-times are measured in: a ROS 2 network where it can be used."""
+    try:
+        importlib.import_module("rclpy")
+    except ImportError:
+        return ("process",)
+    return ("process", "ros2")
 
 
 NUM_PACED = 1000
@@ -509,7 +519,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "runtime": Experiment(
         "results.json",
         lambda plan, folder: (
-            *("experiment", "runtime", plan.root, "--out", folder, "--on", "process", "--on", "ros2"),
+            *(
+                "experiment",
+                "runtime",
+                plan.root,
+                "--out",
+                folder,
+                *(word for kind in _networks() for word in ("--on", kind)),
+            ),
             *("--frames", NUM_PACED, *plan.pipeline),
             *_chain_words(plan, folder),
         ),
