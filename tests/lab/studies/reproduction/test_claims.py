@@ -27,6 +27,7 @@ from foreglow.lab.studies.reproduction.claims import (
     value_at,
 )
 from foreglow.lab.studies.reproduction.run import EXPERIMENTS
+from tests.shared_data import shared_file
 
 CLAIM = Claim(
     id="f", place="Table 3", says="F", paper="0.82", value=0.82, rule="close", tolerance=0.02,
@@ -137,3 +138,24 @@ def test_what_a_command_says(tmp_path: Path) -> None:
 
 def test_one_value() -> None:
     assert (paper_value("gp-indirect"), paper_words("runtime-share")) == (-0.32, "90 %")
+
+
+LATEX = (
+    r"\\(?:parencite|textcite|cite|includegraphics|ref|label|figref|secref|subsecref|tabref|Eqref|hspace\*?|raisebox)"
+    r"\s*(?:\[[^\]]*\])*(?:\{[^}]*\})*",
+    r"[mp]\{[^}]*\}",
+    r"\\,",
+)
+"""What holds numbers that the paper does not print: references, sizes of pictures and columns, thin spaces."""
+
+
+def test_every_number_of_the_paper_is_in_a_claim() -> None:
+    text = shared_file("paper/provident_vehicle_detection.tex.txt").read_text(encoding="utf-8")
+    text = text[text.index(r"\begin{abstract}") :]
+    for pattern in LATEX:
+        text = re.sub(pattern, "", text)
+    claims = " ".join(f"{claim.place} {claim.says} {claim.paper}" for claim in read_claims())
+    told = claims + re.sub(r"(?<=\d) (?=\d{3})", "", claims)
+    numbers = set(re.findall(r"(?<![A-Za-z\d.])\d+(?:\.\d+)?", text))
+    assert len(numbers) > 100
+    assert not {number for number in numbers if not re.search(rf"(?<![\d.]){re.escape(number)}(?!\d|\.\d)", told)}
