@@ -26,7 +26,7 @@ from foreglow.lab.studies.reproduction.claims import (
     read_claims,
     value_at,
 )
-from foreglow.lab.studies.reproduction.run import EXPERIMENTS
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from tests.shared_data import shared_file
 
 CLAIM = Claim(

@@ -16,8 +16,9 @@ import pytest
 from foreglow.files import write_json_results
 from foreglow.lab.studies.reproduction import run
 from foreglow.lab.studies.reproduction.claims import NO_VALUE, Answer, read_claims
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experiment, ReproductionPlan
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
-from foreglow.lab.studies.reproduction.run import EXPERIMENTS, Experiment, Outcome, ReproductionPlan, run_experiments
+from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.studies.detector_data import make_model
 from tests.lab.studies.ranged_drives import make_split

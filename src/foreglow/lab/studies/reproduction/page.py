@@ -26,7 +26,8 @@ from foreglow.lab.studies.reproduction.claims import (
     filled,
     read_claims,
 )
-from foreglow.lab.studies.reproduction.run import EXPERIMENTS, Outcome, ReproductionPlan
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, ReproductionPlan
+from foreglow.lab.studies.reproduction.run import Outcome
 
 TITLE = "The paper, and what is here"
 SOURCE = "Ewecker et al., Provident Vehicle Detection at Night for Advanced Driver Assistance Systems, arXiv 2107.11302"
