@@ -104,22 +104,24 @@ def answer(
         is_busy: Whether other programs kept the machine busy, so that times say little.
         reason: Why the study was not run.
     """
-    if claim.image and results is not None:
-        return Answer(claim, "below", TOLD)
-    found = [] if results is None else [text for text in claim.ours if filled(text, results)]
-    if not found:
+    if results is None:
+        told = []
+    elif claim.image:
+        told = ["below"]
+    else:
+        told = [text for text in claim.ours if filled(text, results)]
+    if not told:
         verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
         because = claim.reason.removeprefix(f"{NEEDS} ")
         return Answer(claim, NO_VALUE, verdict, "; ".join(part for part in (because, reason) if part))
-    assert results is not None
-    ours = "; ".join(filled(text, results) for text in found)
+    ours = "; ".join(filled(text, results) for text in told)
     if claim.only_pvdn and not is_pvdn:
-        return Answer(claim, ours, NEEDS, claim.reason.removeprefix("needs "))
+        return Answer(claim, ours, NEEDS, claim.reason.removeprefix(f"{NEEDS} "))
     if claim.is_timed and is_busy:
         return Answer(claim, ours, NEEDS, "an idle machine: this one was busy with other programs")
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
-    if holds(claim, [_numbers(text, results) for text in found]):
+    if holds(claim, [_numbers(text, results) for text in told]):
         return Answer(claim, ours, REPRODUCED, "" if is_pvdn or claim.study == "settings" else "on simulated drives")
     because = claim.why or ("" if is_pvdn else "simulated drives, not PVDN")
     return Answer(claim, ours, DIFFERS, f"contradicts the paper; {because}" if claim.rule == "least" else because)

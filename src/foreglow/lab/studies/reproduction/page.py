@@ -206,7 +206,7 @@ def _figures(found: Sequence[Answer], out: Path) -> Iterator[tuple[str, Figure]]
     for result in found:
         claim = result.claim
         file = out / claim.study / claim.image
-        if claim.image and result.verdict != NEEDS and file.is_file():
+        if claim.image and result.ours != NO_VALUE and file.is_file():
             data, suffix = _reduced(file)
             name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
             yield claim.id, Figure(data, f"Ours for {claim.place}", f"{FIGURES}/{name}")
