@@ -16,7 +16,7 @@ from foreglow.datasets import SPLIT_NAMES, CategoryConfig, ImageCategory, SplitN
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.simulated import has_truth
 from foreglow.display.summary_lines import counted as counted_words
-from foreglow.files import to_json, write_json_results
+from foreglow.files import to_json, write_atomic, write_json_results
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.models import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
@@ -267,6 +267,7 @@ def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
     """The drive with the longest lead, of those in which everything happens that the paper's scene shows."""
     from foreglow.lab.evaluation import Predictions
+    from foreglow.lab.reports.stage_picture import stage_picture
     from foreglow.lab.studies.demo.figures import write_moments
     from foreglow.lab.studies.demo.metrics import best_story, tell_stories
     from foreglow.pipeline import Pipeline
@@ -291,12 +292,23 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     story = best_story(whole or stories)
     if story is None:
         raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
-    frames = [dataset.read(moment.light.image_id) for moment in story.moments]
+    frames = [dataset.read(moment.light.image_id) for moment in story.moments.values()]
     write_moments(folder / "moments.png", story, frames, predictions, threshold)
+    shown = dataset.read((story.found or story.light).light.image_id)
+    detector = Pipeline(plan.config.detector_only)
+    write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
     light_s = story.times.light_s
     times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
     record = {"sequence": story.sequence, **{name: time_s - light_s for name, time_s in times.items()}}
     write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+
+
+def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.detection_range.page import write_report
+    from foreglow.lab.studies.detection_range.run import run_experiment
+
+    roots = [plan.split("test")]
+    write_report(run_experiment(roots, plan.config, progress), roots, folder)
 
 
 def _glare(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:
@@ -383,6 +395,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         lambda plan, folder: ("demo", plan.split("test"), "--out", folder, *plan.pipeline),
         _drive,
         "{sequence}",
+        runs_pipeline=True,
+    ),
+    "detection-range": Experiment(
+        "results.json",
+        lambda plan, folder: ("experiment", "detection-range", plan.root, "--out", folder, *plan.pipeline),
+        _detection_range,
+        is_simulated=True,
         runs_pipeline=True,
     ),
     "time-benefit": Experiment(

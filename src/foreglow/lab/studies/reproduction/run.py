@@ -24,7 +24,13 @@ from foreglow.parallel import Local, Parent, Workers
 STATE = "experiments.json"
 """What has been run, and why others could not be."""
 
-WAVES = (("settings", "data", "detector", "distance", "drive"), ("tune",), ("time-benefit",), ("glare",), ("runtime",))
+WAVES = (
+    ("settings", "data", "detector", "distance", "drive", "detection-range"),
+    ("tune",),
+    ("time-benefit",),
+    ("glare",),
+    ("runtime",),
+)
 """What may run at once; a single experiment spreads its own work. The table of detectors may train the paper's network,
 which later ones use, and nothing disturbs the run-times."""
 
