@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "lab.evaluation": CAR,
     "lab.learning": CAR | {"lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"lab.simulation", "lab.evaluation", "lab.learning"},
-    "lab.studies": CAR | {"options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
+    "lab.studies": CAR | {"models", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
     "cli": CAR | LAB | {"options", "outputs", "foreglow"},
 }

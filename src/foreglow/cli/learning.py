@@ -106,6 +106,7 @@ def tune(
     from foreglow.lab.learning.tuning import tune as search
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.reports.tuning_page import write_report
+    from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
     settings = TuningSettings(
@@ -113,8 +114,9 @@ def tune(
     )
     with StepProgress() as progress:
         tuning = search(data, out, settings, progress, workers=work.workers())
-    typer.echo("\n".join(_tuning_lines(tuning)))
-    typer.echo(f"look in {write_report(tuning, out)}; use it with --config {out / 'best.toml'}")
+    report = write_report(tuning, out)
+    typer.echo("\n".join([*_tuning_lines(tuning), *beside_paper("tune", out / "summary.json")]))
+    typer.echo(f"look in {report}; use it with --config {out / 'best.toml'}")
 
 
 def _tuning_lines(tuning: Tuning) -> list[str]:

@@ -18,7 +18,7 @@ def test_a_table() -> None:
         "| a | b\\| | <c> |",
         "|---|---|---|",
         "| x | 1 | 2.5 |",
-        "| y | *no <reason>* |  |",
+        "| y | *no <reason>* | – |",
     ]
     assert "<th>&lt;c&gt;</th>" in table.html()
     assert '<tr><td>y</td><td class="why" colspan="2">no &lt;reason&gt;</td></tr>' in table.html()

@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -56,6 +57,7 @@ h1, h2, h3 { line-height: 1.2 } h2 { margin-top: 2.5rem }
 th, td { padding: .3rem .6rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap }
 th:first-child, td:first-child, td.why { text-align: left } td.why { color: var(--accent); white-space: normal }
 tbody tr:nth-child(even) { background: var(--pale) }
+.words th, .words td { text-align: left; white-space: normal; vertical-align: top }
 .pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(400px, 1fr)); gap: 1rem }
 figure { margin: 1.5rem 0 } .pictures figure { margin: 0 } figcaption { font-size: 13px }
 figure img { max-width: 100%; background: #fff; border-radius: 4px }
@@ -77,22 +79,26 @@ class Table:
 
     Attributes:
         rows: As many cells in each as there are columns, or the first cell and a `Missing`.
+        is_wordy: Whether its cells are words, which may take several lines.
     """
 
     head: Sequence[str]
     rows: Sequence[Sequence[object]]
+    is_wordy: bool = False
 
     @classmethod
-    def of(cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any]) -> Table:
+    def of(
+        cls, columns: Mapping[str, Callable[[Any], object]], items: Iterable[Any], *, is_wordy: bool = False
+    ) -> Table:
         """A row for each item: `columns` says by head what the item's cell holds."""
-        return cls(list(columns), [[cell(item) for cell in columns.values()] for item in items])
+        return cls(list(columns), [[cell(item) for cell in columns.values()] for item in items], is_wordy)
 
     def markdown(self) -> str:
         """The table as Markdown."""
         lines = [_markdown_row(self.head), "|---" * len(self.head) + "|"]
         for row in self.rows:
             if isinstance(row[-1], Missing):
-                row = [row[0], f"*{row[-1].reason}*", *[""] * (len(self.head) - 2)]
+                row = [row[0], f"*{row[-1].reason}*", *[DASH] * (len(self.head) - 2)]
             lines.append(_markdown_row(row))
         return "\n".join(lines)
 
@@ -100,7 +106,8 @@ class Table:
         """The table as HTML; it scrolls sideways where it is too wide."""
         head = "".join(f"<th>{escape(title)}</th>" for title in self.head)
         rows = "\n".join(f"<tr>{''.join(map(self._html_cell, row))}</tr>" for row in self.rows)
-        return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></div>'
+        kind = "wide words" if self.is_wordy else "wide"
+        return f'<div class="{kind}"><table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></div>'
 
     def csv(self) -> str:
         """The table as CSV, for numbers without units and without dashes."""
@@ -110,8 +117,8 @@ class Table:
 
     def _html_cell(self, cell: object) -> str:
         if isinstance(cell, Missing):
-            return f'<td class="why" colspan="{len(self.head) - 1}">{escape(cell.reason)}</td>'
-        return f"<td>{escape(str(cell))}</td>"
+            return f'<td class="why" colspan="{len(self.head) - 1}">{_html_words(cell.reason)}</td>'
+        return f"<td>{_html_words(str(cell))}</td>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,13 +170,13 @@ class Page:
 
     def text(self, *lines: str) -> None:
         """Adds a paragraph."""
-        self._add("\n".join(lines), f"<p>{escape(' '.join(lines))}</p>")
+        self._add("\n".join(lines), f"<p>{_html_words(' '.join(lines))}</p>")
 
     def items(self, lines: Iterable[str]) -> None:
         """Adds a list; nothing without lines."""
         lines = list(lines)
         if lines:
-            shown = "\n".join(f"<li>{escape(line)}</li>" for line in lines)
+            shown = "\n".join(f"<li>{_html_words(line)}</li>" for line in lines)
             self._add("\n".join(f"- {line}" for line in lines), f"<ul>\n{shown}\n</ul>")
 
     def table(self, table: Table) -> None:
@@ -254,6 +261,15 @@ class Page:
     def _add(self, markdown: str, its_html: str) -> None:
         self._markdown.append(markdown)
         self._html.append(its_html)
+
+
+def _html_words(text: str) -> str:
+    """Plain text as HTML; what is in backticks is code.
+
+    >>> _html_words("`a` < b")
+    '<code>a</code> &lt; b'
+    """
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def _markdown_row(cells: Iterable[object]) -> str:

@@ -111,6 +111,7 @@ def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Pa
     assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
     assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
     assert {(comparison["row"], comparison["other"]) for comparison in results.comparisons} == {
+        ("paper", "baseline"),
         ("compact", "paper"),
         ("ours", "paper"),
         ("ours", "baseline"),

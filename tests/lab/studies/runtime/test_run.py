@@ -92,7 +92,7 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "mean of CP" in text
     assert written["networks"][0]["parts_ms"]["CP"]["mean"] == 1.5
     assert written["networks"][1]["parts_ms"]["CP"]["mean"] == 90.0  # of the frames that were not lost
-    assert "| paper, with a GPU, on PVDN | 7030 |" in text
+    assert "| paper, with a GPU, on PVDN | 7 030 |" in text
     assert "| 0 to 9 | 1 | 1.00 | 1.00 |" in text
     assert (tmp_path / "frames.csv").read_text().splitlines()[1] == "one,0,3,1.0000"
     assert "100.00% within 55.6 ms, 0 dropped" in summary_lines(results)[0]

@@ -59,12 +59,14 @@ def command(
     from foreglow.lab.studies.detector.models import ROWS, DetectorPlan
     from foreglow.lab.studies.detector.page import pictures, write_report
     from foreglow.lab.studies.detector.run import run_experiment
+    from foreglow.lab.studies.reproduction.claims import beside_paper
+    from foreglow.models import model_path
 
     paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
     epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
     plan = DetectorPlan(
         rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
-        given={name: path for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        given={name: model_path(path) for name, path in zip(ROWS, paths, strict=True) if path is not None},
         split=cast("SplitName", split),
         may_train=not no_training,
         with_yolo=not no_yolo,
@@ -83,4 +85,4 @@ def command(
 
         results = run_experiment(data, out, plan, progress=show, training=training)
     report = write_report(results, pictures(results, open_labelled(split_folder(data, plan.split))), out)
-    typer.echo(f"look in {report}")
+    typer.echo("\n".join([*beside_paper("detector", out / "results.json"), f"look in {report}"]))

@@ -60,7 +60,13 @@ ROWS: dict[str, RowSpec] = {
 }
 """The table's rows by name, in its order."""
 
-COMPARISONS = (("compact", "paper"), ("ours", "paper"), ("ours", "baseline"), ("ours", "yolo-small"))
+COMPARISONS = (
+    ("paper", "baseline"),
+    ("compact", "paper"),
+    ("ours", "paper"),
+    ("ours", "baseline"),
+    ("ours", "yolo-small"),
+)
 """Rows whose F is compared scene by scene: the first less the second."""
 
 

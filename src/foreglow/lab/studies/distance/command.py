@@ -34,6 +34,7 @@ def command(
     from foreglow.lab.studies.distance.lights import LidarLights
     from foreglow.lab.studies.distance.page import write_report
     from foreglow.lab.studies.distance.run import DistancePlan, run_experiment
+    from foreglow.lab.studies.reproduction.claims import beside_paper
 
     if (boxes is None) != (depth is None):
         raise ValueError("--boxes and --depth: expected both or none")
@@ -48,4 +49,5 @@ def command(
     )
     with StepProgress() as progress:
         results = run_experiment(source, plan, progress)
-    typer.echo(f"look in {write_report(results, out)}")
+    report = write_report(results, out)
+    typer.echo("\n".join([*beside_paper("distance", out / "results.json"), f"look in {report}"]))

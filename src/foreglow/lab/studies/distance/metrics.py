@@ -17,6 +17,7 @@ from foreglow.lab.evaluation.bootstrap import resampled
 from foreglow.lab.evaluation.boxes.breakdown import range_bins
 from foreglow.lab.evaluation.ratios import median, percentiles, share
 from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, TILTS_DEG, DistanceResults, Method
+from foreglow.lab.studies.reproduction.claims import paper_value
 from foreglow.street import ERROR_BOUNDS_M
 
 NUM_RESAMPLES = 1000
@@ -26,10 +27,10 @@ ALL = "all"
 REACH_M = 200.0
 """Lights beyond are left out of the axis `reach`."""
 
-PAPERS_GP = {"direct": 0.12, "indirect": -0.32}
-"""Median relative error of GP. Source: Ewecker et al., arXiv 2107.11302."""
+PAPERS_GP = {light: paper_value(f"gp-{light}") for light in ("direct", "indirect")}
+"""Median relative error of GP."""
 
-PAPERS_MEAN_RANGE_M = {"direct": 83.0, "indirect": 63.0}
+PAPERS_MEAN_RANGE_M = {light: paper_value(f"mean-range-{light}") for light in PAPERS_GP}
 """Mean range of the lights there."""
 
 PAPERS_METHODS = ("gp", "psd_3d", "psd_3d_plus", "psd_2d")
@@ -167,13 +168,17 @@ def light_sorts(results: DistanceResults) -> dict[str, NDArray[np.bool_]]:
     return {"direct": is_direct, "indirect": ~is_direct, ALL: np.ones_like(is_direct)}
 
 
+def mean_ranges_m(results: DistanceResults) -> dict[str, float]:
+    """The mean range of direct and of indirect light; without any of a sort, not that one."""
+    truth_m, sorts = results.column("truth_m"), light_sorts(results)
+    return {light: float(truth_m[sorts[light]].mean()) for light in PAPERS_MEAN_RANGE_M if sorts[light].any()}
+
+
 def beside_paper(results: DistanceResults, findings: Sequence[Finding]) -> Iterator[str]:
     """What the paper states beside its medians, and whether it holds here: a line each."""
-    sorts = light_sorts(results)
     means = (
-        f"{results.column('truth_m')[sorts[light]].mean():.0f} m {light} (paper {papers:.0f} m)"
-        for light, papers in PAPERS_MEAN_RANGE_M.items()
-        if sorts[light].any()
+        f"{mean_m:.0f} m {light} (paper {PAPERS_MEAN_RANGE_M[light]:.0f} m)"
+        for light, mean_m in mean_ranges_m(results).items()
     )
     yield f"Mean range: {', '.join(means)}"
     errors = {

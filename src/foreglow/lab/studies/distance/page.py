@@ -25,6 +25,7 @@ from foreglow.lab.studies.distance.metrics import (
     beside_paper,
     find,
     light_sorts,
+    mean_ranges_m,
     relative_errors,
 )
 from foreglow.lab.studies.distance.run import DEFAULT_HEURISTIC, DistanceResults
@@ -58,7 +59,7 @@ def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> l
     by_range = "Median absolute relative error by range, with the number of lights"
     by_error = "By the largest error of the position on the map, as the street message states it"
     figures = [
-        Figure(_error_boxes(results, methods), boxes, "methods.png"),
+        Figure(_error_boxes(results, methods, PAPERS_GP), boxes, "methods.png"),
         Figure(_error_boxes(results, series), frames, "series.png"),
         Figure(_bars(findings, "range"), by_range, "range.png"),
         Figure(_bars(findings, "localisation"), by_error, "localisation.png"),
@@ -79,8 +80,16 @@ def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> l
     return figures
 
 
-def _error_boxes(results: DistanceResults, columns: Mapping[str, Floats]) -> bytes:
-    """Box plots of the relative error, direct beside indirect: median, quartiles, 5th and 95th percentile."""
+def _error_boxes(
+    results: DistanceResults, columns: Mapping[str, Floats], papers_gp: Mapping[str, float] | None = None
+) -> bytes:
+    """Box plots of the relative error, direct beside indirect: median, quartiles, 5th and 95th percentile.
+
+    Args:
+        results: Of the experiment.
+        columns: Ranges by the name of the box.
+        papers_gp: By light, the paper's median for the column `gp`; None marks nothing.
+    """
     figure, (axes,) = subplots(1, width_in=2.0 + 1.1 * len(columns), height_in=4.0)
     truth_m, sorts = results.column("truth_m"), light_sorts(results)
     positions = np.arange(len(columns))
@@ -93,7 +102,13 @@ def _error_boxes(results: DistanceResults, columns: Mapping[str, Floats]) -> byt
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set(ylim=LIMITS, ylabel="(estimate - truth) / truth")
     axes.set_xticks(positions, list(columns))
-    figure.legend(handles, list(LIGHTS), frameon=False, loc="outside upper center", ncols=2)
+    if papers_gp and "gp" in columns:
+        at_gp = list(columns).index("gp") + np.array((-0.19, 0.19))
+        handles.append(
+            axes.scatter(at_gp, [papers_gp[light] for light in LIGHTS], marker="D", s=24, color=INK, zorder=3)
+        )
+    labels = [*LIGHTS, "median of gp (paper)"][: len(handles)]
+    figure.legend(handles, labels, frameon=False, loc="outside upper center", ncols=len(handles))
     return png(figure)
 
 
@@ -205,6 +220,7 @@ def write_report(results: DistanceResults, folder: Path) -> Path:
         "left_out": dict(sorted(results.left_out.items())),
         "error": SIGN,
         "paper_gp_median": PAPERS_GP,
+        "mean_range_m": mean_ranges_m(results),
         "findings": findings,
     }
     made_with = {"processor": processor_name(), "seed": results.plan.seed}

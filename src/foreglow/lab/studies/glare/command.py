@@ -46,6 +46,7 @@ def command(
     from foreglow.lab.studies.glare.loop import Delays
     from foreglow.lab.studies.glare.page import summary_lines, write_experiment
     from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
+    from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
     workers = work.workers()
@@ -63,7 +64,8 @@ def command(
     for named in filmed:
         _film(named, configuration, plan, out)
     report = write_experiment(experiment)
-    typer.echo("\n".join([*summary_lines(experiment.results), f"look in {report}"]))
+    beside = beside_paper("glare", out / "results.json")
+    typer.echo("\n".join([*summary_lines(experiment.results), *beside, f"look in {report}"]))
 
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:

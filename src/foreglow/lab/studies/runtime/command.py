@@ -23,6 +23,7 @@ def command(
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.paper_chain import paper_chain
+    from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.lab.studies.runtime.page import summary_lines, write_report
     from foreglow.lab.studies.runtime.run import KINDS, run_experiment
 
@@ -32,4 +33,5 @@ def command(
     with StepProgress() as progress:
         results = run_experiment(root, configuration, on or list(KINDS), frames, progress, paper)
     report = write_report(results, out)
-    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
+    beside = beside_paper("runtime", out / "results.json")
+    typer.echo("\n".join([*summary_lines(results), *beside, f"look in {report}"]))

@@ -27,6 +27,7 @@ def command(
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.paper_chain import paper_chain
+    from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
     from foreglow.lab.studies.time_benefit.run import run_experiment
 
@@ -38,4 +39,5 @@ def command(
     with StepProgress() as progress:
         results = run_experiment(datasets, pipeline.configuration(), categories, progress, paper)
     report = write_report(results, out)
-    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
+    beside = beside_paper("time-benefit", out / "results.json")
+    typer.echo("\n".join([*summary_lines(results), *beside, f"look in {report}"]))

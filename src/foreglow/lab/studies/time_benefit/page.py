@@ -15,6 +15,7 @@ from foreglow.lab.evaluation.ratios import mean
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, number, percent, signed
+from foreglow.lab.studies.reproduction.claims import paper_value
 from foreglow.lab.studies.time_benefit.metrics import (
     HUMAN_AFTER_PRODUCTION_S,
     MeanAndSpread,
@@ -30,15 +31,27 @@ SHOWN = (*COLOURS, "first lamp in sight", "production system")
 """The methods that figures and the table of sequences show."""
 
 AFTER_SIGHT = "human, after direct sight"
-HUMAN_BEFORE_PRODUCTION_S = 1.7
+HUMAN_BEFORE_PRODUCTION_S = paper_value("human-lead")
 """Mean of the study that the paper quotes."""
 
+PAPER_BEFORE_S = {
+    "single frame": (paper_value("single-before-production"), paper_value("single-before-human")),
+    "tracker": (paper_value("tracker-before-production"), paper_value("tracker-before-human")),
+}
+"""Mean time before the production system and before a human."""
+
 PAPER_ROWS = (
-    ("single frame, paper on PVDN", "2.10", "0.50"),
-    ("tracker, paper on PVDN", "1.60", "0.00"),
-    ("human, study quoted in the paper", f"{HUMAN_BEFORE_PRODUCTION_S:.2f}", DASH),
+    *((f"{name}, paper on PVDN", *map(number, seconds)) for name, seconds in PAPER_BEFORE_S.items()),
+    ("human, study quoted in the paper", number(HUMAN_BEFORE_PRODUCTION_S), DASH),
 )
 """Name, mean time before the production system and before a human."""
+
+PAPER_AFTER_LIGHT_S = {
+    "single frame": HUMAN_DELAY_S - PAPER_BEFORE_S["single frame"][1],
+    "tracker, paper": HUMAN_DELAY_S - PAPER_BEFORE_S["tracker"][1],
+    "production system": HUMAN_DELAY_S - PAPER_BEFORE_S["tracker"][1] + PAPER_BEFORE_S["tracker"][0],
+}
+"""Mean time after the first light that follows from these, by the name of a method here."""
 
 PAPER_TIMELINE_S = {
     "human": HUMAN_DELAY_S,
@@ -67,6 +80,8 @@ def benefit_figure(results: TimeBenefitResults) -> bytes:
         axes.set(ylabel=f"seconds {label}")
         axes.tick_params(axis="x", rotation=20)
     panels[0].axhline(HUMAN_DELAY_S, color=INK, linewidth=0.8, linestyle="--", label="human, mean (paper)")
+    places = [list(after).index(name) + 1 for name in PAPER_AFTER_LIGHT_S]
+    panels[0].scatter(places, PAPER_AFTER_LIGHT_S.values(), marker="D", s=24, color=INK, zorder=3, label="mean (paper)")
     panels[0].legend(frameon=False)
     return png(figure)
 

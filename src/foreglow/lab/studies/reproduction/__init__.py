@@ -1,0 +1,1 @@
+"""Every table, figure and number of the paper beside ours."""

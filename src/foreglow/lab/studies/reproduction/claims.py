@@ -1,0 +1,269 @@
+"""What the paper says, from `claims.toml`, and what a study's results say to it."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from foreglow.files import read_plain_json, read_toml
+from foreglow.lab.evaluation.ratios import mean
+
+Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
+
+REPRODUCED, DIFFERS, NEEDS, TOLD, UNMEASURED = "reproduced", "differs", "needs", "beside it", "not measurable"
+"""What is said of a claim; `beside it` where both values are told and nothing is compared."""
+
+NO_VALUE = "no value"
+
+LABELLED = ", labelled boxes"
+"""What a row of the paper's table in parentheses is called."""
+
+_STEP = re.compile(r"([^.\[\]]+)|\[([^=\]]+)=([^\]]*)\]")
+_FIELD = re.compile(r"\{([^{}:]+)(?::([^{}]*))?\}")
+_TERM = re.compile(r" ([-+/]) (?![^\[]*\])")
+_OPERATORS: Mapping[str, Callable[[float, float], float]] = {
+    "-": operator.sub,
+    "+": operator.add,
+    "/": operator.truediv,
+}
+_SUMMARIES: Mapping[str, Callable[[Sequence[float]], float]] = {"min": min, "mean": mean}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One thing that the paper says; the head of `claims.toml` explains the fields.
+
+    Attributes:
+        image: The study's file that is shown instead of a value; empty for none.
+        row: Of a table of the paper, the row that it is in; empty outside of them.
+        column: Of that table.
+    """
+
+    id: str
+    place: str
+    says: str
+    paper: str
+    value: float = math.nan
+    rule: Rule = ""
+    tolerance: float = 0.0
+    study: str = ""
+    ours: tuple[str, ...] = ()
+    image: str = ""
+    reason: str = ""
+    why: str = ""
+    only_pvdn: bool = False
+    is_timed: bool = False
+    is_figure: bool = False
+    row: str = ""
+    column: str = ""
+
+    def __post_init__(self) -> None:
+        if not (self.id and self.place and self.says and self.paper and self.reason):
+            raise ValueError(
+                f"claims.toml: {self.id}: expected id, place, says, paper and reason, and none of them empty"
+            )
+        if bool(self.study) != bool(self.ours or self.image):
+            raise ValueError(f"claims.toml: {self.id}: expected a study with ours or image, or none of them")
+        if (self.rule in ("", "least")) != math.isnan(self.value):
+            raise ValueError(
+                f"claims.toml: {self.id}: expected a value with a rule that compares with it, and only then"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What our results say to a claim.
+
+    Attributes:
+        ours: Our value in words; the reason where there is none.
+        verdict: One of the five words above.
+        because: Why it differs, or what it needs; may be empty.
+    """
+
+    claim: Claim
+    ours: str
+    verdict: str
+    because: str = ""
+
+
+def answer(
+    claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, is_busy: bool = False, reason: str = ""
+) -> Answer:
+    """What a study's `results` say to a claim.
+
+    Args:
+        claim: The paper's.
+        results: Of the claim's study, as its JSON file has them; None if it was not run.
+        is_pvdn: Whether they are of PVDN.
+        is_busy: Whether other programs kept the machine busy, so that times say little.
+        reason: Why the study was not run.
+    """
+    if results is None:
+        told = []
+    elif claim.image:
+        told = ["below"]
+    else:
+        told = [text for text in claim.ours if filled(text, results)]
+    if not told:
+        verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
+        because = claim.reason.removeprefix(f"{NEEDS} ")
+        return Answer(claim, NO_VALUE, verdict, "; ".join(part for part in (because, reason) if part))
+    ours = "; ".join(filled(text, results) for text in told)
+    if claim.only_pvdn and not is_pvdn:
+        return Answer(claim, ours, NEEDS, claim.reason.removeprefix(f"{NEEDS} "))
+    if claim.is_timed and is_busy:
+        return Answer(claim, ours, NEEDS, "an idle machine: this one was busy with other programs")
+    if not claim.rule:
+        return Answer(claim, ours, TOLD, claim.why)
+    if holds(claim, [_numbers(text, results) for text in told]):
+        return Answer(claim, ours, REPRODUCED, "" if is_pvdn or claim.study == "settings" else "on simulated drives")
+    because = claim.why or ("" if is_pvdn else "simulated drives, not PVDN")
+    return Answer(claim, ours, DIFFERS, f"contradicts the paper; {because}" if claim.rule == "least" else because)
+
+
+def holds(claim: Claim, numbers: Sequence[Sequence[float]]) -> bool:
+    """Whether our numbers agree with the paper by the claim's rule; of each text of `ours` its numbers."""
+    number, slack = numbers[0][0], 1e-9 + claim.tolerance
+    if claim.rule == "least":
+        return all(first <= min(others) + slack for first, *others in numbers)
+    if claim.rule == "at least":
+        return number >= claim.value - slack
+    if claim.rule == "at most":
+        return number <= claim.value + slack
+    return abs(number - claim.value) <= slack
+
+
+def value_at(results: Any, path: str) -> Any:
+    """The value at a path such as `rows[name=paper].quality.f1`; None where there is none.
+
+    `[key=value]` leaves those items of a list whose key is so, and a name behind a list is that of its first item;
+    behind a list of numbers, `min` and `mean` are theirs.
+
+    >>> value_at({"rows": [{"name": "a", "f": 1}, {"name": "b", "f": [2, 4]}]}, "rows[name=b].f.mean")
+    3.0
+    """
+    found = results
+    for name, key, value in _STEP.findall(path):
+        if key:
+            found = [row for row in found or () if str(row.get(key)) == value]
+        elif isinstance(found, list) and name in _SUMMARIES:
+            found = _SUMMARIES[name](found) if found else None
+        else:
+            holder = next(iter(found), None) if isinstance(found, list) else found
+            found = holder.get(name) if isinstance(holder, Mapping) else None
+    return found
+
+
+def _numbers(text: str, results: Any) -> list[float]:
+    """The fields in `text` that are numbers."""
+    values = (_computed(expression, results) for expression, _ in _FIELD.findall(text))
+    return [float(value) for value in values if isinstance(value, int | float)]
+
+
+def filled(text: str, results: Any) -> str:
+    """`text` with its fields filled in; empty if one has no value.
+
+    >>> filled("{num} of {of.num:.1f}", {"num": 1, "of": {"num": 2}}), filled("{num}", {})
+    ('1 of 2.0', '')
+    """
+    if any(_computed(expression, results) is None for expression, _ in _FIELD.findall(text)):
+        return ""
+    return _FIELD.sub(lambda match: _shown(_computed(match[1], results), match[2] or ""), text)
+
+
+def _shown(value: Any, form: str) -> str:
+    if isinstance(value, Mapping):
+        return "; ".join(value)
+    if isinstance(value, list):
+        return " x ".join(map(str, value))
+    return format(value, form)
+
+
+def _computed(expression: str, results: Any) -> Any:
+    """The value of a path, or of several with ` - `, ` + ` and ` / ` between them; None if one has none."""
+    first, *others = _TERM.split(expression)
+    value = value_at(results, first)
+    for sign, term in zip(others[::2], others[1::2], strict=True):
+        other = float(term) if term.isdigit() else value_at(results, term)
+        if value is None or other is None:
+            return None
+        value = _OPERATORS[sign](value, other)
+    return value
+
+
+@functools.cache
+def read_claims() -> tuple[Claim, ...]:
+    """All claims, in the order of `claims.toml`.
+
+    Raises:
+        ValueError: If one lacks something, or two have the same id.
+    """
+    told = read_toml(Path(__file__).with_name("claims.toml"))
+    claims = [_claim(fields) for fields in told["claim"]]
+    first_after = next(index for index, claim in enumerate(claims) if claim.id == "table3-ours")
+    claims[first_after:first_after] = [claim for table in told["table"] for claim in _columns(table, told["columns"])]
+    claims += [_claim(fields | {"is_figure": True}) for fields in told["figure"]]
+    ids = [claim.id for claim in claims]
+    twice = {name for name in ids if ids.count(name) > 1}
+    if twice:
+        raise ValueError(f"claims.toml: expected each id once, got {', '.join(sorted(twice))} again")
+    return tuple(claims)
+
+
+def _claim(fields: Mapping[str, Any]) -> Claim:
+    return Claim(**{**fields, "ours": tuple(fields.get("ours", ()))})
+
+
+def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[Claim]:
+    """A claim for each of the paper's values in a row of its table."""
+    for name, paper in table["paper"].items():
+        column = columns[name]
+        number = re.match(r"[\d.]+", paper)
+        is_compared = "rule" in column or "tolerance" in column
+        compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
+        row = table["says"] + (LABELLED if name.startswith("most_") else "")
+        yield _claim(
+            {
+                **{key: table[key] for key in ("place", "study", "reason")},
+                **compared,
+                **{key: value for key, value in column.items() if key != "says"},
+                "row": row,
+                "column": column["says"],
+                "id": f"{table['id']}-{name.replace('_', '-')}",
+                "says": f"{row}: {column['says']}",
+                "paper": paper,
+                "ours": [text.replace("{row}", table["row"]) for text in column["ours"]],
+            }
+        )
+
+
+def paper_words(claim_id: str) -> str:
+    """The paper's value of a claim, as printed."""
+    return _named(claim_id).paper
+
+
+def paper_value(claim_id: str) -> float:
+    """The paper's number of a claim."""
+    return _named(claim_id).value
+
+
+def _named(claim_id: str) -> Claim:
+    return next(claim for claim in read_claims() if claim.id == claim_id)
+
+
+def beside_paper(study: str, results_file: Path) -> list[str]:
+    """What a study's command says last: the paper's values, and those of its results, a line each."""
+    results = read_plain_json(results_file)
+    answers = [
+        answer(claim, results, is_pvdn=True) for claim in read_claims() if claim.study == study and not claim.image
+    ]
+    lines = [
+        f"{found.claim.says}: {found.claim.paper}; here {found.ours}" for found in answers if found.verdict != NEEDS
+    ]
+    return ["the paper's values, and those here:", *lines] if lines else []

@@ -1,0 +1,450 @@
+"""The experiments behind the page: what each runs, and the command that does the same."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from foreglow.config import PipelineConfig, preset
+from foreglow.datasets import SPLIT_NAMES, CategoryConfig, ImageCategory, SplitName, open_labelled, split_folder
+from foreglow.datasets.pvdn import is_split
+from foreglow.datasets.simulated import has_truth
+from foreglow.display.summary_lines import counted as counted_words
+from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
+from foreglow.lab.studies.detector.models import ROWS
+from foreglow.lab.studies.paper_chain import paper_chain
+from foreglow.lab.studies.progress import Progress, counted
+from foreglow.lab.studies.time_benefit.metrics import HUMAN_AFTER_PRODUCTION_S
+from foreglow.models import model_path
+from foreglow.parallel import Workers
+from foreglow.provenance import provenance
+
+if TYPE_CHECKING:
+    from foreglow.lab.learning.training_progress import Epoch
+
+MODELS = ("baseline", "paper", "published", "yolo-small", "yolo-large")
+"""Rows of the table of detectors whose model can be given."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReproductionPlan:
+    """What is asked for.
+
+    Attributes:
+        data: A data set with `test`, and perhaps `train` and `val`; the cycle `day` of one with both cycles.
+        config: Our pipeline.
+        pipeline: The options that gave it, for the commands that are shown.
+        models: Given models, by the names of `MODELS`.
+        epochs: How many to train the baseline's and the paper's network; None for the paper's 300.
+        trials: Of the search for parameters.
+        images: On so many images of train.
+        scenes: How many simulated scenes are driven in closed loop.
+        device: To train on.
+        production_category: PVDN's image category for the production system's detection.
+    """
+
+    data: Path
+    config: PipelineConfig = field(default_factory=lambda: preset("foreglow"))
+    pipeline: tuple[str, ...] = ()
+    models: Mapping[str, Path] = field(default_factory=dict)
+    epochs: int | None = None
+    trials: int = 200
+    images: int = 600
+    scenes: int = 8
+    device: str = "auto"
+    production_category: int = 6
+
+    @property
+    def root(self) -> Path:
+        """Where the splits are: the paper measures on the cycle `day`."""
+        return self.data / "day" if (self.data / "day").is_dir() else self.data
+
+    def has(self, split: SplitName) -> bool:
+        """Whether the data set has this split."""
+        try:
+            self.split(split)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def split(self, name: SplitName) -> Path:
+        """The folder of a split.
+
+        Raises:
+            FileNotFoundError: If there is none.
+        """
+        return split_folder(self.root, name)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the test drives are simulated: the simulator's truth is beside them."""
+        return has_truth(self.split("test"))
+
+    def paper_model(self, out: Path) -> Path | None:
+        """The paper's network: the given one, or that of the table of detectors; None where there is neither."""
+        if "paper" in self.models:
+            return self.models["paper"]
+        trained = out / "detector" / "models" / "paper" / "model.onnx"
+        return trained if trained.is_file() else None
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What is run for some claims.
+
+    Attributes:
+        results: The file with its results, in its folder.
+        command: The command that does the same, of a plan and its own folder in that of the reproduction.
+        run: Runs it into that folder.
+        measured_on: What its results say of that, with fields as in a claim's `ours`.
+        needs: Splits that it needs.
+        is_simulated: Whether it needs simulated drives.
+        runs_pipeline: Whether our pipeline has a part in it.
+    """
+
+    results: str
+    command: Callable[[ReproductionPlan, Path], Sequence[object]]
+    run: Callable[[ReproductionPlan, Path, Workers, Progress], None]
+    measured_on: str = ""
+    needs: tuple[SplitName, ...] = ("test",)
+    is_simulated: bool = False
+    runs_pipeline: bool = False
+
+    def reason(self, plan: ReproductionPlan) -> str:
+        """Why it cannot be run with this data; empty if it can."""
+        missing = [name for name in self.needs if not plan.has(name)]
+        if missing:
+            return f"DATA has no {' and no '.join(missing)}"
+        return "DATA is not simulated" if self.is_simulated and not plan.is_simulated else ""
+
+
+def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    """What the paper states of its settings, as they are here."""
+    from foreglow.lab.learning.recipes import recipe
+    from foreglow.lab.simulation.labels.production import ProductionConfig
+    from foreglow.photometry import read_headlamps
+
+    paper = recipe("paper")
+    settings = {
+        "paper": preset("paper"),
+        "recipe": paper,
+        "epochs": plan.epochs or paper.epochs,
+        "production": ProductionConfig(),
+        "headlamps": {"num_leds": read_headlamps(None).num_leds},
+        "human_s": HUMAN_DELAY_S,
+        "human_after_production_s": HUMAN_AFTER_PRODUCTION_S,
+    }
+    write_json_results(folder / "results.json", {"made_with": provenance(), **to_json(settings)})
+
+
+def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    """What is in DATA."""
+    folders = (path for name in SPLIT_NAMES for path in (plan.data / name, *plan.data.glob(f"*/{name}")))
+    splits: dict[str, dict[str, Any]] = {}
+    for path in sorted(filter(is_split, folders)):
+        dataset = open_labelled(path)
+        splits[str(path.relative_to(plan.data))] = {
+            "num_images": len(dataset),
+            "num_sequences": len(dataset.sequences),
+            "rate_hz": dataset.rate_hz,
+        }
+    test = open_labelled(plan.split("test"))
+    height_px, width_px = test.read(test.frame_ids[0]).image.shape
+    words = ", ".join(
+        f"{name} {counted_words(about['num_images'], 'image')} of {counted_words(about['num_sequences'], 'drive')} "
+        f"at {about['rate_hz']:g} Hz"
+        for name, about in splits.items()
+    )
+    record = {
+        "num_images": sum(about["num_images"] for about in splits.values()),
+        "width_px": width_px,
+        "height_px": height_px,
+        "rate_hz": test.rate_hz,
+        "splits": words,
+        "test": splits[str(plan.split("test").relative_to(plan.data))],
+    }
+    write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+
+
+def _tune(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:
+    from foreglow.lab.learning.tuning import TuningSettings, tune
+    from foreglow.lab.reports.tuning_page import write_report
+
+    settings = TuningSettings(num_trials=plan.trials, num_images=plan.images, objective="q-only")
+    write_report(tune(plan.root, folder, settings, progress, workers=workers), folder)
+
+
+def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.detector.models import DetectorPlan
+    from foreglow.lab.studies.detector.page import pictures, write_report
+    from foreglow.lab.studies.detector.run import run_experiment
+
+    asked = DetectorPlan(
+        rows=tuple(_detector_rows(plan)),
+        given={name: model_path(path) for name, path in _detector_models(plan).items()},
+        may_train=_may_train(plan),
+        epochs={} if plan.epochs is None else {"paper": plan.epochs},
+        device=plan.device,
+    )
+    results = run_experiment(plan.root, folder, asked, progress=progress, training=_Training(progress))
+    write_report(results, pictures(results, open_labelled(plan.split("test"))), folder)
+
+
+@dataclass(frozen=True, slots=True)
+class _Training:
+    """Passes the progress of a training on: see `RunProgress`."""
+
+    progress: Progress
+
+    def samples(self, split: str, num_done: int, num_images: int) -> None:
+        self.progress(f"{split} images", num_done, num_images)
+
+    def step(self, epoch: int, num_done: int, num_steps: int) -> None:
+        self.progress(f"epoch {epoch}, steps", num_done, num_steps)
+
+    def epoch(self, epoch: Epoch, num_epochs: int) -> None:
+        self.progress("epochs", epoch.number, num_epochs)
+
+
+def _detector_rows(plan: ReproductionPlan) -> list[str]:
+    """Of the YOLOs those that are given: on a processor none can be trained that is worth its row."""
+    trained = ("baseline", "paper") if _may_train(plan) else ()
+    return [name for name in ROWS if name in trained or name in _detector_models(plan)]
+
+
+def _detector_models(plan: ReproductionPlan) -> dict[str, Path]:
+    """The models that are given, and ours where it is one for the proposals of its row."""
+    own, models = plan.config.classifier.model, dict(plan.models)
+    if own is not None and plan.config.proposals == preset(ROWS["ours"].preset).proposals:
+        models["ours"] = own
+    return models
+
+
+def _may_train(plan: ReproductionPlan) -> bool:
+    return plan.has("train") and plan.has("val")
+
+
+def _distance(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.distance.page import write_report
+    from foreglow.lab.studies.distance.run import DistancePlan, run_experiment
+
+    write_report(run_experiment(plan.root, DistancePlan(), progress), folder)
+
+
+def _time_benefit(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.time_benefit.page import write_report
+    from foreglow.lab.studies.time_benefit.run import run_experiment
+
+    categories = CategoryConfig(low_beam_trigger=ImageCategory(plan.production_category))
+    datasets = [open_labelled(plan.split(name)) for name in _pooled(plan)]
+    write_report(run_experiment(datasets, plan.config, categories, progress, _chain(plan, folder)), folder)
+
+
+def _pooled(plan: ReproductionPlan) -> list[SplitName]:
+    """Validation and test, as in the paper, where both have the same frame rate."""
+    names: list[SplitName] = ["val", "test"]
+    rates = {name: _rate_hz(plan.split(name)) for name in names if plan.has(name)}
+    return [name for name, rate_hz in rates.items() if rate_hz == rates["test"]]
+
+
+@functools.cache
+def _rate_hz(split: Path) -> float:
+    return open_labelled(split).rate_hz
+
+
+def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
+    model = plan.paper_model(folder.parent)
+    return None if model is None else paper_chain(model)
+
+
+def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    """The drive with the longest lead, of those in which everything happens that the paper's scene shows."""
+    from foreglow.lab.evaluation import Predictions
+    from foreglow.lab.reports.stage_picture import stage_picture
+    from foreglow.lab.studies.demo.figures import write_moments
+    from foreglow.lab.studies.demo.metrics import best_story, tell_stories
+    from foreglow.pipeline import Pipeline
+
+    dataset = open_labelled(plan.split("test"))
+    pipeline = Pipeline(plan.config)
+    boxes, scores, tracks = {}, {}, {}
+    sequence = None
+    for frame in counted(dataset, "images", len(dataset), progress):
+        if frame.sequence != sequence:
+            pipeline.reset()
+            sequence = frame.sequence
+        result = pipeline.step(frame)
+        if result.detections is None or result.tracks is None:
+            raise ValueError("reproduce: classifier.model and tracker: expected both, the configuration lacks one")
+        boxes[frame.frame] = result.detections.boxes_xyxy_px.astype(np.float64)
+        scores[frame.frame] = result.detections.scores.astype(np.float64)
+        tracks[frame.frame] = result.tracks
+    predictions, threshold = Predictions(boxes, scores), plan.config.classifier.score_threshold
+    stories = tell_stories(dataset, predictions, threshold, tracks)
+    whole = [story for story in stories if story.confirmed_s < story.production_s and story.sight is not None]
+    story = best_story(whole or stories)
+    if story is None:
+        raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
+    frames = [dataset.read(moment.light.image_id) for moment in story.moments.values()]
+    write_moments(folder / "moments.png", story, frames, predictions, threshold)
+    shown = dataset.read((story.found or story.light).light.image_id)
+    detector = Pipeline(plan.config.detector_only)
+    write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
+    light_s = story.times.light_s
+    times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
+    record = {"sequence": story.sequence, **{name: time_s - light_s for name, time_s in times.items()}}
+    write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+
+
+def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.detection_range.page import write_report
+    from foreglow.lab.studies.detection_range.run import run_experiment
+
+    roots = [plan.split("test")]
+    write_report(run_experiment(roots, plan.config, progress), roots, folder)
+
+
+def _glare(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:
+    from foreglow.lab.studies.glare.page import write_experiment
+    from foreglow.lab.studies.glare.run import GlarePlan, run_experiment
+
+    def show(number: int, num_done: int, num_all: int) -> None:
+        progress(f"frames of scene {number}", num_done, num_all)
+
+    asked = GlarePlan(num_scenes=plan.scenes, paper_model=plan.paper_model(folder.parent))
+    config = plan.config.commanding()
+    write_experiment(run_experiment(plan.split("test"), config, asked, folder, workers=workers, progress=show))
+
+
+def _runtime(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    from foreglow.lab.studies.runtime.page import write_report
+    from foreglow.lab.studies.runtime.run import run_experiment
+
+    split, chain = plan.split("test"), _chain(plan, folder)
+    write_report(run_experiment(split, plan.config, _networks(), NUM_PACED, progress, chain), folder)
+
+
+def _networks() -> tuple[str, ...]:
+    """What run-times are measured in: a ROS 2 network where it can be used."""
+    try:
+        importlib.import_module("rclpy")
+    except ImportError:
+        return ("process",)
+    return ("process", "ros2")
+
+
+NUM_PACED = 1000
+"""Frames that are sent over ROS 2, at their own rate."""
+
+
+def _chain_words(plan: ReproductionPlan, folder: Path) -> tuple[object, ...]:
+    model = plan.paper_model(folder.parent)
+    return () if model is None else ("--paper-model", model)
+
+
+def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
+    words: list[object] = [
+        "experiment",
+        "detector",
+        plan.root,
+        "--out",
+        folder,
+        "--rows",
+        ",".join(_detector_rows(plan)),
+    ]
+    for name, path in _detector_models(plan).items():
+        words += [ROWS[name].option, path]
+    words += [] if plan.epochs is None else ["--epochs-paper", plan.epochs]
+    return words if plan.device == "auto" else [*words, "--device", plan.device]
+
+
+EXPERIMENTS: Mapping[str, Experiment] = {
+    "settings": Experiment(
+        "results.json", lambda plan, folder: ("reproduce", plan.data, "--out", folder.parent), _settings, needs=()
+    ),
+    "data": Experiment("results.json", lambda plan, folder: ("reproduce", plan.data, "--out", folder.parent), _data),
+    "tune": Experiment(
+        "summary.json",
+        lambda plan, folder: (
+            *("tune", plan.root, "--objective", "q-only", "--trials", plan.trials, "--images", plan.images),
+            *("--out", folder),
+        ),
+        _tune,
+        "{paper.train.num_images} images of train, {paper.val.num_images} of val",
+        ("train", "val", "test"),
+    ),
+    "detector": Experiment(
+        "results.json", _detector_words, _detector, "{num_images} images of {num_sequences} drives, {split}"
+    ),
+    "distance": Experiment(
+        "results.json",
+        lambda plan, folder: ("experiment", "distance", plan.root, "--out", folder),
+        _distance,
+        "{num_images} images, {num_lights} lights, {split}",
+        is_simulated=True,
+    ),
+    "drive": Experiment(
+        "results.json",
+        lambda plan, folder: ("demo", plan.split("test"), "--out", folder, *plan.pipeline),
+        _drive,
+        "{sequence}",
+        runs_pipeline=True,
+    ),
+    "detection-range": Experiment(
+        "results.json",
+        lambda plan, folder: ("experiment", "detection-range", plan.root, "--out", folder, *plan.pipeline),
+        _detection_range,
+        is_simulated=True,
+        runs_pipeline=True,
+    ),
+    "time-benefit": Experiment(
+        "results.json",
+        lambda plan, folder: (
+            *("experiment", "time-benefit", plan.root, "--out", folder, "--split", ",".join(_pooled(plan))),
+            *plan.pipeline,
+            *_chain_words(plan, folder),
+            *(("--production-category", plan.production_category) if plan.production_category != 6 else ()),
+        ),
+        _time_benefit,
+        "{num_sequences} drives, {name}",
+        runs_pipeline=True,
+    ),
+    "glare": Experiment(
+        "results.json",
+        lambda plan, folder: (
+            *("experiment", "glare", plan.split("test"), "--out", folder, "--scenes", plan.scenes),
+            *plan.pipeline,
+            *_chain_words(plan, folder),
+        ),
+        _glare,
+        "{seconds:.0f} s of driving",
+        is_simulated=True,
+        runs_pipeline=True,
+    ),
+    "runtime": Experiment(
+        "results.json",
+        lambda plan, folder: (
+            *(
+                "experiment",
+                "runtime",
+                plan.root,
+                "--out",
+                folder,
+                *(word for kind in _networks() for word in ("--on", kind)),
+            ),
+            *("--frames", NUM_PACED, *plan.pipeline),
+            *_chain_words(plan, folder),
+        ),
+        _runtime,
+        "{networks[name=in process].num_frames} images, {data}",
+        runs_pipeline=True,
+    ),
+}
+"""What is run, by the names of the claims' studies."""

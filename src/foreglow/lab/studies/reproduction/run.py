@@ -1,0 +1,134 @@
+"""Runs the experiments that answer the paper's claims, each into its own folder; what is there is not run again."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import shlex
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from foreglow.datasets import SPLIT_NAMES
+from foreglow.files import read_plain_json, write_json_results
+from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
+from foreglow.lab.studies.progress import Progress
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, ReproductionPlan
+from foreglow.models import model_path
+from foreglow.parallel import Local, Parent, Workers
+
+STATE = "experiments.json"
+"""What has been run, and why others could not be."""
+
+WAVES = (
+    ("settings", "data", "detector", "distance", "drive", "detection-range"),
+    ("tune",),
+    ("time-benefit",),
+    ("glare",),
+    ("runtime",),
+)
+"""What may run at once; a single experiment spreads its own work. The table of detectors may train the paper's network,
+which later ones use, and nothing disturbs the run-times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of an experiment.
+
+    Attributes:
+        seconds: How long it took.
+        load: Programs that wanted a core at its end, over the cores.
+        reason: Why there are no results; empty if there are.
+        results: As its file has them.
+    """
+
+    command: str
+    seconds: float
+    load: float = 0.0
+    reason: str = ""
+    results: Mapping[str, Any] | None = None
+
+
+def run_experiments(
+    plan: ReproductionPlan, out: Path, *, workers: Workers | None = None, progress: Progress
+) -> dict[str, Outcome]:
+    """Runs what `out` does not have yet, and returns what came of each experiment, by its name.
+
+    Independent experiments run at once on the workers; those that spread their own work have them all.
+
+    Raises:
+        FileNotFoundError: If there is no split `test`, or a given model is missing.
+        OSError: If something cannot be written.
+    """
+    plan.split("test")
+    for name, path in plan.models.items():
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such model, given with {ROWS[name].option}")
+    out.mkdir(parents=True, exist_ok=True)
+    known = read_plain_json(out / STATE) if (out / STATE).exists() else {}
+    digest = _data_digest(plan)
+    for wave in WAVES:
+        outer, inner = (workers or Local(), Local()) if len(wave) > 1 else (Local(), workers or Local())
+        todo: dict[str, str] = {}
+        for name in wave:
+            key = _key(name, plan, out, digest)
+            is_known = known.get(name, {}).get("key") == key and (out / name / EXPERIMENTS[name].results).is_file()
+            if not is_known:
+                todo[name] = name
+                known[name] = {"key": key}
+        work = functools.partial(_run, plan, out, inner)
+        for name, told in outer.each(work, todo, progress, paths=(out, plan.data)):
+            known[name] |= told | ({"key": ""} if told["reason"] else {})
+            write_json_results(out / STATE, known)
+    return {name: _outcome(name, plan, out, known[name]) for name in EXPERIMENTS}
+
+
+def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent: Parent) -> dict[str, Any]:
+    """What is kept of an outcome; a reason that the data give ends this experiment alone."""
+    experiment, started_s = EXPERIMENTS[name], time.monotonic()
+    reason = experiment.reason(plan)
+    if not reason:
+
+        def progress(step: str, num_done: int, num_all: int) -> None:
+            parent.report_progress(f"{name}: {step}", num_done, num_all)
+
+        (out / name).mkdir(exist_ok=True)
+        (out / name / experiment.results).unlink(missing_ok=True)
+        try:
+            experiment.run(plan, out / name, workers, progress)
+        except (FileNotFoundError, ImportError, ValueError) as error:
+            reason = str(error).partition("\n")[0]
+    load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason}
+
+
+def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, Any]) -> Outcome:
+    file = out / name / EXPERIMENTS[name].results
+    results = read_plain_json(file) if file.is_file() and not known["reason"] else None
+    return Outcome(_words(name, plan, out), known["seconds"], known["load"], known["reason"], results)
+
+
+def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
+    return shlex.join(map(str, ("foreglow", *EXPERIMENTS[name].command(plan, out / name))))
+
+
+def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
+    """Digest of what decides an experiment's results: data, options, models; not the folder, which may be moved."""
+    words = EXPERIMENTS[name].command(plan, out / name)
+    parts = [data_digest, *(str(word).replace(str(out), "") for word in words)]
+    models = [model_path(word) for word in words if isinstance(word, Path)]
+    if EXPERIMENTS[name].runs_pipeline:
+        parts.append(plan.config.model_dump_json())
+        models += [] if plan.config.classifier.model is None else [model_path(plan.config.classifier.model)]
+    files = [path / "model.onnx" if path.is_dir() else path for path in models]
+    parts += [file_digest(file) for file in files if file.is_file()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _data_digest(plan: ReproductionPlan) -> str:
+    digests = (split_digest(plan.split(name)) for name in SPLIT_NAMES if plan.has(name))
+    return hashlib.sha256("".join(digests).encode()).hexdigest()

@@ -1,0 +1,160 @@
+"""The experiments behind the page, and the page: on two simulated drives of three images each."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foreglow.files import write_json_results
+from foreglow.lab.studies.reproduction import run
+from foreglow.lab.studies.reproduction.claims import NO_VALUE, Answer, read_claims
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experiment, ReproductionPlan
+from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
+from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
+from tests.cli.commands import complaint, foreglow_command
+from tests.lab.studies.detector_data import make_model
+from tests.lab.studies.ranged_drives import make_split
+
+SMALL = ("settings", "data", "distance", "drive")
+"""What runs within seconds on a few images."""
+
+
+@pytest.fixture(name="data", scope="module")
+def fixture_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_split(tmp_path_factory.mktemp("drives")).parents[1]
+
+
+def quiet(step: str, num_done: int, num_all: int) -> None: ...
+
+
+def only(names: tuple[str, ...]) -> Mapping[str, Experiment]:
+    """The experiments of these names; the others have a reason."""
+    return {
+        name: experiment if name in names else dataclasses.replace(experiment, needs=("train",))
+        for name, experiment in EXPERIMENTS.items()
+    }
+
+
+def stubs(calls: list[str], broken: str = "") -> Mapping[str, Experiment]:
+    """In place of each experiment one that says that it ran."""
+
+    def stub(name: str) -> Any:
+        def write(_: ReproductionPlan, folder: Path, *__: object) -> None:
+            calls.append(name)
+            if name == broken:
+                raise ValueError(f"{folder}: expected something else")
+            write_json_results(folder / EXPERIMENTS[name].results, {})
+
+        return write
+
+    return {name: dataclasses.replace(experiment, run=stub(name), needs=()) for name, experiment in EXPERIMENTS.items()}
+
+
+def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    plan = ReproductionPlan(data)
+    run_experiments(plan, tmp_path / "out", progress=quiet)
+    assert calls == [name for wave in run.WAVES for name in wave]
+    run_experiments(plan, tmp_path / "out", progress=quiet)
+    assert len(calls) == len(EXPERIMENTS)
+    run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
+    assert calls[len(EXPERIMENTS) :] == ["tune"]
+    (tmp_path / "out" / "glare" / "results.json").unlink()
+    run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
+    assert calls[-1] == "glare"
+
+
+def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What uses it is run again when it changes, and nothing else."""
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    model = make_model(tmp_path / "paper.onnx")
+    plan = ReproductionPlan(data, models={"paper": model})
+    run_experiments(plan, tmp_path / "out", progress=quiet)
+    calls.clear()
+    make_model(model, bias=2.0)
+    run_experiments(plan, tmp_path / "out", progress=quiet)
+    assert {"detector", "time-benefit", "glare", "runtime"} <= set(calls)
+    assert not {"settings", "data", "distance"} & set(calls)
+
+
+def test_an_experiment_that_the_data_do_not_allow(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has a reason, the others go on, and it is tried again."""
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls, broken="drive"))
+    outcomes = run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
+    assert outcomes["drive"].reason.endswith("expected something else")
+    assert outcomes["drive"].results is None
+    assert all(outcome.results == {} for name, outcome in outcomes.items() if name != "drive")
+    run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
+    assert calls[len(EXPERIMENTS) :] == ["drive"]
+
+
+@dataclass(frozen=True)
+class Reproduced:
+    """A reproduction of which the small experiments are finished."""
+
+    plan: ReproductionPlan
+    outcomes: Mapping[str, Outcome]
+    out: Path
+
+    @property
+    def answers(self) -> tuple[Answer, ...]:
+        return answers(self.plan, self.outcomes)
+
+
+@pytest.fixture(name="reproduced", scope="module")
+def fixture_reproduced(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Reproduced:
+    pytest.importorskip("matplotlib")
+    plan, out = ReproductionPlan(data), tmp_path_factory.mktemp("reproduced")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "EXPERIMENTS", only(SMALL))
+        return Reproduced(plan, run_experiments(plan, out, progress=quiet), out)
+
+
+@pytest.mark.slow
+def test_no_claim_is_without_an_answer(reproduced: Reproduced) -> None:
+    assert [name for name, outcome in reproduced.outcomes.items() if outcome.results] == list(SMALL)
+    assert [found.claim for found in reproduced.answers] == list(read_claims())
+    assert all(found.ours and found.verdict for found in reproduced.answers)
+    assert all(found.because for found in reproduced.answers if found.ours == NO_VALUE)
+
+
+@pytest.mark.slow
+def test_the_page(reproduced: Reproduced) -> None:
+    report = write_page(reproduced.plan, reproduced.outcomes, reproduced.out)
+    html, markdown = report.read_text(), report.with_suffix(".md").read_text()
+    assert markdown.split("\n\n")[1] == NOT_PVDN
+    assert not re.search(r"\| *\|", markdown)
+    assert all(claim.paper in markdown for claim in read_claims())
+    shown = re.findall(r'src="data:image/(?:png|jpeg);base64,([^"]+)"', html)
+    files = {path.name: path.read_bytes() for path in (reproduced.out / "images").iterdir()}
+    assert {base64.b64decode(data) for data in shown} == set(files.values())
+    assert {"reproduction_7.png", "reproduction_8.png", "reproduction_9.png"} <= set(files)
+    record = json.loads((reproduced.out / "results.json").read_text())
+    assert [found["id"] for found in record["claims"]] == [claim.id for claim in read_claims()]
+
+
+@pytest.mark.slow
+def test_fields_of_claims_are_fields_of_results(reproduced: Reproduced) -> None:
+    """A claim without a value is one whose results do not have it, and no slip in the table."""
+    without = {found.claim.id for found in reproduced.answers if found.claim.study in SMALL and found.ours == NO_VALUE}
+    scene = {f"scene-{what}" for what in ("single", "tracker", "production", "benefit", "delay")}
+    assert without <= {*scene, "table1-motion"}
+
+
+def test_the_command(tmp_path: Path) -> None:
+    error = complaint("reproduce", tmp_path, "--out", tmp_path / "out")
+    assert "expected the split test" in error
+    missing = complaint("reproduce", tmp_path, "--out", tmp_path / "out", "--paper-model", tmp_path / "no.onnx")
+    assert "expected" in missing or "no such" in missing
+    assert foreglow_command("reproduce", "--help").exit_code == 0
