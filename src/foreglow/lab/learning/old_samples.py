@@ -1,4 +1,4 @@
-"""A few samples of what a model learnt from, small enough to ship: mixed in when it is trained further, nothing is lost.
+"""A few samples of what a model learnt from, small enough to ship: they are mixed in when it is trained further.
 
 `python -m foreglow.lab.learning.old_samples DATA... --out FILE` makes them of the training drives.
 """
@@ -40,9 +40,9 @@ WIDEST = InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6
 POSITIVE_SHARE = 0.4
 """Of the samples; there are ten times as many boxes without light, but few of them teach anything."""
 
-_QUALITY = 90  # of WebP: 1.1 grey levels off on average, at 0.6 kB a sample
+_QUALITY = 80  # of WebP: 2 grey levels off on average, at 0.5 kB a sample
 _COLUMNS = 64
-_HELD_OUT = 5  # every fifth image is only judged by
+_HELD_OUT = 5  # every fifth drive is only judged by
 
 
 def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples:
@@ -61,9 +61,9 @@ def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples
     return joined(drawn)
 
 
-def split_by_image(samples: Samples) -> tuple[Samples, Samples]:
-    """The samples to learn from, and those of every fifth image, to judge by."""
-    numbers = np.unique(samples.image_ids, return_inverse=True)[1]
+def split_by_drive(samples: Samples) -> tuple[Samples, Samples]:
+    """The samples to learn from, and those of every fifth drive, to judge by."""
+    numbers = np.unique(samples.sequence_ids, return_inverse=True)[1]
     is_held_out = numbers % _HELD_OUT == _HELD_OUT - 1
     return tuple(
         dataclasses.replace(samples[mask], digest=f"{samples.digest} {name}")
@@ -152,10 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parts = []
         for data in given.data:
             split = open_labelled(split_folder(data, "train"))
-            task = f"samples of {data}"
-            parts.append(
-                cached_samples(split, config, given.cache, lambda done, of, task=task: progress(task, done, of))
-            )
+            parts.append(cached_samples(split, config, given.cache, progress.of(f"{data}: images")))
     samples = chosen(parts, given.samples)
     write_old_samples(given.out, samples)
     counts = [samples.num_labelled(label) for label in (POSITIVE, NEGATIVE, IGNORED)]
