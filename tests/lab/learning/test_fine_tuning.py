@@ -24,7 +24,6 @@ from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedNetwork, read_model
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
 from foreglow.lab.learning.old_samples import (
-    SHIPPED,
     WIDEST,
     chosen,
     main,
@@ -33,6 +32,7 @@ from foreglow.lab.learning.old_samples import (
     write_old_samples,
 )
 from foreglow.lab.learning.samples import NUM_KINDS, Samples
+from foreglow.models import OLD_SAMPLES, model_path
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
 
@@ -99,8 +99,6 @@ def test_the_model_that_ships_goes_on_too() -> None:
     assert isinstance(start.network, FoldedNetwork)
     spec = OnnxClassifier(ClassifierConfig(model=Path("foreglow"))).spec
     assert start.inputs == spec
-    from foreglow.models import model_path
-
     expected = open_session(model_path(Path("foreglow")), 1).run(None, given(spec))[0]
     found = logits_of(start.network, given(spec))
     np.testing.assert_allclose(found, expected[:, : found.shape[1]], atol=1e-4)
@@ -114,14 +112,14 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
 
 def test_the_samples_that_ship_are_for_the_model_that_ships() -> None:
     start = read_model(Path("foreglow"))
-    learn, judge = split_by_drive(read_old_samples(SHIPPED, start.inputs))
+    learn, judge = split_by_drive(read_old_samples(OLD_SAMPLES, start.inputs))
     assert learn.crops.shape[1:] == (start.inputs.num_channels, 32, 32)
     for part in (learn, judge):
         assert min(part.num_labelled(0), part.num_labelled(1)) > 50
         assert (part.features[:, 6] > 0).any()  # boxes with a moment of the past
         assert not np.isnan(part.kinds).any()
     assert not set(learn.sequence_ids.tolist()) & set(judge.sequence_ids.tolist())
-    assert SHIPPED.stat().st_size <= 2_000_000
+    assert OLD_SAMPLES.stat().st_size <= 2_000_000
 
 
 @pytest.mark.parametrize("spec", [WIDEST, NARROW, InputSpec(size_px=32, context=6)])

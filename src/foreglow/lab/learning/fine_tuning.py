@@ -24,12 +24,13 @@ from foreglow.config import PipelineConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
-from foreglow.lab.learning.old_samples import NUM_SAMPLES, SHIPPED, chosen, read_old_samples, split_by_drive
+from foreglow.lab.learning.old_samples import NUM_SAMPLES, chosen, read_old_samples, split_by_drive
 from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
 from foreglow.lab.learning.samples import Samples, joined
 from foreglow.lab.learning.scores import light_logits
 from foreglow.lab.learning.training_progress import RunProgress
 from foreglow.lab.learning.training_run import finish, labelled_samples, sample_counts, write_results
+from foreglow.models import OLD_SAMPLES
 
 if TYPE_CHECKING:
     import torch
@@ -166,7 +167,7 @@ def fine_tune(
     held_out = [open_labelled(split_folder(path, "val")) for path in data if _has_val(path)]
     own = joined([labelled_samples(each, recipe, config, "train", cache, progress) for each in learnt])
     if not mix:
-        old, old_held_out = split_by_drive(read_old_samples(SHIPPED, recipe.inputs))
+        old, old_held_out = split_by_drive(read_old_samples(OLD_SAMPLES, recipe.inputs))
     else:
         sets = {name: [open_labelled(split_folder(path, name)) for path in mix] for name in ("train", "val")}  # type: ignore[arg-type]
         drives = {
@@ -207,7 +208,7 @@ def fine_tune(
         "data": [str(path) for path in data],
         "from": start.name,
         "from_sha256": start.digest,
-        "mixed_in": [str(path) for path in mix] or SHIPPED.name,
+        "mixed_in": [str(path) for path in mix] or OLD_SAMPLES.name,
         **finish(recipe, result, judging, folder),
         "way": way,
         "threshold": threshold,

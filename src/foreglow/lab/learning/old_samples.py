@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import hashlib
 import io
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,11 +27,7 @@ from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import ARRAYS, SampleConfig, Samples, joined
-
-FILE_NAME = "foreglow_samples.npz"
-"""The file that ships, beside the models."""
-
-SHIPPED = Path(__file__).parents[2] / "models" / FILE_NAME
+from foreglow.models import OLD_SAMPLES
 
 NUM_SAMPLES = 3000
 
@@ -109,7 +106,7 @@ def read_old_samples(path: Path, spec: InputSpec) -> Samples:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in ARRAYS}
         arrays["crops"] = _crops(cv2.imdecode(arrays["crops"], cv2.IMREAD_GRAYSCALE), len(arrays["labels"]))
-    except (KeyError, cv2.error, *NPY_ERRORS) as error:
+    except (KeyError, AttributeError, cv2.error, zipfile.BadZipFile, *NPY_ERRORS) as error:
         raise ValueError(f"{path}: expected samples as foreglow.lab.learning.old_samples writes them") from error
     channels = [0, *([1] if spec.lag_s is not None else []), *([2] if spec.context is not None else [])]
     arrays["crops"] = np.ascontiguousarray(arrays["crops"][:, channels])
@@ -140,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     parser = argparse.ArgumentParser(prog="python -m foreglow.lab.learning.old_samples", description=__doc__)
     parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets with a split train")
-    parser.add_argument("--out", type=Path, default=SHIPPED, help="the file to write")
+    parser.add_argument("--out", type=Path, default=OLD_SAMPLES, help="the file to write")
     parser.add_argument("--cache", type=Path, required=True, help="where samples are kept, such as those of a training")
     parser.add_argument("--samples", type=int, default=NUM_SAMPLES, metavar="N", help="how many")
     given = parser.parse_args(arguments)
