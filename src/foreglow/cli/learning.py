@@ -230,14 +230,20 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
         f"{old['positive']} and {old['negative']} mixed in"
     )
     table = Table(
-        *("", "boxes", "precision", "recall", "F", "average precision"),
-        title=f"boxes that it has not learnt from, score > {threshold:g}: {start.name} -> {folder}",
+        *("", "boxes", "", "P", "R", "F", "AP"),
+        title=f"boxes that it has not learnt from, score > {threshold:g}",
+        caption="precision, recall, F, average precision",
         title_justify="left",
+        caption_justify="left",
     )
     for each in judged:
-        before, after = (dataclasses.asdict(figures) for figures in each.figures())
-        cells = (f"{number(before[name], 3)} -> {number(after[name], 3)}" for name in before)
-        table.add_row(each.name, str(len(each.samples)), *cells)
+        before, after = each.figures()
+        for name, count, when, figures in (
+            (each.name, str(len(each.samples)), "before", before),
+            ("", "", "after", after),
+        ):
+            table.add_row(name, count, when, *(number(value, 3) for value in dataclasses.astuple(figures)))
+        table.add_section()
     rich.print(table)
     if len(judged) == 1:
         typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")

@@ -20,6 +20,7 @@ from foreglow.classifier import OnnxClassifier
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.config import ClassifierConfig
+from foreglow.lab.learning.fine_tuning import MAX_LOSS
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedNetwork, read_model
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
@@ -171,7 +172,8 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (WIDEST, 5)])
 def test_a_model_learns_own_drives(drives: Path, tmp_path: Path, spec: InputSpec, num_outputs: int) -> None:
     model_at(tmp_path / "start.onnx", spec, num_outputs)
-    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2]
+    more = make_drives(tmp_path / "more", num_images=2)
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2, "--mix", more]
     out = tmp_path / "mine"
     command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, *options]
     (tmp_path / "fast.toml").write_text("learning_rate = 0.003\n")
@@ -180,8 +182,9 @@ def test_a_model_learns_own_drives(drives: Path, tmp_path: Path, spec: InputSpec
     summary = json.loads((out / "summary.json").read_text())
     assert summary["num_epochs"] == summary["best_epoch"]["number"] == 3
     own, old = summary["before_and_after"].values()
-    assert own[1]["average_precision"] > max(0.9, own[0]["average_precision"])
-    assert old[1]["average_precision"] > old[0]["average_precision"]  # the start knew nothing
+    assert own[1]["average_precision"] > own[0]["average_precision"]
+    assert old[1]["average_precision"] >= old[0]["average_precision"] - MAX_LOSS
+    assert 0 < summary["way"] <= 1
     assert "what it knew before" in done.stdout
     picture = cv2.imread(str(out / "changes.jpg"))
     assert picture is not None
@@ -196,15 +199,14 @@ def test_a_model_learns_own_drives(drives: Path, tmp_path: Path, spec: InputSpec
     )
 
 
-def test_without_held_out_drives_and_with_drives_mixed_in(drives: Path, tmp_path: Path) -> None:
+def test_without_held_out_drives_and_with_the_samples_that_ship(drives: Path, tmp_path: Path) -> None:
     model_at(tmp_path / "start.onnx", NARROW, 1)
-    more = make_drives(tmp_path / "more", num_images=2)
-    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1, "--mix", more]
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1]
     out = tmp_path / "mine"
     done = foreglow_command("train", drives / "day/train", "--from", tmp_path / "start.onnx", "--out", out, *options)
     assert done.exit_code == 0, done.output
     assert "no drives of yours are held out" in done.stdout
-    assert json.loads((out / "summary.json").read_text())["mixed_in"] == [str(more)]
+    assert json.loads((out / "summary.json").read_text())["mixed_in"] == OLD_SAMPLES.name
     assert not (out / "changes.jpg").exists()
 
 
