@@ -250,6 +250,11 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     picture = draw_changes(judged, folder)
     if picture is not None:
         typer.echo(f"what changed, before and after: look at {picture}")
+    if summary["way"] == 0:
+        typer.echo(
+            "the model is as before: all that it learnt costs too much of what it knew; "
+            "label more, or --mix drives like those that it learnt from"
+        )
     if start.tells_direct:
         typer.echo(f"the new model does not tell lamps from their light, as {start.name} does")
     typer.echo(f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml")
