@@ -80,7 +80,7 @@ def write_half(clip: Clip, half: int, folder: Path, has_kinds: bool) -> Path:
 
 def _mark(position_px: tuple[int, int], kind: str, has_kinds: bool) -> Mark | None:
     if kind in OWN_LIGHT or (kind == "tail" and has_kinds):
-        return Mark(Kind.LIGHT, position_px, **LIGHT_MARKS[kind])  # type: ignore[arg-type]
+        return Mark(Kind.LIGHT, position_px, **LIGHT_MARKS[kind])
     return Mark(Kind.DOUBTFUL, position_px) if kind == "unsure" else None
 
 

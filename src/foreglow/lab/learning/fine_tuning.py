@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, softmax
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import LabelledSource, open_labelled, split_folder
+from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
 from foreglow.lab.learning.old_samples import NUM_SAMPLES, chosen, read_old_samples, split_by_drive
@@ -169,10 +169,11 @@ def fine_tune(
     if not mix:
         old, old_held_out = split_by_drive(read_old_samples(OLD_SAMPLES, recipe.inputs))
     else:
-        sets = {name: [open_labelled(split_folder(path, name)) for path in mix] for name in ("train", "val")}  # type: ignore[arg-type]
+        names: tuple[SplitName, ...] = ("train", "val")
+        sets = {name: [open_labelled(split_folder(path, name)) for path in mix] for name in names}
         drives = {
-            name: [labelled_samples(each, recipe, config, name, cache, progress) for each in found]  # type: ignore[arg-type]
-            for name, found in sets.items()
+            name: [labelled_samples(each, recipe, config, name, cache, progress) for each in sets[name]]
+            for name in names
         }
         old, old_held_out = chosen(drives["train"], NUM_SAMPLES), joined(drives["val"])
         old_held_out = old_held_out[old_held_out.labels != IGNORED]

@@ -77,7 +77,7 @@ def read_model(model: Path) -> StartingPoint:
     graph = onnx.load_model_from_string(content).graph
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     layers = [node for node in graph.node if node.op_type in set(_LAYERS)]
-    values = [constants.get(name) for node in layers for name in node.input[1:]]
+    values: list[Any] = [constants.get(name) for node in layers for name in node.input[1:]]
     num_outputs = len(values[-1]) if values and values[-1] is not None else 0
     network = FoldedNetwork(spec.num_channels, spec.num_features, len(KINDS) if num_outputs == len(KINDS) else 1)
     wanted = _parameters(network)
@@ -90,7 +90,7 @@ def read_model(model: Path) -> StartingPoint:
         for parameter, value in zip(wanted, values, strict=True):
             parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))
         for layer in network.body:
-            if isinstance(layer, nn.BatchNorm2d):
+            if isinstance(layer, nn.BatchNorm2d) and layer.running_var is not None:
                 layer.running_var.fill_(1 - layer.eps)
     digest = hashlib.sha256(content).hexdigest()
     return StartingPoint(str(model), network.eval(), spec, digest, tells_direct=num_outputs == 2)

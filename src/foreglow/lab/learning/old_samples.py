@@ -105,7 +105,8 @@ def read_old_samples(path: Path, spec: InputSpec) -> Samples:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in ARRAYS}
-        arrays["crops"] = _crops(cv2.imdecode(arrays["crops"], cv2.IMREAD_GRAYSCALE), len(arrays["labels"]))
+        sheet: Any = cv2.imdecode(arrays["crops"], cv2.IMREAD_GRAYSCALE)
+        arrays["crops"] = _crops(sheet, len(arrays["labels"]))
     except (KeyError, AttributeError, cv2.error, zipfile.BadZipFile, *NPY_ERRORS) as error:
         raise ValueError(f"{path}: expected samples as foreglow.lab.learning.old_samples writes them") from error
     channels = [0, *([1] if spec.lag_s is not None else []), *([2] if spec.context is not None else [])]

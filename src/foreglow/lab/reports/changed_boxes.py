@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -62,7 +63,7 @@ def _row(judged: Judged, image_id: int) -> Picture:
     boxes, labels = judged.samples.boxes_xyxy_px[is_here], judged.samples.labels[is_here]
     pictures = []
     for word, scores in (("before", judged.before), ("after", judged.after)):
-        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        picture: Any = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
         is_accepted = scores[is_here] > judged.threshold
         _draw(picture, boxes[is_accepted] * (WIDTH_PX / image.shape[1]), labels[is_accepted])
         Pen(height_px).write(picture, f"{word}: image {image_id}", (8, height_px - 8), (255, 255, 255), size=28)
