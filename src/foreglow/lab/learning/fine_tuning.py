@@ -44,7 +44,8 @@ FINE_TUNING: dict[str, Any] = {
     "learning_rate": 1e-3,
     "warmup_epochs": 0.5,
     "ema_decay": 0.0,
-    "max_negatives_per_positive": None,  # the scores keep their meaning, and need no calibration
+    "max_negatives_per_positive": None,
+    "positive_weight": "balanced",  # what is labelled as light is what was missed
     "group_balance": 0.0,
     "best_by": "last",
     "calibration": "none",
