@@ -179,11 +179,11 @@ def test_a_model_learns_own_drives(
     options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2, "--mix", more]
     out = tmp_path / "mine"
     command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, *options]
-    (tmp_path / "fast.toml").write_text("learning_rate = 0.01\nbatch_size = 8\n")
-    done = foreglow_command(*command, "--epochs", 3, "--recipe-file", tmp_path / "fast.toml")
+    (tmp_path / "fast.toml").write_text("learning_rate = 0.002\nbatch_size = 8\n")
+    done = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["num_epochs"] == summary["best_epoch"]["number"] == 3
+    assert summary["num_epochs"] == summary["best_epoch"]["number"] == 15
     own, old = summary["before_and_after"].values()
     assert own[1]["average_precision"] > own[0]["average_precision"]
     assert len(old) == 2
@@ -193,12 +193,12 @@ def test_a_model_learns_own_drives(
     assert picture is not None
     assert picture.shape[1] == 2 * 720
     assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == spec
-    again = foreglow_command(*command, "--epochs", 3, "--recipe-file", tmp_path / "fast.toml")
+    again = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
     assert again.exit_code == 0, again.output
     assert json.loads((out / "summary.json").read_text())["model_sha256"] == summary["model_sha256"]
     model_at(tmp_path / "start.onnx", spec, num_outputs, seed=4)
     assert "checkpoint.pt: start: expected that of the training begun here" in complaint(
-        *command, "--epochs", 3, "--recipe-file", tmp_path / "fast.toml"
+        *command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml"
     )
 
 
@@ -214,11 +214,11 @@ def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
     old = dataclasses.replace(samples, labels=labels)
     other = read_model(tmp_path / "model.onnx").network
     with torch.no_grad():
-        other.last.bias += 1.0
-        other.last.weight *= 2.0  # the order stays
+        other.last.bias.add_(1.0)
+        other.last.weight.mul_(2.0)  # the order stays
     assert fine_tuning._move(other, start, old, torch.device("cpu")) == 1
     with torch.no_grad():
-        other.last.weight *= -5.0  # the order is turned around
+        other.last.weight.mul_(-5.0)  # the order is turned around
     before = {name: value.clone() for name, value in start.state_dict().items()}
     assert fine_tuning._move(other, start, old, torch.device("cpu")) < 0.5
     assert all(torch.equal(value, before[name]) for name, value in start.state_dict().items())
