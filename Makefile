@@ -1,6 +1,6 @@
 # make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench,
-# make data [DATA=folder] [SCALE=share] [CAMERAS=name,...], make pvdn-data, make drives, make model, make reproduce,
-# make simulator-pictures, make simulator-report, make drive.
+# make data [DATA=folder] [SCALE=share] [CAMERAS=name,...], make pvdn-data, make drives, make model, make old-samples,
+# make reproduce, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
 PYTHON ?= python3
@@ -12,7 +12,8 @@ export OMP_WAIT_POLICY ?= PASSIVE
 # Compiling 900 files anew takes a fifth of the quick loop.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo quick test check wheel docs bench data pvdn-data drives model reproduce simulator-pictures simulator-report drive clean
+.PHONY: demo quick test check wheel docs bench data pvdn-data drives model old-samples reproduce simulator-pictures \
+    simulator-report drive clean
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -130,6 +131,13 @@ model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(DATA) $(DATA)/beam/traffic $(DATA)/beam/empty \
 	    --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
+
+# What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
+# the images again. OLD_DATA and OLD_CACHE name those drives and the folder of their samples.
+OLD_DATA ?= $(DATA) $(DATA)/beam/traffic $(DATA)/beam/empty
+OLD_CACHE ?= runs/foreglow/samples
+old-samples: $(VENV)/.dev
+	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --cache $(OLD_CACHE)
 
 # Every table, figure and number of the paper beside ours, on a few simulated drives, in runs/reproduction: meant for half
 # an hour of two idle cores; goes on where it was. With PVDN, run foreglow reproduce on it.

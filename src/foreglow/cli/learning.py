@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from foreglow.lab.learning.annotation import Annotation
+    from foreglow.lab.learning.fine_tuning import Judged
+    from foreglow.lab.learning.model_import import StartingPoint
     from foreglow.lab.learning.tuning import Tuning
 
 
@@ -148,6 +151,14 @@ def _tuning_lines(tuning: Tuning) -> list[str]:
 def train(
     data: Annotated[list[Path], argument("DATA...", "Data sets in PVDN's format, with train and val.")],
     out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
+    from_: Annotated[
+        Path | None,
+        option("foreglow|FILE", "Go on from this model, in minutes, with old samples mixed in.", "--from"),
+    ] = None,
+    mix: Annotated[
+        list[Path] | None,
+        file("With --from: drives to mix in instead of the samples that ship; repeatable.", "--mix", metavar="DATA"),
+    ] = None,
     recipe: Annotated[str, option("paper|foreglow", "How to train, and which network.")] = "foreglow",
     recipe_file: Annotated[Path | None, file("TOML file whose fields override the recipe.")] = None,
     epochs: Annotated[int | None, option("N", "Train for at most N epochs.", min=1)] = None,
@@ -171,20 +182,84 @@ def train(
     from foreglow.lab.learning.training_run import train_model
     from foreglow.lab.reports.training_curves import draw_training
 
-    chosen = recipes.recipe(recipe) if recipe_file is None else recipes.read_recipe(recipe_file, recipes.recipe(recipe))
+    if from_ is None and mix is not None:
+        raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
+    if from_ is not None and recipe != "foreglow":
+        raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
+    configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
+    base, start = recipes.recipe(recipe), None
+    if from_ is not None:
+        from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe
+        from foreglow.lab.learning.model_import import read_model
+
+        start = read_model(from_)
+        base = fine_tuning_recipe(start)
+    chosen = base if recipe_file is None else recipes.read_recipe(recipe_file, base)
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
-    configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
+    judged: tuple[Judged, ...] = ()
     try:
         with TrainingBar() as progress:
-            summary = train_model(data, chosen, configuration, out, device=device, cache=cache, progress=progress)
+            how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}
+            if start is None:
+                summary = train_model(data, chosen, configuration, out, **how)
+            else:
+                summary, judged = fine_tune(data, start, chosen, configuration, out, mix=mix or (), **how)
     except KeyboardInterrupt:
         typer.echo(f"{out}: the same command continues from the last whole epoch", err=True)
         raise
     finally:  # also for a training that was interrupted
         draw_training(out)
-    typer.echo("\n".join(_training_lines(summary, out)))
+    if start is None:
+        typer.echo("\n".join(_training_lines(summary, out)))
+    else:
+        _show_fine_tuning(summary, start, judged, out)
+
+
+def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Sequence[Judged], folder: Path) -> None:
+    """What came of a fine-tuning: a table of before and after, and a picture."""
+    import rich
+    from rich.table import Table
+
+    from foreglow.lab.reports.changed_boxes import draw_changes
+    from foreglow.lab.reports.page import number
+
+    counts, threshold = summary["samples"], summary["threshold"]
+    own, old = ({name: part[name] for name in ("positive", "negative")} for part in (counts["own"], counts["mixed_in"]))
+    typer.echo(
+        f"learnt from {own['positive']} boxes with light and {own['negative']} without, "
+        f"{old['positive']} and {old['negative']} mixed in"
+    )
+    table = Table(
+        *("", "boxes", "", "P", "R", "F", "AP"),
+        title=f"boxes that it has not learnt from, score > {threshold:g}",
+        caption="precision, recall, F, average precision",
+        title_justify="left",
+        caption_justify="left",
+    )
+    for each in judged:
+        before, after = each.figures()
+        for name, count, when, figures in (
+            (each.name, str(len(each.samples)), "before", before),
+            ("", "", "after", after),
+        ):
+            table.add_row(name, count, when, *(number(value, 3) for value in dataclasses.astuple(figures)))
+        table.add_section()
+    rich.print(table)
+    if len(judged) == 1:
+        typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")
+    picture = draw_changes(judged, folder)
+    if picture is not None:
+        typer.echo(f"what changed, before and after: look at {picture}")
+    if summary["way"] == 0:
+        typer.echo(
+            "the model is as before: all that it learnt costs too much of what it knew; "
+            "label more, or --mix drives like those that it learnt from"
+        )
+    if start.tells_direct:
+        typer.echo(f"the new model does not tell lamps from their light, as {start.name} does")
+    typer.echo(f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml")
 
 
 def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:

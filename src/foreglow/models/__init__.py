@@ -7,6 +7,9 @@ from pathlib import Path
 BUNDLED = ("foreglow",)
 """Names of the models."""
 
+OLD_SAMPLES = Path(__file__).parent / "foreglow_samples.npz"
+"""A little of what the model learnt from, for training it further; `foreglow.lab.learning.old_samples` makes it."""
+
 
 def model_path(model: Path) -> Path:
     """Where the model lies: that of the package for one of the names in `BUNDLED`, else `model` itself.

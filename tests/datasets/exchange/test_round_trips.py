@@ -9,11 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.datasets import open_labelled, open_source
+from foreglow.classifier.inputs import InputMaker, InputSpec
+from foreglow.datasets import PVDN, Video, open_labelled, open_source, write_pvdn
 from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
-from foreglow.datasets.exchange.marks import Kind, LabelSet, vehicles_of
+from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory
+from foreglow.types import Proposals
+from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import edit, labelled_vehicle, make_pvdn
 
 CATEGORIES_ARE_KEPT = {"cvat", "label-studio"}
@@ -174,3 +177,32 @@ def test_the_categories_of_the_tools_are_ours() -> None:
     from foreglow.datasets.exchange.marks import CATEGORIES
 
     assert set(CATEGORIES.values()) == set(ImageCategory) - {ImageCategory.NONE}
+
+
+def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: Path) -> None:
+    """Nobody labels every frame; what a classifier sees in the car is there all the same."""
+    clip = make_video(tmp_path / "clip.mp4")  # 25 Hz, brighter by 8 levels a frame
+    images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72)) for number in (2, 10, 16, 22))
+    write_labels_file(tmp_path / "a.xml", LabelSet(images, is_video=True), "cvat")
+    write_split(LabelFile(tmp_path / "a.xml", clip), tmp_path / "own")
+    own = PVDN(tmp_path / "own")
+    assert own.frame_ids == (2, 10, 16, 22)
+    assert [own.time_s(image_id) for image_id in own.frame_ids] == [0.0, 0.32, 0.56, 0.8]
+    assert own.earlier(2) is None  # the video begins too late
+    assert own.earlier(16) is None  # it is labelled itself, as frame 10
+    assert own.earlier(22) is None  # likewise, as frame 16
+    before, now = own.earlier(10), own.read(10)
+    assert before is not None
+    assert now.timestamp_ns - before.timestamp_ns == 240_000_000
+    np.testing.assert_array_equal(before.image, next(f.image for f in Video(clip) if f.frame == 4))
+    write_pvdn(own, tmp_path / "copy")
+    copied = PVDN(tmp_path / "copy").earlier(10)
+    assert copied is not None
+    np.testing.assert_array_equal(copied.image, before.image)
+    maker = InputMaker(InputSpec(size_px=8, lag_s=0.25, num_features=7))
+    boxes = Proposals(np.array([[10, 10, 30, 30]], np.int32))
+    maker.make(before, Proposals(np.zeros((0, 4), np.int32)))
+    assert maker.make(now, boxes).features[0, 6] == 1
+    Path(before.path).unlink()
+    with pytest.raises(FileNotFoundError, match=r"000010_earlier\.png: no such image, expected that before id 10"):
+        own.earlier(10)

@@ -23,6 +23,10 @@ PLACES = (".", "images", "../images")
 """Where the images of a file of labels may lie, seen from its folder, if nobody says where they are."""
 
 
+EARLIER_S = 0.25
+"""The moment of the past that our recipe shows a classifier."""
+
+
 class LabelFile(LabelledSource):
     """Labels of CVAT, COCO or Label Studio, and the images that they are about.
 
@@ -77,16 +81,27 @@ class LabelFile(LabelledSource):
         """The selected frames."""
         self.skipped = []
         if self._video is not None:
-            return self._video_frames()
+            return (frame for frame, _ in self.pairs())
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
         return self._read_each(reads)
 
-    def _video_frames(self) -> Iterator[Frame]:
-        assert self._video is not None
+    def pairs(self) -> Iterator[tuple[Frame, Frame | None]]:
+        """The selected frames; of a video each with one from a quarter of a second before, unless it is selected, too.
+
+        A classifier may want to see what was there before, and nobody labels all frames of a drive.
+        """
+        if self._video is None:
+            yield from ((frame, None) for frame in self)
+            return
         wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
+        lag = max(1, round(EARLIER_S * self.rate_hz))
+        earlier_numbers = {number - lag for number in wanted} - set(wanted)
+        earlier: dict[int, Frame] = {}
         for frame in self._video:
+            if frame.frame in earlier_numbers:
+                earlier[frame.frame + lag] = frame
             if frame.frame in wanted:
-                yield self._checked(frame, wanted.pop(frame.frame))
+                yield self._checked(frame, wanted.pop(frame.frame)), earlier.pop(frame.frame, None)
             if not wanted:
                 return
         if wanted:

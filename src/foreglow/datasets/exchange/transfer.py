@@ -9,6 +9,7 @@ from typing import Any
 
 from foreglow.datasets.exchange.files import LABEL_FORMATS
 from foreglow.datasets.exchange.marks import MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
+from foreglow.datasets.exchange.source import LabelFile
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
@@ -123,12 +124,13 @@ def write_split(dataset: LabelledSource, root: Path) -> int:
     with PVDNWriter(root, info={"rate_hz": dataset.rate_hz}) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
-            images = (_labelled(frame, dataset) for frame in part)
+            pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
+            images = (_labelled(frame, dataset, earlier) for frame, earlier in pairs)
             num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
     return num_images
 
 
-def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
+def _labelled(frame: Frame, dataset: LabelledSource, earlier: Frame | None) -> LabelledImage:
     categories = tuple(each for each in dataset.categories(frame.frame) if each != ImageCategory.NONE)
     vehicles, doubtful = dataset.annotations(frame.frame), dataset.doubtful(frame.frame)
-    return LabelledImage(frame, vehicles, categories, doubtful=doubtful)
+    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=earlier)

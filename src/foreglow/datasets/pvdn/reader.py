@@ -144,19 +144,30 @@ class PVDN(LabelledSource):
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`."""
-        record = self.image(image_id)
         self._check_exists(image_id)
-        path = self.image_path(image_id)
+        return equip(self._frame(image_id, self.image_path(image_id), 0.0), self._vehicle)
+
+    def earlier(self, image_id: int) -> Frame | None:
+        """As in `LabelledSource`; its number is that of the image that it belongs to."""
+        known = self.image(image_id).earlier
+        if known is None:
+            return None
+        path = self.image_path(image_id).with_name(known.file_name)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such image, expected that before id {image_id}")
+        return self._frame(image_id, path, known.age_ms / 1000)
+
+    def _frame(self, image_id: int, path: Path, age_s: float) -> Frame:
+        """The image at `path`, taken `age_s` before image `image_id`, which has the same size."""
+        record, sequence = self.image(image_id), self.sequence(image_id)
         image = read_image(path)
         if image.shape != (record.height_px, record.width_px):
             raise ValueError(
                 f"{path}: image size: expected {record.width_px}x{record.height_px} px as in image_annotations.json, "
                 f"got {image.shape[1]}x{image.shape[0]} px"
             )
-        sequence = self.sequence(image_id)
-        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round(self.time_s(image_id) * 1e9)
-        frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
-        return equip(frame, self._vehicle)
+        timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round((self.time_s(image_id) - age_s) * 1e9)
+        return Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`; every image has a keypoint file, also without vehicles."""

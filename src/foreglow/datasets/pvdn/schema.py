@@ -220,6 +220,18 @@ class Category(PVDNRecord):
     supercategory: str | None = None
 
 
+class EarlierImage(PVDNRecord):
+    """An image without labels that was taken shortly before one with labels, in the same folder.
+
+    Attributes:
+        file_name: Name below the sequence's folder.
+        age_ms: How much earlier it was taken, milliseconds.
+    """
+
+    file_name: Name
+    age_ms: Annotated[float, Field(gt=0, le=10_000)]
+
+
 class ImageRecord(PVDNRecord):
     """An image: an entry of `images` in `image_annotations.json`.
 
@@ -232,6 +244,7 @@ class ImageRecord(PVDNRecord):
         date_captured: As in the file; its form is not documented.
         timestamp: Milliseconds in sets that state a rate, see `PVDN`; in PVDN's own files the unit is not documented.
         licence: Index in the list of licences.
+        earlier: What the camera saw shortly before, for a classifier that wants to see it; None where unknown.
     """
 
     id: Id
@@ -242,6 +255,7 @@ class ImageRecord(PVDNRecord):
     date_captured: str | int | float | None = None
     timestamp: str | int | float | None = None
     licence: int | None = None
+    earlier: EarlierImage | None = None
 
 
 class ImageAnnotation(PVDNRecord):

@@ -17,6 +17,7 @@ from foreglow.datasets.pvdn.schema import (
     CameraConfiguration,
     Category,
     Cycle,
+    EarlierImage,
     ImageAnnotation,
     ImageAnnotationsFile,
     ImageCategory,
@@ -50,6 +51,7 @@ class LabelledImage:
         boxes: Generated boxes; None writes no file.
         camera_configuration: Index in the writer's list of camera configurations.
         doubtful: As in `KeypointsFile`.
+        earlier: As in `LabelledSource.earlier`.
     """
 
     frame: Frame
@@ -58,6 +60,7 @@ class LabelledImage:
     boxes: BoxLabels | None = None
     camera_configuration: int = 0
     doubtful: tuple[Instance, ...] = ()
+    earlier: Frame | None = None
 
 
 class PVDNWriter(AbstractContextManager["PVDNWriter"]):
@@ -119,6 +122,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                 record = self._record(labelled, added)
                 added[record.id] = record
                 self._write(labelled, folder / record.file_name, written)
+                if labelled.earlier is not None and record.earlier is not None:
+                    written.append(folder / record.earlier.file_name)
+                    write_atomic(written[-1], png(labelled.earlier.image))
                 next_id = len(self._annotations) + len(annotations)
                 annotations += [
                     ImageAnnotation(id=next_id + number, category=category, image_id=record.id)
@@ -166,7 +172,12 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                 f"{len(CAMERA_CONFIGURATIONS)}, got {labelled.camera_configuration}"
             )
         size_px = frame.width_px, frame.height_px
-        return image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)
+        record = image_record(frame.frame, size_px, frame.timestamp_ns, labelled.camera_configuration)
+        if labelled.earlier is None:
+            return record
+        age_ms = (frame.timestamp_ns - labelled.earlier.timestamp_ns) / 1e6
+        name = f"{frame.frame:06d}_earlier.png"
+        return record.model_copy(update={"earlier": EarlierImage(file_name=name, age_ms=age_ms)})
 
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
         """Writes the image and its label files; each path is added to `written` before the file is there."""
@@ -217,6 +228,9 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
         folder = root / "images" / source.sequence(image_id).directory
         folder.mkdir(exist_ok=True)
         write_atomic(folder / record.file_name, png(source.read(image_id).image))
+        earlier = source.earlier(image_id)
+        if earlier is not None:
+            write_atomic(folder / Path(earlier.path).name, png(earlier.image))
         source.annotations(image_id)  # checks the file against its name
         name = f"{image_id:06d}.json"
         keypoints = read_json(source.root / "labels" / "keypoints" / name, KeypointsFile)

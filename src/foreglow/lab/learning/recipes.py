@@ -77,7 +77,8 @@ class Recipe(FrozenModel):
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
         augmentation: Random changes of training crops; validation samples are never changed.
-        best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5.
+        best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5, or is the
+            last one.
         calibration: `temperature` divides the logits so that the scores of the validation samples are probabilities,
             `platt` also shifts them (which moves the threshold); `none` leaves them.
         precision: `bf16` computes with bfloat16 where that is safe: faster on processors and GPUs that support it.
@@ -107,7 +108,7 @@ class Recipe(FrozenModel):
     by_light: bool = False
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     augmentation: Augmentation = Augmentation()
-    best_by: Literal["loss", "f1"] = "loss"
+    best_by: Literal["loss", "f1", "last"] = "loss"
     calibration: Literal["none", "temperature", "platt"] = "temperature"
     precision: Literal["fp32", "bf16"] = "fp32"
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1

@@ -81,6 +81,8 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
         sequence = dataset.sequence(image_id)
         about_time = (sequence.id, sequence.start_time_ms, dataset.time_s(image_id))
         add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, *about_time)
+        if (earlier := dataset.image(image_id).earlier) is not None:
+            add(earlier.file_name, earlier.age_ms)
         digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
     if config.by_light:
         for sequence in dataset.sequences:

@@ -74,6 +74,7 @@ def train(
     folder: Path,
     *,
     make_network: MakeNetwork | None = None,
+    start: str = "",
     device: str = "auto",
     progress: TrainingProgress | None = None,
 ) -> TrainingResult:
@@ -86,7 +87,8 @@ def train(
         train_samples: Samples for training; those with label -1 are left out.
         val_samples: Samples to choose the best epoch by; never augmented.
         folder: Folder for the checkpoint; made if it does not exist.
-        make_network: Makes the untrained network; None takes the recipe's from `networks.NETWORKS`.
+        make_network: Makes the network to train; None takes the recipe's from `networks.NETWORKS`, untrained.
+        start: What the network has learnt before, such as a model's digest: another start does not continue this one.
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         progress: Called after every step and epoch.
 
@@ -105,6 +107,8 @@ def train(
         "train data": train_samples.digest or content_digest(train_samples),
         "val data": val_samples.digest or content_digest(val_samples),
     }
+    if start:
+        identity["start"] = start
     checkpoint = read_checkpoint(folder, identity)
     with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if chosen.type == "cuda" else []):
         trainer = _Trainer(recipe, train_samples, make_network or recipe_network, chosen)
@@ -163,6 +167,8 @@ def score_samples(
 
 def best_number(recipe: Recipe, epochs: list[dict[str, float]]) -> int:
     """Number of the best epoch, from 1, the first of equals; NaN is never better."""
+    if recipe.best_by == "last":
+        return len(epochs)
     figures = [-row["val_loss"] if recipe.best_by == "loss" else row["f1"] for row in epochs]
     return int(np.argmax([-math.inf if math.isnan(figure) else figure for figure in figures])) + 1
 

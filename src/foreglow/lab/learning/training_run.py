@@ -8,7 +8,7 @@ import importlib.util
 import io
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,22 +77,29 @@ def train_model(
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
-        name: joined([_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
+        name: joined([labelled_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
         for name in names
     }
     reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
     result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=reported)
-    write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     summary = {
-        **provenance(),
         "data": [str(path) for path in data],
         **finish(recipe, result, samples["val"], folder),
-        "samples": {
-            name: {kind: split.num_labelled(label) for kind, label in LABELS.items()} for name, split in samples.items()
-        },
+        "samples": {name: sample_counts(split) for name, split in samples.items()},
         "seconds": round(time.perf_counter() - started, 1),
-        "recipe": recipe.model_dump(mode="json"),
     }
+    return write_results(folder, recipe, config, summary)
+
+
+def sample_counts(samples: Samples) -> dict[str, int]:
+    """How many samples have each label."""
+    return {kind: samples.num_labelled(label) for kind, label in LABELS.items()}
+
+
+def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Writes the recipe, the configuration with the new model, and `summary.json`, whose content is returned."""
+    summary = {**provenance(), **about, "recipe": recipe.model_dump(mode="json")}
+    write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
     write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
     write_json_results(folder / SUMMARY, summary, indent=2)
@@ -144,7 +151,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     }
 
 
-def _samples(
+def labelled_samples(
     dataset: LabelledSource,
     recipe: Recipe,
     config: PipelineConfig,
@@ -152,6 +159,7 @@ def _samples(
     cache: Path,
     progress: RunProgress | None,
 ) -> Samples:
+    """The samples of a split for a recipe, from `cache` or made and kept there; only those of train have copies."""
     jitter = recipe.jitter if split == "train" else Jitter()
     sample_config = SampleConfig(
         proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light

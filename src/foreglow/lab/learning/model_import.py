@@ -1,0 +1,110 @@
+"""A model's network in torch again, to go on training it. Importing this needs the `train` extra."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from onnx import numpy_helper
+from torch import nn
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.classifier.inputs import InputSpec
+from foreglow.config import ClassifierConfig
+from foreglow.lab.learning.networks import CompactNetwork
+from foreglow.models import model_path
+from foreglow.types import KINDS
+
+_LAYERS = ("Conv",) * 4 + ("Gemm",) * 2
+"""The operations with weights in a model of the compact network, in order."""
+
+
+class FoldedNetwork(CompactNetwork):
+    """A compact network whose normalisation is part of its convolutions, as in a model; training leaves it so.
+
+    What was the normalisation is a scale and a shift for each channel, which are trained.
+    """
+
+    def train(self, mode: bool = True) -> Self:
+        """As in `torch.nn.Module`, but batches are never normalised by their own statistics."""
+        super().train(mode)
+        for layer in self.body:
+            if isinstance(layer, nn.BatchNorm2d):
+                layer.eval()
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartingPoint:
+    """A model to go on from.
+
+    Attributes:
+        name: The path, or the name of a model that ships.
+        network: Writes the model's logits of being light, or of all kinds.
+        inputs: What it reads.
+        digest: SHA-256 of the model's file.
+        tells_direct: Whether the model also tells lamps from their light, by a logit that the network leaves out.
+    """
+
+    name: str
+    network: FoldedNetwork
+    inputs: InputSpec
+    digest: str
+    tells_direct: bool
+
+    @property
+    def has_kinds(self) -> bool:
+        """Whether the model tells all kinds of light."""
+        return self.network.last.out_features == len(KINDS)
+
+
+def read_model(model: Path) -> StartingPoint:
+    """The network of a model of the recipe `foreglow`: of one that ships, by its name, or of a file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no model that the pipeline can run, or of another network.
+    """
+    spec = OnnxClassifier(ClassifierConfig(model=model)).spec
+    path = model_path(model)
+    content = path.read_bytes()
+    graph = onnx.load_model_from_string(content).graph
+    constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    layers = [node for node in graph.node if node.op_type in set(_LAYERS)]
+    values: list[Any] = [constants.get(name) for node in layers for name in node.input[1:]]
+    num_outputs = len(values[-1]) if values and values[-1] is not None else 0
+    network = FoldedNetwork(spec.num_channels, spec.num_features, len(KINDS) if num_outputs == len(KINDS) else 1)
+    wanted = _parameters(network)
+    is_alike = tuple(node.op_type for node in layers) == _LAYERS and len(values) == len(wanted)
+    for parameter, value in zip(wanted, values, strict=False):
+        is_alike = is_alike and value is not None and _fits(parameter, value)
+    if not is_alike:
+        raise ValueError(f"{path}: expected a model of the recipe foreglow, whose network can be trained further")
+    with torch.no_grad():
+        for parameter, value in zip(wanted, values, strict=True):
+            parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))
+        for layer in network.body:
+            if isinstance(layer, nn.BatchNorm2d) and layer.running_var is not None:
+                layer.running_var.fill_(1 - layer.eps)
+    digest = hashlib.sha256(content).hexdigest()
+    return StartingPoint(str(model), network.eval(), spec, digest, tells_direct=num_outputs == 2)
+
+
+def _parameters(network: CompactNetwork) -> list[torch.Tensor]:
+    """Weight and bias of each layer of a model; the bias of a convolution is that of its normalisation."""
+    body: list[Any] = list(network.body)
+    pairs = [(convolution.weight, norm.bias) for convolution, norm in zip(body[0::3], body[1::3], strict=True)]
+    pairs += [(layer.weight, layer.bias) for layer in (network.hidden, network.last)]
+    return [parameter for pair in pairs for parameter in pair]
+
+
+def _fits(parameter: torch.Tensor, value: NDArray[Any]) -> bool:
+    """Whether a model's constant is that of this parameter; the last layer may have a second output."""
+    first = len(value) == len(parameter) or (len(value), len(parameter)) == (2, 1)
+    return first and tuple(value.shape[1:]) == tuple(parameter.shape[1:])

@@ -1,0 +1,247 @@
+"""A model goes on learning: from its file, with old samples mixed in."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+import torch
+
+from foreglow.classifier import OnnxClassifier
+from foreglow.classifier.inputs import InputSpec
+from foreglow.classifier.session import open_session
+from foreglow.config import ClassifierConfig
+from foreglow.lab.learning import fine_tuning
+from foreglow.lab.learning.model_export import write_model
+from foreglow.lab.learning.model_import import FoldedNetwork, read_model
+from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
+from foreglow.lab.learning.old_samples import (
+    WIDEST,
+    chosen,
+    main,
+    read_old_samples,
+    split_by_drive,
+    write_old_samples,
+)
+from foreglow.lab.learning.samples import NUM_KINDS, Samples
+from foreglow.models import OLD_SAMPLES, model_path
+from tests.cli.commands import complaint, foreglow_command
+from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
+
+pytestmark = [pytest.mark.torch, pytest.mark.slow]
+
+NARROW = InputSpec(size_px=32, lag_s=0.25, num_features=7)
+
+
+def made_up(num_samples: int, seed: int = 0) -> Samples:
+    random = np.random.default_rng(seed)
+    labels = random.choice(np.array([1, 0, 0, 0, -1], np.int8), num_samples)
+    smooth = cv2.GaussianBlur(random.normal(0, 1, (num_samples * 3 * 32, 32)), (0, 0), 4)
+    kinds = np.eye(NUM_KINDS, dtype=np.float32)[np.where(labels == 1, random.integers(0, 4, num_samples), 4)]
+    return Samples(
+        crops=np.clip(128 + 400 * smooth, 0, 255).astype(np.uint8).reshape(num_samples, 3, 32, 32),
+        features=random.random((num_samples, 9)).astype(np.float32),
+        labels=labels,
+        kinds=kinds,
+        groups=np.full(num_samples, -1, np.int8),
+        boxes_xyxy_px=np.zeros((num_samples, 4), np.int32),
+        image_ids=np.arange(num_samples, dtype=np.int64),
+        sequence_ids=np.zeros(num_samples, np.int32),
+    )
+
+
+def model_at(path: Path, spec: InputSpec, num_outputs: int, seed: int = 3) -> CompactNetwork:
+    torch.manual_seed(seed)
+    network = CompactNetwork(spec.num_channels, spec.num_features, num_outputs)
+    network.train()
+    network(torch.rand(16, spec.num_channels, 32, 32), torch.rand(16, spec.num_features))  # moves the statistics
+    write_model(network.eval(), spec, path, {})
+    return network
+
+
+def given(spec: InputSpec) -> dict[str, Any]:
+    random = np.random.default_rng(1)
+    crops = random.random((5, spec.num_channels, 32, 32), np.float32)
+    return {"crops": crops, "features": random.random((5, spec.num_features), np.float32)}
+
+
+def logits_of(network: torch.nn.Module, arrays: dict[str, Any]) -> Any:
+    with torch.inference_mode():
+        return network(*(torch.from_numpy(array) for array in arrays.values())).numpy()
+
+
+@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (WIDEST, 5)])
+def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec, num_outputs: int) -> None:
+    network = model_at(tmp_path / "model.onnx", spec, num_outputs)
+    start = read_model(tmp_path / "model.onnx")
+    assert start.inputs == spec
+    assert (start.has_kinds, start.tells_direct) == (num_outputs == 5, False)
+    arrays = given(spec)
+    np.testing.assert_allclose(logits_of(start.network, arrays), logits_of(network, arrays), atol=1e-4)
+    start.network.train()
+    start.network.dropout.eval()  # nothing else differs between training and use
+    np.testing.assert_allclose(logits_of(start.network, arrays), logits_of(network, arrays), atol=1e-4)
+    write_model(start.network.eval(), spec, tmp_path / "again.onnx", {})
+    again = open_session(tmp_path / "again.onnx", 1).run(None, arrays)[0]
+    np.testing.assert_allclose(again, logits_of(network, arrays), atol=1e-4)
+
+
+def test_the_model_that_ships_goes_on_too() -> None:
+    start = read_model(Path("foreglow"))
+    assert isinstance(start.network, FoldedNetwork)
+    spec = OnnxClassifier(ClassifierConfig(model=Path("foreglow"))).spec
+    assert start.inputs == spec
+    expected = open_session(model_path(Path("foreglow")), 1).run(None, given(spec))[0]
+    found = logits_of(start.network, given(spec))
+    np.testing.assert_allclose(found, expected[:, : found.shape[1]], atol=1e-4)
+
+
+def test_another_network_is_refused(tmp_path: Path) -> None:
+    write_model(ArtifactNetwork().eval(), InputSpec(), tmp_path / "paper.onnx", {})
+    with pytest.raises(ValueError, match=r"paper\.onnx: expected a model of the recipe foreglow"):
+        read_model(tmp_path / "paper.onnx")
+
+
+def test_the_samples_that_ship_are_for_the_model_that_ships() -> None:
+    start = read_model(Path("foreglow"))
+    learn, judge = split_by_drive(read_old_samples(OLD_SAMPLES, start.inputs))
+    assert learn.crops.shape[1:] == (start.inputs.num_channels, 32, 32)
+    for part in (learn, judge):
+        assert min(part.num_labelled(0), part.num_labelled(1)) > 50
+        assert (part.features[:, 6] > 0).any()  # boxes with a moment of the past
+        assert not np.isnan(part.kinds).any()
+    assert not set(learn.sequence_ids.tolist()) & set(judge.sequence_ids.tolist())
+    assert OLD_SAMPLES.stat().st_size <= 2_000_000
+
+
+@pytest.mark.parametrize("spec", [WIDEST, NARROW, InputSpec(size_px=32, context=6)])
+def test_samples_survive_their_file(tmp_path: Path, spec: InputSpec) -> None:
+    samples = made_up(150)
+    write_old_samples(tmp_path / "some.npz", samples)
+    found = read_old_samples(tmp_path / "some.npz", spec)
+    channels = [0, *([1] if spec.lag_s else []), *([2] if spec.context else [])]
+    assert np.abs(found.crops.astype(int) - samples.crops[:, channels]).mean() < 2
+    np.testing.assert_allclose(found.features, samples.features[:, : spec.num_features], atol=1e-3)
+    for name in ("labels", "kinds", "image_ids"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(samples, name))
+    write_old_samples(tmp_path / "again.npz", samples)
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "some.npz").read_bytes()
+
+
+def test_samples_of_other_inputs_or_of_nothing_say_so(tmp_path: Path) -> None:
+    write_old_samples(tmp_path / "some.npz", made_up(20))
+    with pytest.raises(ValueError, match=r"some\.npz: expected a model that reads no more than"):
+        read_old_samples(tmp_path / "some.npz", dataclasses.replace(WIDEST, size_px=64))
+    for content in (b"", b"PK\x05\x06", (tmp_path / "some.npz").read_bytes()[:900]):
+        (tmp_path / "some.npz").write_bytes(content)
+        with pytest.raises(ValueError, match=r"some\.npz: expected samples as"):
+            read_old_samples(tmp_path / "some.npz", WIDEST)
+
+
+def test_chosen_samples_are_of_every_part_and_not_doubtful() -> None:
+    parts = [made_up(200, seed) for seed in (1, 2)]
+    found = chosen(parts, 60)
+    assert (len(found), found.num_labelled(1), found.num_labelled(-1)) == (60, 24, 0)
+    np.testing.assert_array_equal(found.crops, chosen(parts, 60).crops)
+
+
+def test_the_samples_are_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = make_drives(tmp_path / "data", num_images=2)
+    arguments = [str(data), "--out", str(tmp_path / "some.npz"), "--cache", str(tmp_path / "cache")]
+    main([*arguments, "--samples", "10"])
+    found = read_old_samples(tmp_path / "some.npz", WIDEST)
+    assert f"{found.num_labelled(1)} boxes with light, {found.num_labelled(0)} without" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "config.toml").write_text(CONFIG_TOML + "[classifier]\nscore_threshold = 0.5\n")
+    return make_drives(folder / "data", num_images=6)
+
+
+@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (WIDEST, 5)])
+def test_a_model_learns_own_drives(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: InputSpec, num_outputs: int
+) -> None:
+    monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)  # the start knows nothing that is worth keeping
+    model_at(tmp_path / "start.onnx", spec, num_outputs)
+    more = make_drives(tmp_path / "more", num_images=2)
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2, "--mix", more]
+    out = tmp_path / "mine"
+    command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, *options]
+    (tmp_path / "fast.toml").write_text("learning_rate = 0.002\nbatch_size = 8\n")
+    done = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
+    assert done.exit_code == 0, done.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["num_epochs"] == summary["best_epoch"]["number"] == 15
+    own, old = summary["before_and_after"].values()
+    assert own[1]["average_precision"] > own[0]["average_precision"]
+    assert len(old) == 2
+    assert summary["way"] == 1
+    assert "what it knew before" in done.stdout
+    picture = cv2.imread(str(out / "changes.jpg"))
+    assert picture is not None
+    assert picture.shape[1] == 2 * 720
+    assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == spec
+    again = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
+    assert again.exit_code == 0, again.output
+    assert json.loads((out / "summary.json").read_text())["model_sha256"] == summary["model_sha256"]
+    model_at(tmp_path / "start.onnx", spec, num_outputs, seed=4)
+    assert "checkpoint.pt: start: expected that of the training begun here" in complaint(
+        *command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml"
+    )
+
+
+def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
+    network = model_at(tmp_path / "model.onnx", WIDEST, 5)
+    start = read_model(tmp_path / "model.onnx").network
+    samples = made_up(60)
+    with torch.inference_mode():
+        logits = network(torch.from_numpy(samples.crops).float() / 255, torch.from_numpy(samples.features)).numpy()
+    order = np.argsort(np.logaddexp.reduce(logits[:, :-1], axis=1) - logits[:, -1])
+    labels = np.zeros(60, np.int8)
+    labels[order[30:]] = 1  # what the start says is right
+    old = dataclasses.replace(samples, labels=labels)
+    other = read_model(tmp_path / "model.onnx").network
+    with torch.no_grad():
+        other.last.bias.add_(1.0)
+        other.last.weight.mul_(2.0)  # the order stays
+    assert fine_tuning._move(other, start, old, torch.device("cpu")) == 1
+    with torch.no_grad():
+        other.last.weight.mul_(-5.0)  # the order is turned around
+    before = {name: value.clone() for name, value in start.state_dict().items()}
+    assert fine_tuning._move(other, start, old, torch.device("cpu")) < 0.5
+    assert all(torch.equal(value, before[name]) for name, value in start.state_dict().items())
+
+
+def test_without_held_out_drives_and_with_the_samples_that_ship(drives: Path, tmp_path: Path) -> None:
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1]
+    out = tmp_path / "mine"
+    done = foreglow_command("train", drives / "day/train", "--from", tmp_path / "start.onnx", "--out", out, *options)
+    assert done.exit_code == 0, done.output
+    assert "no drives of yours are held out" in done.stdout
+    assert json.loads((out / "summary.json").read_text())["mixed_in"] == OLD_SAMPLES.name
+    assert not (out / "changes.jpg").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--mix", "."], "expected --from with --mix"),
+        (["--from", "foreglow", "--recipe", "paper"], "expected the recipe foreglow with --from, got 'paper'"),
+        (["--from", "nothing.onnx"], "nothing.onnx: no such model file"),
+    ],
+)
+def test_what_does_not_go_together_is_said(drives: Path, tmp_path: Path, options: list[str], message: str) -> None:
+    assert message in complaint("train", drives, "--out", tmp_path / "mine", *options)

@@ -1,0 +1,41 @@
+"""The notebooks run from the first cell to the last, in an empty folder, and hold no outputs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def code_of(notebook: Any) -> list[str]:
+    return ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_holds_no_outputs(path: Path) -> None:
+    for cell in read(path)["cells"]:
+        assert not cell.get("outputs")
+        assert cell.get("execution_count") is None
+
+
+@pytest.mark.torch
+@pytest.mark.slow
+@pytest.mark.process
+def test_own_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path,) = (path for path in NOTEBOOKS if path.stem == "own_drive")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for number, code in enumerate(code_of(read(path))):
+        exec(compile(code, f"{path.name}, code cell {number}", "exec"), names)
+    assert len(names["results"]) == 90
+    assert names["summary"]["num_epochs"] == 4
+    assert set(names["summary"]["before_and_after"]) == {"own/val", "what it knew before"}
+    assert Path("after/frames.jsonl").is_file()
