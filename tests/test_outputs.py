@@ -69,6 +69,21 @@ def test_folders(tmp_path: Path) -> None:
     check_outputs({"--config": config}, {}, {"--out": config.parent / "again"})
 
 
+def test_a_folder_inside_an_input(tmp_path: Path) -> None:
+    data, label = tmp_path / "data", r"--out .*expected a new folder for the results, not a part of SOURCE"
+    (data / "images").mkdir(parents=True)
+    (data / "images" / "a.png").touch()
+    with pytest.raises(ValueError, match=label):
+        check_outputs({"SOURCE": data}, {}, {"--out": data / "images"})
+    check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+    (data / "out").mkdir()
+    check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+    for name in ("frames.jsonl", "frames.jsonl.partial"):  # an earlier run's
+        (data / "out" / name).touch()
+        check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+        (data / "out" / name).unlink()
+
+
 def test_a_file_of_an_input_folder(tmp_path: Path) -> None:
     labels = tmp_path / "data" / "labels" / "sequences.json"
     labels.parent.mkdir(parents=True)

@@ -137,6 +137,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
+            if _lies_in(path, read) and _is_foreign(path):
+                raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):
@@ -184,6 +186,14 @@ def _lies_in(path: Path, folder: Path) -> bool:
         return folder.is_dir() and folder.resolve() in path.resolve().parents
     except (OSError, RuntimeError, ValueError):
         return False
+
+
+def _is_foreign(folder: Path) -> bool:
+    """Whether a folder holds something, and that is not what a command has written."""
+    if not folder.is_dir():
+        return False
+    names = {path.name.removesuffix(".partial") for path in folder.iterdir() if not path.name.startswith(".")}
+    return bool(names) and names.isdisjoint(RESULT_FILES)
 
 
 def partial_path(path: Path) -> Path:

@@ -54,6 +54,15 @@ def test_a_disk_that_is_full_for_the_version() -> None:
     assert (done.returncode, done.stderr) == (2, "foreglow: standard output: No space left on device\n")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_a_disk_that_is_full_for_what_a_command_says(tmp_path: Path, folder: Path, config: Path) -> None:
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, "foreglow: standard output: No space left on device\n")
+    assert names(tmp_path / "out") == RESULTS
+
+
 @pytest.mark.parametrize("closing", ["2>&-", "<&- >&- 2>&-"])
 def test_standard_streams_that_are_closed(tmp_path: Path, folder: Path, config: Path, closing: str) -> None:
     command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)

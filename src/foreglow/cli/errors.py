@@ -59,6 +59,9 @@ READERS = (
 )
 """Where files of the user are read."""
 
+PRINTERS = ("click", "typer", "rich")
+"""Packages that write to the terminal."""
+
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
@@ -162,6 +165,8 @@ def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
+    if isinstance(error, OSError) and _is_printing(error):
+        return shortened(f"standard output: {error.strerror or error}"), 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(str(error) or type(error).__name__), 2
     words = shortened(f"{type(error).__name__}: {error}", 200)
@@ -201,6 +206,12 @@ def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
     if not is_reading:  # what the readers made of it is worked with already
         return None
     return found or (inputs[0] if len(inputs) == 1 else None)
+
+
+def _is_printing(error: OSError) -> bool:
+    """Whether it came of a line for the terminal, such as where standard output goes to a full disk."""
+    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return modules[-1:] != [] and modules[-1].partition(".")[0] in PRINTERS
 
 
 def _is_part_of(path: Path, inputs: Sequence[Path]) -> bool:
