@@ -7,6 +7,7 @@ Bad input and wrong usage end with 2, an interrupt with 130, and a fault of this
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import platform
 import re
@@ -62,6 +63,9 @@ READERS = (
 PRINTERS = ("click", "typer", "rich")
 """Packages that write to the terminal."""
 
+NO_SPACE = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO)
+"""What a write says that cannot be done."""
+
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
@@ -97,7 +101,7 @@ class Commands(TyperGroup):
         except OSError as error:  # of the help or the version, which no command writes: a full disk
             if isinstance(error, BrokenPipeError) or "--debug" in (extra.get("args") or sys.argv):
                 raise
-            _complain(f"standard output: {error.strerror or error}")
+            _complain(one_line(error)[0])
             sys.exit(2)
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -210,6 +214,8 @@ def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
 
 def _is_printing(error: OSError) -> bool:
     """Whether it came of a line for the terminal, such as where standard output goes to a full disk."""
+    if error.errno not in NO_SPACE:
+        return False
     modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
     return modules[-1:] != [] and modules[-1].partition(".")[0] in PRINTERS
 
