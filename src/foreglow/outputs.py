@@ -118,7 +118,8 @@ class FolderLock:
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
-    What is to be overwritten must be a regular file. Only reports (`.html`) may lie beside what they are about, and be written again.
+    What is to be overwritten must be a regular file. Only reports (`.html`) may lie beside what they are about, and be
+    written again.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
