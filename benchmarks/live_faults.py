@@ -35,6 +35,9 @@ BEGIN, END, NUM = 20, 30, 60
 SMALL_PX = 320
 """Width of a small camera's images."""
 
+EARLY = 4
+"""A decoder of several threads knows of a lost packet so many frames before the one that shows it."""
+
 SHOCK_S = 1.0
 """A silent camera, or a stage that hangs."""
 
@@ -161,7 +164,7 @@ def counted(frames: Sequence[Frame], first: int = NUM_GOOD) -> int | None:
     LiveLoop(camera, functools.partial(Pipeline, configuration), configuration, outputs=[lamps]).run()
     commands = lamps.of_frames()
     is_low = [frame.timestamp_ns in commands and commands[frame.timestamp_ns].mode == BeamMode.LOW for frame in frames]
-    if any(is_low[1:first]):
+    if any(is_low[1 : first - EARLY]):
         raise RuntimeError(f"low beam before anything is wrong: {is_low[:first]}")
     num_low = next((number for number, low in enumerate(reversed(is_low[first:])) if not low), len(frames) - first)
     return len(frames) - first - num_low + 1 if num_low else None
