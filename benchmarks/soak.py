@@ -294,7 +294,9 @@ def wrong(figures: dict[str, Any]) -> list[str]:
         late = {key: num for key, num in counts.items() if key == "None" or int(key) >= MAX_FRAMES_TO_LOW}
         found += [f"{fault}: low beam in the n-th wrong frame, from 0: {late}"] if late else []
     found += [] if figures["pauses"] else figures["not_provoked"]
-    found += [f"{key} vary: {figures[key]}" for key in ("open_files", "threads") if len(figures[key]) > 1]
+    for key in ("open_files", "threads"):  # there may be fewer at the end
+        numbers = [row[key] for row in figures["samples"]]
+        found += [f"{key} grew: {numbers}"] if max(numbers) > numbers[0] else []
     if figures["late_growth"] > MAX_GROWTH:
         found.append(f"memory grew by {figures['late_growth']:.1%} in the second half")
     return found
