@@ -156,15 +156,20 @@ class Digests:
             digest.update(json.dumps(record).encode())
         self.count += 1
         if self.count % self._every == 0:
-            files = len(list(Path("/proc/self/fd").iterdir()))
-            threads = threading.active_count()
-            row = {"frames": self.count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
-            self.rows.append(row)
-            CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
+            self._look()
+
+    def _look(self) -> None:
+        files = len(list(Path("/proc/self/fd").iterdir()))
+        threads = threading.active_count()
+        row = {"frames": self.count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
+        self.rows.append(row)
+        CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
 
     def write_health(self, health: Health) -> None: ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        if not self.rows:  # ended soon
+            self._look()
 
     def discard(self) -> None: ...
 
@@ -257,7 +262,7 @@ def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> 
     loop = LiveLoop(Paced(source, math.inf), pipeline, configuration, outputs=[lamps], sinks=[sink])
     with Pulse(sink) as pulse:
         summary = loop.run()
-    settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames]
+    settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames] or sink.rows
     sizes = [row["resident_mib"] for row in settled]
     later = sizes[len(sizes) // 2 :]
     first_low = {fault: {str(key): num for key, num in counts.items()} for fault, counts in lamps.first_low.items()}
