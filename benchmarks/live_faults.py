@@ -1,25 +1,42 @@
-"""How soon the live loop commands low beam after each fault, and how soon there is light again, on a replayed drive."""
+"""How soon the live loop commands low beam after each fault, and how soon there is light again, on a replayed drive.
+
+Faults of the image are counted in frames, from raw and from coded sources, without a clock: a busy machine gives the
+same. The others, and the time until there is light again, are measured in real time.
+"""
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import functools
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 
 from benchmarks.faulty import PERIOD_S, STAGES, WRONG_FRAMES, Lamps, ScriptedCamera, Step, live_config, spoil
-from benchmarks.timing import CONSOLE, Row, options, table, write_results
+from benchmarks.image_faults import CODINGS, FAULTS, NUM_GOOD, NUM_WRONG, Coding, as_coded, encoded
+from benchmarks.soak import reduced
+from benchmarks.timing import CONSOLE, RESULTS, Row, table, write_results
 from foreglow.config import PipelineConfig
-from foreglow.datasets import open_source, shipped_drive
+from foreglow.datasets import Video, open_source, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.live import LiveLoop
-from foreglow.types import BeamMode, Frame
+from foreglow.types import BeamMode, Frame, Image
 
 BEGIN, END, NUM = 20, 30, 60
 """In these frames of the drive something is wrong."""
+
+SMALL_PX = 320
+"""Width of a small camera's images."""
+
+EARLY = 4
+"""A decoder of several threads knows of a lost packet so many frames before the one that shows it."""
 
 SHOCK_S = 1.0
 """A silent camera, or a stage that hangs."""
@@ -126,9 +143,83 @@ def measure(rounds: int) -> list[Row]:
     return rows
 
 
+def count(frames: Sequence[Frame]) -> list[Row]:
+    """By fault of the image and source, in which wrong frame there is low beam for good, from 1; None if in none."""
+    used = frames[: NUM_GOOD + NUM_WRONG]
+    small = [reduced(frame, SMALL_PX) for frame in used]
+    rows = []
+    for name, coding in CODINGS.items():
+        rows += [{"fault": fault, "source": name, "low_in": counted(_faulty(used, fault, coding))} for fault in FAULTS]
+        low_in = counted(_faulty(small, "cut JPEG", coding))
+        rows.append({"fault": f"cut JPEG, {SMALL_PX} px wide", "source": name, "low_in": low_in})
+        if coding is not None and coding.codec == "libx264":
+            rows.append({"fault": "a lost packet", "source": name, "low_in": counted(*_without_a_packet(used, coding))})
+    return rows
+
+
+def counted(frames: Sequence[Frame], first: int = NUM_GOOD) -> int | None:
+    """In which frame from `first` on there is low beam for good, from 1, as the loop commands it."""
+    configuration, lamps = live_config(), Lamps()
+    camera = ScriptedCamera(frames)
+    LiveLoop(camera, functools.partial(Pipeline, configuration), configuration, outputs=[lamps]).run()
+    commands = lamps.of_frames()
+    is_low = [frame.timestamp_ns in commands and commands[frame.timestamp_ns].mode == BeamMode.LOW for frame in frames]
+    if any(is_low[1 : first - EARLY]):
+        raise RuntimeError(f"low beam before anything is wrong: {is_low[:first]}")
+    num_low = next((number for number, low in enumerate(reversed(is_low[first:])) if not low), len(frames) - first)
+    return len(frames) - first - num_low + 1 if num_low else None
+
+
+def _faulty(frames: Sequence[Frame], fault: str, coding: Coding | None) -> list[Frame]:
+    images = [frame.image for frame in frames]
+    wrong = FAULTS[fault](images[NUM_GOOD:], images[NUM_GOOD - 1])
+    return _with_images(frames, as_coded([*images[:NUM_GOOD], *wrong], coding))
+
+
+def _with_images(frames: Sequence[Frame], images: Sequence[Image], flags: Sequence[bool] = ()) -> list[Frame]:
+    flags = flags or [False] * len(images)
+    triples = zip(frames, images, flags, strict=True)
+    return [dataclasses.replace(frame, image=image, is_damaged=flag) for frame, image, flag in triples]
+
+
+def _without_a_packet(frames: Sequence[Frame], coding: Coding) -> tuple[list[Frame], int]:
+    """The frames from a transport stream that lost a packet after `NUM_GOOD` frames, up to the key frame after that.
+
+    Also which of them is the first that is wrong.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "stream.ts"
+        stream = encoded([frame.image for frame in frames], coding, "mpegts")
+        path.write_bytes(stream)
+        clean = [frame.image for frame in Video(path)]
+        container: Any = av.open(str(path))
+        with container:
+            packets = [packet for packet in container.demux(container.streams.video[0]) if packet.size]
+        end = next(
+            (number for number in range(NUM_GOOD + 1, len(packets)) if packets[number].is_keyframe), len(packets)
+        )
+        start = (packets[NUM_GOOD].pos + packets[NUM_GOOD].size // 2) // 188 * 188
+        path.write_bytes(stream[:start] + stream[start + 188 :])
+        lossy = list(Video(path, on_error="mark"))
+    images, flags = [frame.image for frame in lossy], [frame.is_damaged for frame in lossy]
+    first = next(k for k in range(end) if (lossy[k].image != clean[k]).any())
+    return _with_images(frames[:end], images[:end], flags[:end]), first
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, "live_faults", arguments)
-    rows = measure(1 if given.quick else 5)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS / "live_faults.json", help="the figures as JSON")
+    parser.add_argument("--quick", action="store_true", help="each fault once: shows that it runs")
+    parser.add_argument("--counted", action="store_true", help="only what is counted in frames, which needs no clock")
+    given = parser.parse_args(arguments)
+    counts = count(list(open_source(shipped_drive())))
+    sources = list(CODINGS)
+    shown = table("Wrong frame with which low beam begins", ("fault",), sources)
+    for fault in dict.fromkeys(row["fault"] for row in counts):
+        low_in = {row["source"]: row["low_in"] or "none" for row in counts if row["fault"] == fault}
+        shown.add_row(fault, *(str(low_in.get(source, "")) for source in sources))
+    CONSOLE.print(shown)
+    rows = [] if given.counted else measure(1 if given.quick else 5)
     shown = table(
         "Low beam after a fault, 18 Hz", ("fault",), ("frames", "slowest", "ms", "light again, ms", "full, ms")
     )
@@ -136,7 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         frames = [f"{row[key]:.2f}" for key in ("low_frames", "slowest_low_frames")]
         shown.add_row(row["fault"], *frames, *(f"{1e3 * row[key]:.0f}" for key in ("low_s", "light_s", "full_s")))
     CONSOLE.print(shown)
-    write_results(given.out, {"live_faults": rows})
+    write_results(given.out, {"counted": counts, "live_faults": rows})
     CONSOLE.print(f"look in {given.out}")
 
 

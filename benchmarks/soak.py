@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import faulthandler
 import functools
 import hashlib
 import json
 import math
 import threading
+import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +29,7 @@ from foreglow.datasets import FrameSource, open_source, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.health import Health
-from foreglow.runtime.live import LiveLoop, Paced
+from foreglow.runtime.live import LiveFault, LiveLoop, Paced
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Image
 
 NUM_FRAMES, NUM_QUICK = 200_000, 900
@@ -44,6 +46,15 @@ IMAGE_FAULTS = ("white", "half stuck", "rows repeated", "cut JPEG")
 CAMERA_FAULTS = (*WRONG_FRAMES, *IMAGE_FAULTS)
 MAX_FRAMES_TO_LOW = 2
 """Frames within which every fault has to be answered."""
+
+MAX_GROWTH = 0.02
+"""Share by which memory may grow in the second half of a run."""
+
+PULSE_S, PAUSE_S, HANGING_S = 0.2, 5.0, 60.0
+"""A thread that sleeps for so long; how late it is when the process was stopped; and how long no frame takes."""
+
+NEVER_PROVOKED = (LiveFault.CAMERA_GONE, LiveFault.STAGE_HANGS, LiveFault.NO_PIPELINE)
+"""Faults of the clock, which this run at any speed does not provoke."""
 
 ALL_FAULTS = (*map(str, CAMERA_FAULTS), *(f"{stage} fails" for stage in STAGES))
 
@@ -132,7 +143,7 @@ class Digests:
         self._starts_ns = {f"loop {loop}": loop * source.loop_ns for loop in (0, source.num_loops - 1)}
         self._ends = {sequence: hashlib.sha256() for sequence in self._starts_ns}
         self._every = max(1, source.num_loops // 40) * len(source)
-        self._count = 0
+        self.count = 0
         self.rows: list[dict[str, Any]] = []
 
     def write(self, frame: Frame, result: FrameResult) -> None:
@@ -143,23 +154,68 @@ class Digests:
             result = dataclasses.replace(result, timestamp_ns=result.timestamp_ns - start_ns)
             record = frame_to_line(of_first, result)
             digest.update(json.dumps(record).encode())
-        self._count += 1
-        if self._count % self._every == 0:
-            files = len(list(Path("/proc/self/fd").iterdir()))
-            threads = threading.active_count()
-            row = {"frames": self._count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
-            self.rows.append(row)
-            CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
+        self.count += 1
+        if self.count % self._every == 0:
+            self._look()
+
+    def _look(self) -> None:
+        files = len(list(Path("/proc/self/fd").iterdir()))
+        threads = threading.active_count()
+        row = {"frames": self.count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
+        self.rows.append(row)
+        CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
 
     def write_health(self, health: Health) -> None: ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        if not self.rows:  # ended soon
+            self._look()
 
     def discard(self) -> None: ...
 
     @property
     def is_same(self) -> bool:
+        """Whether the last loop gave what the first one gave."""
         return len({digest.hexdigest() for digest in self._ends.values()}) == 1
+
+
+class Pulse:
+    """Tells a process that was stopped from a thread that hangs: a thread of its own does nothing but sleep.
+
+    If that thread, too, was late, the machine or whoever sent SIGSTOP is to blame, and not the loop. If it was in time
+    and no frame was done for `HANGING_S`, the stacks of all threads are printed.
+
+    Attributes:
+        pauses: For how many seconds the process was stopped, each time, and after how many frames.
+    """
+
+    def __init__(self, sink: Digests) -> None:
+        self.pauses: list[dict[str, float]] = []
+        self._sink = sink
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Pulse:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        latest_s = moved_s = time.monotonic()
+        count = 0
+        while not self._is_over.wait(PULSE_S):
+            before_s, latest_s = latest_s, time.monotonic()
+            late_s = latest_s - before_s - PULSE_S
+            if late_s > PAUSE_S:
+                self.pauses.append({"frames": self._sink.count, "seconds": late_s})
+            if count != self._sink.count or late_s > PAUSE_S:
+                count, moved_s = self._sink.count, latest_s
+            elif latest_s - moved_s > HANGING_S:
+                moved_s = latest_s
+                faulthandler.dump_traceback(all_threads=True)
 
 
 class Checking(Lamps):
@@ -204,25 +260,54 @@ def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> 
         return made
 
     loop = LiveLoop(Paced(source, math.inf), pipeline, configuration, outputs=[lamps], sinks=[sink])
-    summary = loop.run()
-    settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames]
+    with Pulse(sink) as pulse:
+        summary = loop.run()
+    settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames] or sink.rows
     sizes = [row["resident_mib"] for row in settled]
-    return {
+    later = sizes[len(sizes) // 2 :]
+    first_low = {fault: {str(key): num for key, num in counts.items()} for fault, counts in lamps.first_low.items()}
+    figures = {
         "num_frames": summary.run.num_frames,
+        "is_complete": summary.run.is_complete,
         "is_same": sink.is_same,
         "faults": dict(summary.fault_counts),
-        "first_low": {
-            fault: {str(key): num for key, num in counts.items()} for fault, counts in lamps.first_low.items()
-        },
+        "not_provoked": [
+            f"{event.fault} at {event.from_ns / 1e9:.2f} s: {event.detail or 'no reason given'}"
+            for event in summary.faults
+            if event.fault in NEVER_PROVOKED
+        ],
+        "pauses": pulse.pauses,
+        "first_low": first_low,
         "resident_mib": [sizes[0], min(sizes), max(sizes), sizes[-1]],
         "largest_change": max(abs(size - sizes[0]) for size in sizes) / sizes[0],
+        "late_growth": later[-1] / later[0] - 1.0,
         "open_files": sorted({row["open_files"] for row in settled}),
         "threads": sorted({row["threads"] for row in settled}),
         "samples": sink.rows,
     }
+    return figures | {"wrong": wrong(figures)}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def wrong(figures: dict[str, Any]) -> list[str]:
+    """What should not be; a silence or a stage that hangs only while the process was stopped is none of the loop's."""
+    found = []
+    if not figures["is_complete"]:
+        found.append(f"ended after {figures['num_frames']} frames")
+    elif not figures["is_same"]:
+        found.append("the last loop's results differ from the first one's")
+    for fault, counts in figures["first_low"].items():
+        late = {key: num for key, num in counts.items() if key == "None" or int(key) >= MAX_FRAMES_TO_LOW}
+        found += [f"{fault}: low beam in the n-th wrong frame, from 0: {late}"] if late else []
+    found += [] if figures["pauses"] else figures["not_provoked"]
+    for key in ("open_files", "threads"):  # there may be fewer at the end
+        numbers = [row[key] for row in figures["samples"]]
+        found += [f"{key} grew: {numbers}"] if max(numbers) > numbers[0] else []
+    if figures["late_growth"] > MAX_GROWTH:
+        found.append(f"memory grew by {figures['late_growth']:.1%} in the second half")
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=RESULTS / "soak.json", help="the figures as JSON")
     parser.add_argument("--frames", type=int, default=NUM_FRAMES, help="at least so many frames, in whole drives")
@@ -235,8 +320,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     CONSOLE.print(
         f"{figures['num_frames']} frames; resident memory {first:.1f} MiB after a tenth, then {least:.1f} to "
         f"{most:.1f}, {last:.1f} at the end ({figures['largest_change']:.2%}); open files {figures['open_files']}, "
-        f"threads {figures['threads']}; last loop's results {'equal' if figures['is_same'] else 'DIFFER FROM'} the "
-        f"first one's; faults {figures['faults']}"
+        f"threads {figures['threads']}; faults {figures['faults']}; the process was stopped {len(figures['pauses'])} "
+        f"times; as it should not be: {'; '.join(figures['wrong']) or 'nothing'}"
     )
     if figures["first_low"]:
         CONSOLE.print("low beam for good in the n-th wrong frame (from 0), by fault: how often")
@@ -244,7 +329,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             CONSOLE.print(f"  {fault}: {counts}")
     write_results(given.out, {"soak": figures})
     CONSOLE.print(f"look in {given.out}")
+    return 1 if figures["wrong"] else 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from foreglow.files import open_atomic
 from foreglow.outputs import FolderLock, check_outputs, locked
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
@@ -67,6 +69,34 @@ def test_folders(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a folder whose results do not overwrite --config"):
         check_outputs({"--config": config}, {}, {"--out": config.parent})
     check_outputs({"--config": config}, {}, {"--out": config.parent / "again"})
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+    """A file would take the place of the pipe, and root's `--json /dev/stdout` that of the device."""
+    pipe, link = tmp_path / "pipe.json", tmp_path / "link.json"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    for written in (pipe, link, Path("/dev/null"), Path("/dev/foreglow.json")):
+        with pytest.raises(ValueError, match=r"--json .*: expected a file to write, got a device, a pipe or a socket"):
+            check_outputs({}, {"--json": written}, {})
+    with pytest.raises(OSError, match=r"pipe\.json: expected a regular file to overwrite"), open_atomic(pipe):
+        pass
+    assert pipe.is_fifo()
+
+
+def test_a_folder_inside_an_input(tmp_path: Path) -> None:
+    data, label = tmp_path / "data", r"--out .*expected a new folder for the results, not a part of SOURCE"
+    (data / "images").mkdir(parents=True)
+    (data / "images" / "a.png").touch()
+    with pytest.raises(ValueError, match=label):
+        check_outputs({"SOURCE": data}, {}, {"--out": data / "images"})
+    check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+    (data / "out").mkdir()
+    check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+    for name in ("frames.jsonl", "frames.jsonl.partial"):  # an earlier run's
+        (data / "out" / name).touch()
+        check_outputs({"SOURCE": data}, {}, {"--out": data / "out"})
+        (data / "out" / name).unlink()
 
 
 def test_a_file_of_an_input_folder(tmp_path: Path) -> None:

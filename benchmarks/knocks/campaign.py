@@ -8,6 +8,7 @@ import resource
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -46,9 +47,11 @@ class Campaign:
         yield from self.wrong_kinds()
         yield from self.numbers()
         yield from self.overwriting()
+        yield from self.no_plain_outputs()
         yield from self.names()
         yield from self.signals()
         yield from self.limits()
+        yield from self.streams()
         yield from self.two_at_once()
         yield from self.misuse()
         yield from (Probe("live faults", name, functools.partial(live_fault, name)) for name in FAULT_PROBES)
@@ -130,6 +133,38 @@ class Campaign:
                 for index, word in enumerate(words)
             ]
             yield Probe("outputs over inputs", f"{' '.join(words)}, by a link", self._through_link(linked), refused)
+
+    def no_plain_outputs(self) -> Iterator[Probe]:
+        """Outputs that are pipes or sockets, or have a part of an input for their folder."""
+        outputs = {
+            "report": ("report", "@results", "--out", "there.html"),
+            "predictions": ("evaluate", "@night/val", "--predictions", "@predictions.jsonl", "--json", "there.json"),
+            "recording": (*ON_VIDEO, "--record", "there.mcap"),
+            "labels": ("labels", "export", "@night/val", "--out", "there.xml"),
+            "scene": ("beam", "@results", "--out", "out", "--save", "there.rrd"),
+        }
+        for name, words in outputs.items():
+            for what in ("a pipe", "a socket"):
+
+                def prepare(folder: Path, *, words: Words = words, what: str = what) -> Words:
+                    NO_FILES[what](folder / next(word for word in words if word.startswith("there")))
+                    return laid_out(self._materials, folder, words)
+
+                yield Probe("outputs that are no files", f"{name}: {what}", prepare, refused)
+        for inside in ("@night/val/images", "@night/val/labels", "@night/val/images/S00003"):
+            words = ("run", "@night/val", "--out", inside)
+            yield Probe("outputs that are no files", " ".join(words), self._laid_out(words), refused)
+
+    def streams(self) -> Iterator[Probe]:
+        """Standard streams that are closed: the results are there all the same."""
+        for numbers in ((0,), (1,), (2,), (0, 1, 2)):
+            for name, words in (("run", run("images")), ("demo", ("demo", "@images", "--out", "out"))):
+
+                def prepare(folder: Path, *, words: Words = words, numbers: Sequence[int] = numbers) -> Any:
+                    prepared = laid_out(self._materials, folder, words)
+                    return functools.partial(without_streams, prepared, numbers)
+
+                yield Probe("streams", f"{name} without {numbers}", prepare)
 
     def _through_link(self, words: Words) -> Callable[[Path], list[str]]:
         def prepare(folder: Path) -> list[str]:
@@ -338,6 +373,14 @@ def ended(folder: Path, outcome: Outcome) -> list[str]:
         return []
     wrong = orderly(folder, outcome)
     return wrong if outcome.code in (0, 130) else [*wrong, f"exit code {outcome.code} after a signal"]
+
+
+def without_streams(words: list[str], numbers: Sequence[int]) -> int:
+    """A command without some of its standard streams; 0 if it was done, and results are there."""
+    command = [sys.executable, "-m", "foreglow.cli", *words]
+    closing = " ".join(f"{number}{'<' if number == 0 else '>'}&-" for number in numbers)
+    code = subprocess.run(["sh", "-c", f'"$@" {closing}', "sh", *command], check=False).returncode
+    return code if code else int(not Path("out/summary.json").is_file())
 
 
 def together(words: list[str]) -> int:

@@ -23,10 +23,9 @@ def live_fault(name: str, folder: Path) -> Callable[[], int]:  # noqa: ARG001
 
 
 def _played(fault: str, again: int) -> int:
-    from benchmarks.soak import MAX_FRAMES_TO_LOW, measure
+    from benchmarks.soak import measure
 
     first = 20 + int(np.random.default_rng([again, len(fault)]).integers(10))
     figures = measure(NUM_FRAMES, 1, faults=[fault], first=first)
-    counts = figures["first_low"].get(fault, {})
-    print(counts)
-    return 0 if counts and all(key != "None" and int(key) <= MAX_FRAMES_TO_LOW for key in counts) else 1
+    print(figures["first_low"], figures["wrong"])
+    return 0 if fault in figures["first_low"] and not figures["wrong"] else 1

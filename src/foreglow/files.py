@@ -53,6 +53,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     Raises:
         OSError: If it cannot be written, such as on a full disk; the message names `path`, which is then as it was.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a folder cannot be overwritten anyway
+        raise OSError(f"{path}: expected a regular file to overwrite, got a device, a pipe or a socket")
     _clear(path.parent)
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
     try:

@@ -30,6 +30,9 @@ RESULT_NAMES = (
 RESULT_FILES = (*RESULT_NAMES, "results.json", "report.md", "report.html", "plan.json", "model.onnx", "scenes.jsonl")
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
+DEVICES = Path("/dev")
+"""Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
+
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
 
@@ -115,7 +118,8 @@ class FolderLock:
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
-    Only reports (`.html`) may lie beside what they are about, and be written again.
+    What is to be overwritten must be a regular file. Only reports (`.html`) may lie beside what they are about, and be
+    written again.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
@@ -133,10 +137,14 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
         if path.is_dir():
             raise ValueError(f"{name} {path}: expected a file to write, got a folder")
+        if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
+            raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
+            if _lies_in(path, read) and _is_foreign(path):
+                raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):
@@ -184,6 +192,14 @@ def _lies_in(path: Path, folder: Path) -> bool:
         return folder.is_dir() and folder.resolve() in path.resolve().parents
     except (OSError, RuntimeError, ValueError):
         return False
+
+
+def _is_foreign(folder: Path) -> bool:
+    """Whether a folder holds something, and that is not what a command has written."""
+    if not folder.is_dir():
+        return False
+    names = {path.name.removesuffix(".partial") for path in folder.iterdir() if not path.name.startswith(".")}
+    return bool(names) and names.isdisjoint(RESULT_FILES)
 
 
 def partial_path(path: Path) -> Path:

@@ -20,6 +20,7 @@ from benchmarks.image_faults import (
     lost_packets,
     with_fault,
 )
+from benchmarks.soak import reduced
 from foreglow.beam.faults import GuardFault
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.types import Image
@@ -66,6 +67,13 @@ def test_low_beam_with_the_second_wrong_image(drive: list[Image], fault: str, co
     assert not any(faults[:NUM_GOOD])
     assert set(faults[NUM_GOOD + 1]) & NAMES[fault]
     assert all(faults[NUM_GOOD + 1 :])
+
+
+def test_half_a_jpeg_of_a_small_camera() -> None:
+    images = [reduced(frame, 320).image for frame in open_source(shipped_drive())]
+    faults = with_fault(images, "cut JPEG", None)
+    assert not any(faults[:NUM_GOOD])
+    assert all(set(found) & NAMES["cut JPEG"] for found in faults[NUM_GOOD + 1 :])
 
 
 @pytest.mark.parametrize("coding", CODINGS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.guard import Guard
-from foreglow.types import BeamCommand, BeamMode, Frame
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame
 from tests.beam.guards import AHEAD, LAMPS, NOBODY, NUM_LEDS, assert_low, next_check, running, with_arrays
 from tests.beam.made_up import CAMERA, FRAME_NS, IMAGES, frame_at, full, guard_config, tracks_of
 
@@ -69,6 +70,20 @@ def test_clock_that_goes_back() -> None:
     assert_low(next_check(guard, frame, time_ns=frame.timestamp_ns + 50_000_000), GuardFault.TIME)
     frame = frame_at(27)
     assert not next_check(guard, frame, time_ns=frame.timestamp_ns + 50_000_000).faults
+
+
+@pytest.mark.parametrize("step_ns", [1, 999_999])
+def test_images_that_no_camera_takes_so_soon(step_ns: int) -> None:
+    guard = running()
+    next_check(guard, frame_at(25))
+    again = frame_at(26, timestamp_ns=frame_at(25).timestamp_ns + step_ns)
+    assert_low(next_check(guard, again), GuardFault.FROZEN)
+
+
+@pytest.mark.parametrize("motion", [EgoMotion(30.0, 50.0), EgoMotion(30.0, -3.1), EgoMotion(160.0, 0.0)])
+def test_motion_that_is_not_one_of_a_car(motion: EgoMotion) -> None:
+    frame = dataclasses.replace(frame_at(25), motion=motion)
+    assert_low(next_check(running(), frame), GuardFault.NO_SPEED)
 
 
 def test_same_clock_twice_is_allowed() -> None:
@@ -275,7 +290,7 @@ def test_reset() -> None:
     first = next_check(guard, frame_at(25, timestamp_ns=5), tracks_of([AHEAD], [50.0], ages_s=0.1))
     assert not first.faults
     assert not first.levels.any()
-    assert not next_check(guard, frame_at(25, timestamp_ns=6), tracks_of([AHEAD], [50.0], ages_s=0.2)).faults
+    assert not next_check(guard, frame_at(25, timestamp_ns=5 + FRAME_NS), tracks_of([AHEAD], [50.0], ages_s=0.2)).faults
     guard.reset()
     frame = frame_at(25, timestamp_ns=6, speed_mps=9.0)  # the third time the same image
     assert_low(next_check(guard, frame), GuardFault.TOO_SLOW)

@@ -28,6 +28,7 @@ def test_a_first_guess_of_suggested_frames(name: str, suffix: str, run: Path, tm
     assert said.exit_code == 0, said.output
     assert f"7 frames: look at {run / 'suggestions.csv'}" in said.stdout
     guess = tmp_path / f"guess.{suffix}"
+    assert "expected each run once" in complaint("suggest", run, run / ".")
     options = ("--run", run, "--frames", run / "suggestions.csv", "--format", name)
     result = foreglow_command("labels", "export", shipped_drive(), *options, "--out", guess)
     assert result.exit_code == 0, result.output

@@ -47,11 +47,40 @@ def test_a_library_that_logs_adds_no_line(tmp_path: Path) -> None:
     assert names(tmp_path) == set()
 
 
+def test_a_name_that_the_terminal_cannot_show(tmp_path: Path, folder: Path, config: Path) -> None:
+    out = os.fsencode(tmp_path) + b"/out\xff"
+    command = [*subprocess_command("run", folder, "--config", config, "--out"), out]
+    done = subprocess.run(
+        command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"}, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"look in " + os.fsencode(tmp_path) + b"/out\\udcff: " in done.stdout
+
+
+def test_too_little_memory_to_begin() -> None:
+    program = (
+        "import resource; from foreglow.cli import main; "
+        "taken = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize(); "
+        "resource.setrlimit(resource.RLIMIT_AS, (taken, taken)); main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "foreglow: not enough memory to begin\n")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_a_disk_that_is_full_for_the_version() -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(subprocess_command("--version"), stdout=full, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (2, "foreglow: standard output: No space left on device\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_a_disk_that_is_full_for_what_a_command_says(tmp_path: Path, folder: Path, config: Path) -> None:
+    command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, "foreglow: standard output: No space left on device\n")
+    assert names(tmp_path / "out") == RESULTS
 
 
 @pytest.mark.parametrize("closing", ["2>&-", "<&- >&- 2>&-"])

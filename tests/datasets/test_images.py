@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 import tempfile
 import warnings
 import zlib
@@ -175,6 +176,52 @@ def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(tmp_path: Path, cap
     with pytest.raises(ValueError, match="expected a kind of pixels, got colour type 0, 3 bits"):
         read_image(_file(tmp_path, "a.png", bytes(data)))
     assert capfd.readouterr().err == ""
+
+
+def with_orientation(path: Path, orientation: int) -> None:
+    """Says in the Exif data of a JPEG how the camera was held."""
+    data = path.read_bytes()
+    exif = b"Exif\0\0MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x112, 3, 1, orientation, 0, 0)
+    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", 2 + len(exif)) + exif + data[2:])
+
+
+def test_a_camera_that_was_held_upside_down(tmp_path: Path) -> None:
+    path = _file(tmp_path, "held.jpg", encoded(".jpg", SMOOTH))
+    upright = read_image(path)
+    with_orientation(path, 3)
+    np.testing.assert_array_equal(read_image(path), upright[::-1, ::-1])
+    with_orientation(path, 6)
+    np.testing.assert_array_equal(read_image(path), np.rot90(upright, -1))
+
+
+def test_several_images_in_a_file(tmp_path: Path) -> None:
+    """Only the first of them would be read, and nobody would hear of the others."""
+    pages = [SMOOTH, SMOOTH[::-1]]
+    cv2.imwritemulti(str(tmp_path / "pages.tif"), pages)
+    animation = cv2.Animation()
+    animation.frames, animation.durations = [cv2.cvtColor(page, cv2.COLOR_GRAY2BGRA) for page in pages], [100, 100]
+    for suffix in (".png", ".webp"):
+        cv2.imwriteanimation(str(tmp_path / f"pages{suffix}"), animation)
+    for suffix in (".tif", ".png", ".webp"):
+        with pytest.raises(ValueError, match=rf"pages\{suffix}: expected one image, got several in one file"):
+            read_image(tmp_path / f"pages{suffix}")
+
+
+def test_a_tiff_with_a_smaller_copy_of_itself(tmp_path: Path) -> None:
+    """The second page of the file says that it is one."""
+    cv2.imwritemulti(str(tmp_path / "copy.tif"), [SMOOTH, SMOOTH[:64, :64]])
+    data = bytearray((tmp_path / "copy.tif").read_bytes())
+    entry = struct.pack("<HHI", 254, 4, 1)
+    kind = data.rfind(entry)
+    if kind < 0:  # this encoder does not write the tag: another one, which we do not read, becomes it
+        second = struct.unpack_from("<I", data, 4)[0]
+        second = struct.unpack_from("<I", data, second + 2 + 12 * struct.unpack_from("<H", data, second)[0])[0]
+        tags = [second + 2 + 12 * k for k in range(struct.unpack_from("<H", data, second)[0])]
+        kind = next(at for at in tags if struct.unpack_from("<H", data, at)[0] in (284, 305, 296, 282))
+        data[kind : kind + 8] = entry
+    data[kind + 8 : kind + 12] = struct.pack("<I", 1)
+    (tmp_path / "copy.tif").write_bytes(data)
+    np.testing.assert_array_equal(read_image(tmp_path / "copy.tif"), SMOOTH)
 
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:

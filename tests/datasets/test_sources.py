@@ -57,6 +57,17 @@ def test_one_bad_image_stops_or_is_skipped(folder: Path) -> None:
         assert source.skipped[0].startswith(f"{folder / 'f2.png'}: truncated PNG")
 
 
+@pytest.mark.parametrize("target", ["f3.png", "nothing"])
+def test_a_link_that_leads_nowhere_is_not_passed_over(folder: Path, target: str) -> None:
+    """As in a checkout whose large files were not fetched."""
+    (folder / "f3.png").symlink_to(target)
+    with pytest.raises(FileNotFoundError, match=r"f3\.png: no such image"):
+        list(ImageFolder(folder))
+    source = ImageFolder(folder, on_error="skip")
+    assert [frame.frame for frame in source] == [0, 1, 3]
+    assert source.skipped == [f"{folder / 'f3.png'}: no such image"]
+
+
 def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match=r"expected images .* found none"):

@@ -289,6 +289,19 @@ def damaged_stream(path: Path, frame: int) -> None:
     path.write_bytes(data[:start] + data[start + 188 :])
 
 
+def test_times_that_begin_anew_begin_a_sequence(tmp_path: Path) -> None:
+    """Two recordings that were appended to each other: no track and no command goes on from the one to the other."""
+    path = tmp_path / "two.ts"
+    path.write_bytes(2 * make_stream(tmp_path / "first.ts"))
+    frames = list(Video(path, on_error="mark"))
+    sequences = list(dict.fromkeys(frame.sequence for frame in frames))
+    second = next(frame for frame in frames if frame.sequence)
+    assert sequences == ["", f"frame {second.frame}"]
+    for sequence in sequences:
+        times_ns = [frame.timestamp_ns for frame in frames if frame.sequence == sequence]
+        assert times_ns == sorted(times_ns)
+
+
 def test_a_lost_packet_marks_frames_until_the_next_key_frame(tmp_path: Path) -> None:
     path = tmp_path / "stream.ts"
     make_stream(path)

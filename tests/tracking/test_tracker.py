@@ -75,6 +75,17 @@ def test_kinds_are_a_moving_mean_and_the_most_probable_gives_the_name() -> None:
     assert tracker.update(frame_at(3 * FRAME_S), detections_of(), None).kind_names == ("rear_lamp",)
 
 
+def test_a_rate_of_turn_that_no_car_has_moves_no_track() -> None:
+    tracks = []
+    for rate_radps in (0.0, 50.0, 1e300):
+        tracker = ours()
+        for index in range(3):
+            seen = tracker.update(frame_at(index * FRAME_S, yaw_rate_radps=rate_radps), detections_of(LAMP), None)
+        tracks.append(seen.boxes_xyxy_px)
+    np.testing.assert_array_equal(tracks[0], tracks[1])
+    np.testing.assert_array_equal(tracks[0], tracks[2])
+
+
 class TestPaper:
     def test_fifth_detection_confirms(self) -> None:
         history = run(paper(), [[LAMP]] * 6)

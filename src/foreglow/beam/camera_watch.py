@@ -50,9 +50,10 @@ NUM_RELEASED = 9
 NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
 """Damage: more new edges on the encoder's grid than this, by both measures."""
 
-REPEATED_SHARE = 0.4
+REPEATED_SHARE, NOISY_REPEATED_SHARE = 0.4, 0.2
 """Damage: so many more rows than in any of the recent images are like the row below, such as where a decoder fills in
-black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image."""
+black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image. The
+second number holds where no row was alike before, as in every image with noise."""
 
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
@@ -208,7 +209,9 @@ class _Damage:
     def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
         could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
-        is_unusual |= len(self._repeated) >= 2 and change.share_repeated > max(self._repeated) + REPEATED_SHARE
+        if len(self._repeated) >= 2:
+            most = max(self._repeated)
+            is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
         if len(self._tile_shares) == NUM_RECENT:
             least = np.minimum.reduce(list(self._tile_shares))
             if not is_still:

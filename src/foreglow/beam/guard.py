@@ -36,8 +36,8 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 
-MAX_SPEED_MPS = 150.0
-"""No car drives faster (540 km/h): such a speed is not known."""
+MIN_STEP_S = 0.001
+"""No camera takes images in shorter intervals: their times are wrong."""
 
 
 class Guard:
@@ -129,7 +129,7 @@ class Guard:
         faults = []
         if elapsed_s < 0 or has_gone_back:
             faults.append(GuardFault.TIME)
-        if elapsed_s == 0 and not is_first:
+        if 0 <= elapsed_s < MIN_STEP_S and not is_first:
             faults.append(GuardFault.FROZEN)
         if elapsed_s > self._config.max_gap_s:
             faults.append(GuardFault.GAP)
@@ -180,9 +180,8 @@ class Guard:
 
 
 def _speed_mps(frame: Frame) -> float:
-    """The vehicle's speed; NaN if it is unknown, or no speed of a car."""
-    speed_mps = math.nan if frame.motion is None else frame.motion.speed_mps
-    return speed_mps if abs(speed_mps) <= MAX_SPEED_MPS else math.nan
+    """The vehicle's speed; NaN if it is unknown, or the motion is not one of a car."""
+    return math.nan if frame.motion is None or not frame.motion.is_possible else frame.motion.speed_mps
 
 
 def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) -> Floats:

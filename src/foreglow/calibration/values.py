@@ -14,7 +14,11 @@ from foreglow.geometry import Camera, Floats, MountSigmas, Pose, rotation
 Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
 Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
 Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(strict=False)]
-Focal: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], Field(strict=False)]
+MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
+"""Far beyond any lens; what is computed from other numbers overflows."""
+
+_Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
+Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1)]
 _Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
 _Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
@@ -109,6 +113,9 @@ class Intrinsics(FrozenModel):
         for name, focal_px in (("fx", fx), ("fy", fy)):
             if not focal_px > 0:
                 raise ValueError(f"{field}: {name}: expected a positive focal length, got {focal_px:g}")
+            if not MIN_FOCAL_PX <= focal_px <= MAX_FOCAL_PX:
+                expected = f"expected a focal length of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} px"
+                raise ValueError(f"{field}: {name}: {expected}, got {focal_px:g}")
         if matrix.tolist() != [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]:
             raise ValueError(f"{field}: expected fx 0 cx, 0 fy cy, 0 0 1, got {matrix.tolist()}")
         return cls(

@@ -5,6 +5,7 @@ imported when it runs, so that the help is there at once.
 """
 
 import signal
+import sys
 
 from foreglow.cli.signals import end_despite_hanging, fill_standard_streams, interruptible
 
@@ -24,6 +25,9 @@ def main() -> None:
     try:
         with interruptible():
             app()
+    except (MemoryError, SystemError):  # before the command has begun; Python's own code then raises the second, too
+        sys.stderr.write("foreglow: not enough memory to begin\n")
+        sys.exit(2)
     except SystemExit as ending:
         end_despite_hanging(ending.code)
         raise

@@ -7,6 +7,7 @@ Bad input and wrong usage end with 2, an interrupt with 130, and a fault of this
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import platform
 import re
@@ -59,6 +60,12 @@ READERS = (
 )
 """Where files of the user are read."""
 
+PRINTERS = ("click", "typer", "rich")
+"""Packages that write to the terminal."""
+
+NO_SPACE = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO)
+"""What a write says that cannot be done."""
+
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
@@ -94,7 +101,7 @@ class Commands(TyperGroup):
         except OSError as error:  # of the help or the version, which no command writes: a full disk
             if isinstance(error, BrokenPipeError) or "--debug" in (extra.get("args") or sys.argv):
                 raise
-            _complain(f"standard output: {error.strerror or error}")
+            _complain(one_line(error)[0])
             sys.exit(2)
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -162,6 +169,8 @@ def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
+    if isinstance(error, OSError) and _is_printing(error):
+        return shortened(f"standard output: {error.strerror or error}"), 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(str(error) or type(error).__name__), 2
     words = shortened(f"{type(error).__name__}: {error}", 200)
@@ -201,6 +210,14 @@ def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
     if not is_reading:  # what the readers made of it is worked with already
         return None
     return found or (inputs[0] if len(inputs) == 1 else None)
+
+
+def _is_printing(error: OSError) -> bool:
+    """Whether it came of a line for the terminal, such as where standard output goes to a full disk."""
+    if error.errno not in NO_SPACE:
+        return False
+    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return modules[-1:] != [] and modules[-1].partition(".")[0] in PRINTERS
 
 
 def _is_part_of(path: Path, inputs: Sequence[Path]) -> bool:

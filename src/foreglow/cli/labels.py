@@ -83,6 +83,8 @@ def suggest(
     from foreglow.lab.learning import suggestion
     from foreglow.runs.recorded_run import read_run
 
+    if len({folder_.resolve() for folder_ in runs}) < len(runs):
+        raise ValueError(f"{', '.join(map(str, runs))}: expected each run once")
     drives, folders = [], []
     for folder_ in runs:
         run = read_run(folder_)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -44,7 +45,11 @@ def fill_standard_streams() -> None:
     """Lets nothing be read from, or written to, standard streams that were closed by who started the process.
 
     Otherwise a file that is opened later would get such a stream's number, and what libraries print would go into it.
+    What a stream's encoding lacks, such as a file's name that is not UTF-8, is written with backslashes.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is not None:
             continue

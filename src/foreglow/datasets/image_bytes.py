@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
@@ -20,6 +21,12 @@ _PNG_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: 
 _PNM = re.compile(rb"P[1-6]\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s")
 _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
 _TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height of a tile"}
+_TIFF_KIND, _TIFF_REDUCED = 254, 1  # NewSubfileType, and its bit of an image that is a smaller copy of another
+_MAX_TIFF_PAGES = 16
+
+ONE_IMAGE = "expected one image, got several in one file; a video or a folder of images has more than one"
+
+_WEBP_ANIMATION = 0x02
 
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
@@ -48,6 +55,8 @@ def png_size_px(data: bytes) -> tuple[int, int]:
         is_critical = kind[:1].isupper()
         if is_critical and zlib.crc32(data[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
             raise ValueError(f"damaged PNG, wrong checksum of chunk {kind.decode('latin-1')!a} at byte {position}")
+        if kind == b"acTL" and int.from_bytes(data[position + 8 : position + 12], "big") > 1:
+            raise ValueError(ONE_IMAGE)
         if kind == b"IHDR" and length == _PNG_HEADER.size:
             width, height, depth, colour, *methods = _PNG_HEADER.unpack_from(data, position + 8)
             if depth not in _PNG_DEPTHS.get(colour, ()) or max(methods) > 1:  # libpng would write to stderr
@@ -121,27 +130,46 @@ def size_px(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_size_px(data: bytes) -> tuple[int, int]:
-    """Of the first image, or of its tiles, decoded whole, if these are larger. Source: TIFF 6.0, section 2."""
+    """Of the image, or of its tiles, decoded whole, if these are larger; smaller copies of it may follow.
+
+    Source: TIFF 6.0, section 2; BigTIFF.
+    """
     order = "<" if data.startswith(b"II") else ">"
     is_big = struct.unpack_from(order + "H", data, 2)[0] == 43
-    (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
-    (num,) = struct.unpack_from(order + ("Q" if is_big else "H"), data, offset)
-    sizes = dict.fromkeys(_TIFF_SIZES, 0)
-    head, step, inside = (8, 20, 12) if is_big else (2, 12, 8)
-    for entry in range(offset + head, offset + head + step * min(num, len(data) // step), step):
-        tag, kind = struct.unpack_from(order + "HH", data, entry)
-        if tag in sizes:
-            if kind not in _TIFF_TYPES:
-                raise ValueError(f"damaged TIFF, expected a whole number as {_TIFF_SIZES[tag]}, got type {kind}")
-            (sizes[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, entry + inside)
-    width, height, tile_width, tile_height = sizes.values()
+    pointer = order + ("Q" if is_big else "I")
+    first, *others = _tiff_pages(data, order, is_big, struct.unpack_from(pointer, data, 8 if is_big else 4)[0])
+    for page in others:
+        if not page.get(_TIFF_KIND, 0) & _TIFF_REDUCED:
+            raise ValueError(ONE_IMAGE)
+    width, height, tile_width, tile_height = (first.get(tag, 0) for tag in _TIFF_SIZES)
     return max(height, tile_height), max(width, tile_width)
+
+
+def _tiff_pages(data: bytes, order: str, is_big: bool, offset: int) -> Iterator[dict[int, int]]:
+    """By tag, the sizes of each image of the file, and what kind of image it is."""
+    head, step, inside = (8, 20, 12) if is_big else (2, 12, 8)
+    for _ in range(_MAX_TIFF_PAGES):
+        (num,) = struct.unpack_from(order + ("Q" if is_big else "H"), data, offset)
+        num = min(num, len(data) // step)
+        values = {}
+        for entry in range(offset + head, offset + head + step * num, step):
+            tag, kind = struct.unpack_from(order + "HH", data, entry)
+            if tag in _TIFF_SIZES and kind not in _TIFF_TYPES:
+                raise ValueError(f"damaged TIFF, expected a whole number as {_TIFF_SIZES[tag]}, got type {kind}")
+            if tag in _TIFF_SIZES or (tag == _TIFF_KIND and kind in _TIFF_TYPES):
+                (values[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, entry + inside)
+        yield values
+        (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, offset + head + step * num)
+        if not offset:
+            return
 
 
 def _webp_size_px(data: bytes) -> tuple[int, int]:
     """Source: RFC 9649, sections 2.5 to 2.7, and RFC 6386, section 9.1."""
     kind = data[12:16]
     if kind == b"VP8X":
+        if data[20] & _WEBP_ANIMATION:
+            raise ValueError(ONE_IMAGE)
         return int.from_bytes(data[27:30], "little") + 1, int.from_bytes(data[24:27], "little") + 1
     if kind == b"VP8L":
         (bits,) = struct.unpack_from("<I", data, 21)

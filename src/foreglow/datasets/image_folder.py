@@ -149,7 +149,8 @@ def is_images(path: Path) -> bool:
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
-    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    # What is no file, such as a link to nothing, is not passed over either: reading it says what is wrong.
+    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and not path.is_dir()]
     files = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
     others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)
     messages = [f"{path}: expected an image that is {known_formats()}, got another format" for path in others]

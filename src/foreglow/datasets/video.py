@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +25,9 @@ _LEAST_SHARE = 0.95
 _MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
+_RESTART_NS = 1_000_000_000
+"""Where times go back by more than this, another recording begins; by less, a frame is late."""
+
 _CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
 
 _VAGUE = (errno.EINVAL, errno.EBUSY)
@@ -38,7 +42,8 @@ class Video(FileSource):
 
     A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
-    stream's own presentation times; a frame without one follows the frame before at the stream's rate.
+    stream's own presentation times; a frame without one follows the frame before at the stream's rate. Where they
+    begin anew, as in files that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
     `mark` they are marked.
 
@@ -87,7 +92,7 @@ class Video(FileSource):
 
     def _frames(self) -> Iterator[Frame]:
         """All frames, up to where the container cannot be read."""
-        index, latest = -1, (0, 0)
+        index, latest, sequence = -1, (0, 0), ""
         try:
             with self._opened() as (container, stream):
                 for picture, is_damaged in decoded(container, stream):
@@ -95,8 +100,12 @@ class Video(FileSource):
                     if is_damaged and (picture is None or self._on_error != "mark"):
                         self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
                         continue
-                    latest = index, self._timestamp_ns(index, picture, latest)
-                    yield self._frame(index, picture, latest[1], is_damaged=is_damaged)
+                    timestamp_ns = self._timestamp_ns(index, picture, latest)
+                    if index and timestamp_ns < latest[1] - _RESTART_NS:
+                        sequence = f"frame {index}"
+                    latest = index, timestamp_ns
+                    frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
+                    yield dataclasses.replace(frame, sequence=sequence)
         except FFmpegError as error:
             self._refuse(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
         if self.skipped:

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from foreglow.geometry import Camera
 from foreglow.types.arrays import Image, frozen_view
 
+MAX_SPEED_MPS, MAX_YAW_RATE_RADPS = 150.0, 3.0
+"""No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoMotion:
@@ -29,6 +32,11 @@ class EgoMotion:
     speed_mps: float
     yaw_rate_radps: float
     pitch_rad: float = math.nan
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a car can move so: not faster than `MAX_SPEED_MPS`, not turning faster than `MAX_YAW_RATE_RADPS`."""
+        return abs(self.speed_mps) <= MAX_SPEED_MPS and abs(self.yaw_rate_radps) <= MAX_YAW_RATE_RADPS
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):

@@ -92,6 +92,13 @@ def test_lights_in_one_box_are_one_object(dataset: PVDN, tmp_path: Path) -> None
     assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "1"]]
 
 
+@pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b"])
+def test_a_name_that_leads_out_of_the_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
+    with pytest.raises(ValueError, match="name of the tracker: expected one of a folder"):
+        export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out", name)
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_image_that_the_run_lacks(dataset: PVDN, tmp_path: Path) -> None:
     tracks = {image_id: its for image_id, its in followed(0, 0, 0).items() if image_id != 12}
     with pytest.raises(ValueError, match="tracks: expected image 12 of S00003, the run does not have it"):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 from typing import Any
@@ -294,3 +299,41 @@ def test_pipeline_that_cannot_be_made_leaves_nothing(drive: list[Frame]) -> None
     with pytest.raises(FileNotFoundError, match="no such model"):
         run_live(ScriptedCamera(drive[:5]), live_config(), make, [keeper])
     assert keeper.ends == ["discard"]
+
+
+@pytest.mark.process
+def test_a_process_that_was_stopped_blames_no_stage() -> None:
+    """As a machine that was asleep: low beam, but the pipeline that is asked to go on at once need not be replaced."""
+    process = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True)
+    os.waitpid(process.pid, os.WUNTRACED)
+    time.sleep(4.0)
+    process.send_signal(signal.SIGCONT)
+    counts = json.loads(process.communicate(timeout=120)[0])
+    assert LiveFault.STAGE_HANGS in counts
+    assert LiveFault.NO_PIPELINE not in counts
+
+
+STOPPED = """
+import json, os, signal, time
+from benchmarks.faulty import ScriptedCamera, live_config, spoil
+from foreglow.datasets import open_source, shipped_drive
+from foreglow.pipeline import Pipeline
+from tests.runtime.live.stand_ins import run_live
+
+drive, configuration = list(open_source(shipped_drive())), live_config(max_step_s=0.5, abandon_s=1.5)
+
+stops = [signal.SIGSTOP]
+
+def stop(now_ns):
+    if now_ns > drive[5].timestamp_ns and stops:
+        os.kill(os.getpid(), stops.pop())
+        time.sleep(1.0)  # what the stage takes itself: too long, but not so long that it is abandoned
+
+def make():
+    pipeline = Pipeline(configuration)
+    spoil(pipeline, "classifier", stop)
+    return pipeline
+
+summary, _ = run_live(ScriptedCamera(drive[:30], is_live=True), configuration, make)
+print(json.dumps(summary.fault_counts))
+"""

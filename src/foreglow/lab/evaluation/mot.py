@@ -63,9 +63,11 @@ def export_mot(
 
     Raises:
         FileNotFoundError: If a label file is missing.
-        ValueError: If a label file is broken, the run lacks an image, or no sequence has a light.
+        ValueError: If a label file is broken, the run lacks an image, no sequence has a light, or `name` is a path.
         OSError: If a file cannot be written.
     """
+    if not name or name != Path(name).name or name == "..":
+        raise ValueError(f"name of the tracker: expected one of a folder, without slashes, got {name!r}")
     written = 0
     for sequence in dataset.sequences:
         image_ids = sorted(sequence.image_ids)

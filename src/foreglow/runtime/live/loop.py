@@ -48,6 +48,9 @@ class LiveEndedError(TimeoutError):
         self.summary = summary
 
 
+ASLEEP_S = 0.5
+"""When the watching thread itself was late by this, the whole process had stopped: time that no stage has used."""
+
 HEALTH_S = 1.0
 """Interval of health reports, besides those for changes of the faults."""
 
@@ -150,6 +153,7 @@ class LiveLoop:
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
         is_complete = False
+        self._watched_s = self._woken_s = time.monotonic()
         try:
             with settled_memory(), InterruptFlag() as interrupt:
                 while not (interrupt.is_set or self._is_over or self._end):
@@ -231,13 +235,18 @@ class LiveLoop:
 
     def _supervise(self) -> None:
         """Checks both threads; commands low beam if frames are missing or a stage hangs."""
+        now_s = time.monotonic()
+        if now_s - self._watched_s > self._wait_s + ASLEEP_S:
+            self._woken_s = now_s
+        self._watched_s = now_s
+        awake_s = now_s - self._woken_s
         is_silent = not self._has_ended.is_set() and self._watch.listen()
         is_hanging = self._worker.busy_s > self._max_step_s
         if is_hanging:
             self._book.note(STAGE, [LiveFault.STAGE_HANGS], self._worker.stage)
-        if self._worker.busy_s > self._max_step_s + self._config.abandon_s or not self._worker.is_alive:
+        busy_s = min(self._worker.busy_s, awake_s)
+        if busy_s > self._max_step_s + self._config.abandon_s or not self._worker.is_alive:
             self._abandon()
-        now_s = time.monotonic()
         is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
         if is_waiting and now_s - self._low_s >= self._wait_s:
             self._low_s = now_s
@@ -247,11 +256,12 @@ class LiveLoop:
         if now_s - self._health_s >= HEALTH_S or present != self._reported:
             self._health_s, self._reported = now_s, present
             self._report_health()
-        self._give_up()
+        self._give_up(awake_s)
         self._beat()
 
-    def _give_up(self) -> None:
-        if self._give_up_s is not None and not self._has_ended.is_set() and self._watch.silent_s > self._give_up_s:
+    def _give_up(self, awake_s: float) -> None:
+        silent_s = min(self._watch.silent_s, awake_s)
+        if self._give_up_s is not None and not self._has_ended.is_set() and silent_s > self._give_up_s:
             reason = self._watch.reason or "it is silent"
             self._end = f"{self._source.name}: no frame for {self._give_up_s:g} s: {reason}"
 
