@@ -23,8 +23,8 @@ from __future__ import annotations
 
 import functools
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 from foreglow.config import LitStreetConfig
 from foreglow.geometry import Camera, Floats
@@ -51,8 +51,6 @@ MAX_STEP_S = 0.5
 
 MIN_CONTRAST = 2.0
 """A spot is brighter than the median of the blocks around by this factor: bright skies and walls hold no lamps."""
-
-EIGHT_CONNECTED = np.ones((3, 3), np.bool_)
 
 
 class LitStreet:
@@ -107,13 +105,11 @@ class LitStreet:
             return 0
         high = blocks[self._is_high]
         is_bright &= blocks >= max(MIN_CONTRAST * np.median(high), MIN_OF_BRIGHTEST * high.max())
-        groups, _ = ndimage.label(is_bright, EIGHT_CONNECTED)
         most = self._max_blocks
-        spans = ndimage.find_objects(groups)
-        sizes = [(y.stop - y.start, x.stop - x.start) for y, x in spans]
+        _, _, spots, _ = cv2.connectedComponentsWithStats(is_bright.astype(np.uint8))
         middles = sorted(
-            y.start + y.stop
-            for (y, _), (height, width) in zip(spans, sizes, strict=True)
+            2 * y + height
+            for _, y, width, height, _ in spots[1:].tolist()  # the first are the blocks that are not bright
             if max(height, width) <= most and height <= 2 * width
         )
         num, last = 0, -np.inf
