@@ -49,7 +49,7 @@ def test_a_library_that_logs_adds_no_line(tmp_path: Path) -> None:
 
 def test_a_name_that_the_terminal_cannot_show(tmp_path: Path, folder: Path, config: Path) -> None:
     out = os.fsencode(tmp_path) + b"/out\xff"
-    command = [*subprocess_command("run", folder, "--config", config, "--out"), out]
+    command = [*map(os.fsencode, subprocess_command("run", folder, "--config", config, "--out")), out]
     done = subprocess.run(
         command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"}, check=False
     )

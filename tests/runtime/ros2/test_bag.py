@@ -51,6 +51,7 @@ def messages_in(path: Path) -> dict[str, list[Any]]:
     types = {f"/{topic}": kind for topic, kind in {**topics.TYPES, **installed_types()}.items()}
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
             assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
             assert (
                 schema.name == f"{types[channel.topic].__module__.partition('.')[0]}/msg/{schema.name.split('/')[-1]}"

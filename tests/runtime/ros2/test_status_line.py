@@ -35,7 +35,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> NoNode:
     node, now = NoNode(), iter(range(100))
     monkeypatch.setattr(status_line, "make_ros_node", lambda *_: node)
     monkeypatch.setattr(status_line, "Receiver", lambda _: None)
-    monkeypatch.setattr(status_line.time, "monotonic", lambda: float(next(now)))
+    monkeypatch.setattr("foreglow.runtime.ros2.status_line.time.monotonic", lambda: float(next(now)))
     return node
 
 
