@@ -38,6 +38,15 @@ def test_it_reads_a_moment_of_the_past() -> None:
     assert spec.num_features == 7
 
 
+def test_the_model_for_any_camera_tells_kinds() -> None:
+    pipeline = foreglow.Pipeline(foreglow.preset("any_camera"))
+    for number in range(3):
+        detections = pipeline.step(Frame(night_image(number, 960, 1280), number * 55_555_556)).detections
+        assert detections is not None
+        assert detections.light_kinds.shape == (len(detections), 4)
+        assert len(detections) == 0 or np.isfinite(detections.light_kinds).all()
+
+
 def test_a_drive_scores_alike_whenever_it_comes() -> None:
     """Results depend on the frames of the sequence alone, not on what ran before."""
     frames = [Frame(night_image(number, 960, 1280), number * 55_555_556) for number in range(8)]

@@ -65,7 +65,7 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--cycle", "dawn"), "cycle: expected one of"),
         (("--ego-beam", "none"), "--ego-beam: expected one of"),
         (("--split", "dev"), "split: expected one of"),
-        (("--mixture", "mine"), "mixture: expected one of pvdn, standard, got 'mine'"),
+        (("--mixture", "mine"), "mixture: expected one of pvdn, standard, r48, got 'mine'"),
     ],
 )
 def test_bad_options_are_told_before_all_scenes_are_drawn(

@@ -153,7 +153,7 @@ def train(
     out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
     from_: Annotated[
         Path | None,
-        option("foreglow|FILE", "Go on from this model, in minutes, with old samples mixed in.", "--from"),
+        option("foreglow|any_camera|FILE", "Go on from this model, in minutes, with old samples mixed in.", "--from"),
     ] = None,
     mix: Annotated[
         list[Path] | None,
@@ -186,7 +186,10 @@ def train(
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
     if from_ is not None and recipe != "foreglow":
         raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
-    configuration = PipelineOptions(preset=preset or recipe, config=config).configuration()
+    from foreglow.models import BUNDLED
+
+    chosen_preset = preset or (str(from_) if str(from_) in BUNDLED else recipe)
+    configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     base, start = recipes.recipe(recipe), None
     if from_ is not None:
         from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe

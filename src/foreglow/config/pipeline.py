@@ -84,6 +84,8 @@ PRESETS: dict[str, PipelineConfig] = {
         tracker=OUR_TRACKER,
     ),
 }
+# The same proposals for other cameras than PVDN's, with a model that has seen five of them and tells kinds of light.
+PRESETS["any_camera"] = PRESETS["foreglow"].changed("classifier", model=Path("any_camera"), score_threshold=0.2)
 
 
 def preset(name: str) -> PipelineConfig:
