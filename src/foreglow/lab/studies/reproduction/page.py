@@ -33,7 +33,7 @@ TITLE = "The paper, and what is here"
 SOURCE = "Ewecker et al., Provident Vehicle Detection at Night for Advanced Driver Assistance Systems, arXiv 2107.11302"
 
 NOT_PVDN = (
-    "No figure of PVDN on this page was measured by us. The paper measures on PVDN, which cannot be had here: its host "
+    "No number and no picture on this page is of PVDN. The paper measures on PVDN, which cannot be had here: its host "
     "wants an account, and our model has never seen it. What stands beside the paper's values is of simulated drives: "
     "other roads, other lamps and another camera, so that agreement and difference say less than they would on PVDN. "
     "Whoever has PVDN makes this page of it with `foreglow reproduce PVDN --out DIR`."
@@ -119,8 +119,9 @@ def _page(
         page.text(f"DATA: {data['splits']}; {data['width_px']} x {data['height_px']} pixels.")
     if plan.epochs is not None:
         page.text(
-            f"Here the baseline's and the paper's network, where they are not given, are trained for "
-            f"{counted(plan.epochs, 'epoch')}, the paper's for 300: what they find shows that the chain works, no more."
+            f"Where they are not given, the networks of the baseline and of the paper were trained for "
+            f"{counted(plan.epochs, 'epoch')} here, and for 300 in the paper. Their P, R, F and q show that the chain "
+            "works; they do not test the paper."
         )
     page.section("Experiments", "What was run; each folder has its own report.")
     columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
