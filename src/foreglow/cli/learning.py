@@ -171,12 +171,16 @@ def train(
     precision: Annotated[
         str | None, option("fp32|bf16", "Number format; bf16 is faster on hardware that has it.")
     ] = None,
-    preset: Annotated[str | None, option("NAME", "Preset of the proposals (default: the recipe's name).")] = None,
+    preset: Annotated[
+        str | None,
+        option("NAME", "Preset of the proposals (default: the name of the model that ships, or the recipe's)."),
+    ] = None,
     config: ConfigOption = None,
     device: DeviceOption = "auto",
     cache: Annotated[Path | None, folder("Folder for the samples (default: in that of the model).")] = None,
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
+    from foreglow.config import PRESETS
     from foreglow.lab.learning import recipes
     from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.learning.training_run import train_model
@@ -186,9 +190,7 @@ def train(
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
     if from_ is not None and recipe != "foreglow":
         raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
-    from foreglow.models import BUNDLED
-
-    chosen_preset = preset or (str(from_) if str(from_) in BUNDLED else recipe)
+    chosen_preset = preset or (str(from_) if str(from_) in PRESETS else recipe)
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     base, start = recipes.recipe(recipe), None
     if from_ is not None:
