@@ -40,9 +40,6 @@ MIN_SIZE_PX = 1.0
 MIN_STEP_S = 1e-3
 """Frames that are less apart count as this far apart: no camera is faster, and rates divide by the step."""
 
-MAX_TURN_RADPS = 10.0
-"""No car turns faster: such a yaw rate is not known."""
-
 MAX_TRACKS = 512
 """More are not followed: those with the fewest detections end, tentative ones first."""
 
@@ -127,9 +124,9 @@ class AlphaBetaTracker:
 
     def _predict(self, frame: Frame, step_s: float) -> None:
         values = predict(self._states.values, self._states.rates, step_s)
-        turn_radps = math.nan if frame.motion is None else frame.motion.yaw_rate_radps
-        if self._config.compensate_yaw and frame.camera is not None and abs(turn_radps) <= MAX_TURN_RADPS:
-            values[:, :2] += turn_shift_px(frame.camera, values[:, :2], turn_radps * step_s)
+        camera, motion = frame.camera, frame.motion
+        if self._config.compensate_yaw and camera is not None and motion is not None and motion.is_possible:
+            values[:, :2] += turn_shift_px(camera, values[:, :2], motion.yaw_rate_radps * step_s)
         values[:, 2:RANGE] = np.maximum(values[:, 2:RANGE], MIN_SIZE_PX)
         self._states.values = values
 
