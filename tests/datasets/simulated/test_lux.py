@@ -9,7 +9,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.simulated import read_truth
-from foreglow.datasets.simulated.lux import RecordedLux
+from foreglow.datasets.simulated.vehicle import RecordedLux
 from foreglow.types import Frame
 
 IMAGE = np.zeros((2, 2), np.uint8)

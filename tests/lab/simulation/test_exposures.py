@@ -24,8 +24,7 @@ from foreglow.lab.simulation import (
     simulate_datasets,
 )
 from foreglow.lab.simulation.camera.profile import CameraProfile, EncoderSpec, ExposureSpec, ViewSpec, read_profile
-from foreglow.lab.simulation.drive import camera_of
-from foreglow.lab.simulation.drive_camera import DriveCamera
+from foreglow.lab.simulation.drive import DriveCamera, camera_of
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.shares import box_shares
 from foreglow.lab.simulation.light.render import QUALITIES

@@ -12,7 +12,7 @@ from foreglow.datasets import PVDN
 from foreglow.datasets.simulated import VehicleTruth, read_truth
 from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, simulate_dataset
 from foreglow.lab.simulation.drive_frame import DriveFrame
-from foreglow.lab.simulation.scenes.mirror import mirrored
+from foreglow.lab.simulation.scenes.scenarios import mirrored
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Panel, Signal, SurroundingsSpec, Verge
 
