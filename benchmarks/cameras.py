@@ -14,8 +14,7 @@ import numpy as np
 
 from benchmarks.timing import CONSOLE, Contender, Row, interleaved, options, table, write_results
 from foreglow.lab.simulation.camera.profile import PROFILES, read_profile
-from foreglow.lab.simulation.drive import Drive
-from foreglow.lab.simulation.drive_camera import DriveCamera
+from foreglow.lab.simulation.drive import Drive, DriveCamera
 from foreglow.lab.simulation.moment import Moments
 from foreglow.lab.simulation.scenes.scenarios import adapted, scenario
 

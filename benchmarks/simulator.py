@@ -17,9 +17,9 @@ from rich.table import Table
 
 from benchmarks.timing import CONSOLE, Row, RunTimes, options, table, write_results
 from foreglow.lab.simulation import drive_frames
-from foreglow.lab.simulation.light.haze import Haze
 from foreglow.lab.simulation.light.llvm import dr, prepare
 from foreglow.lab.simulation.light.render import Renderer
+from foreglow.lab.simulation.light.shading import Haze
 from foreglow.lab.simulation.scenes.scenarios import MIXTURES, adapted, scenario
 from foreglow.lab.simulation.scenes.scene import Scene
 

@@ -104,8 +104,8 @@ def inner(size: int) -> bytes:
     return struct.pack("<4sHHLL", b"LOBJ", 32, 1, size, 1) + bytes(48)
 
 
-def dbc(size: object = 8, place: object = 0, ranges: str = "0-1") -> str:
-    return f"""VERSION ""\n\nBU_: Car\n\nBO_ 100 Speed: {size} Car\n SG_ mux M : {place}|8@1+ (1,0) [0|0] "" Car
+def dbc(size: object = 8, start_bit: object = 0, ranges: str = "0-1") -> str:
+    return f"""VERSION ""\n\nBU_: Car\n\nBO_ 100 Speed: {size} Car\n SG_ mux M : {start_bit}|8@1+ (1,0) [0|0] "" Car
  SG_ speed m0 : 8|8@1+ (1,0) [0|0] "" Car\n\nSG_MUL_VAL_ 100 speed mux {ranges};\n"""
 
 
@@ -369,7 +369,7 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
         "scene", "a.toml", text("[[road.branches]]\ns_m = 10.0\nangle_deg = 90.0\nlength_m = 1e9"), "length_m",
     ),
     "a message of 4 GB": ("DBC", "a.dbc", text(dbc(size=4_000_000_000)), "a message: expected at most"),
-    "a signal far behind": ("DBC", "a.dbc", text(dbc(place=4_000_000_000)), "a signal: expected at most"),
+    "a signal far behind": ("DBC", "a.dbc", text(dbc(start_bit=4_000_000_000)), "a signal: expected at most"),
     "a range of 4 billion": ("DBC", "a.dbc", text(dbc(ranges="0-4000000000")), "SG_MUL_VAL_: "),
     "a container of 300 MB": ("CAN log", "a.blf", blf(b"", 300 << 20), "unpacked: expected"),
     "an object of 4 GB": ("CAN log", "a.blf", blf(inner(4_000_000_000), 0), "expected an object of"),

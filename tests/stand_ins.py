@@ -78,7 +78,7 @@ def tracks_of(
         boxes_xyxy_px=np.array(boxes, np.float64).reshape(-1, 4),
         confidences=np.full(count, 0.75),
         num_hits=np.full(count, 6),
-        num_misses=np.array([int(place < 0) for place in followed], np.int64),
+        num_misses=np.array([int(index < 0) for index in followed], np.int64),
         ages_s=np.full(count, 0.25),
         ranges_m=ranges,
         sigmas_m=np.where(np.isnan(ranges), np.inf, 0.1 * ranges),

@@ -50,7 +50,7 @@ guard_configs = st.builds(
     GuardConfig,
     white_level=st.none() | st.integers(1, 65535),
     led_limits_cd=st.lists(st.floats(1, 9e3), min_size=1, max_size=5).map(
-        lambda limits: tuple((50.0 * place, limit) for place, limit in enumerate(sorted(limits)))
+        lambda limits: tuple((50.0 * index, limit) for index, limit in enumerate(sorted(limits)))
     ),
 )
 configs = st.builds(

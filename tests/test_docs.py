@@ -81,17 +81,17 @@ def schemas() -> frozenset[str]:
 
 def exists(name: str) -> bool:
     """Whether `foreglow.a.b.c` is a module, or a name in one; of what is in a class only the class is looked for."""
-    place, parts = SOURCE, name.split(".")[1:]
+    folder, parts = SOURCE, name.split(".")[1:]
     for k, part in enumerate(parts):
-        if (place / part).is_dir():
-            place /= part
-        elif (place / f"{part}.py").is_file():
+        if (folder / part).is_dir():
+            folder /= part
+        elif (folder / f"{part}.py").is_file():
             rest = parts[k + 1 :]
-            return not rest or rest[0] in names_of(place / f"{part}.py")
-        elif place == SOURCE:
+            return not rest or rest[0] in names_of(folder / f"{part}.py")
+        elif folder == SOURCE:
             return part in foreglow.__all__ or name in schemas()
         else:
-            return part in names_of(place / "__init__.py")
+            return part in names_of(folder / "__init__.py")
     return True
 
 

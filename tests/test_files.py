@@ -38,7 +38,7 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No space left on device: '.*a\.json'"):
         _fail_inside(path)
     assert path.read_bytes() == b"old"
-    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+    assert [each.name for each in tmp_path.iterdir()] == ["a.json"]
 
 
 def _fail_inside(path: Path) -> None:
@@ -56,7 +56,7 @@ def test_an_error_names_the_file_and_not_the_temporary_one(tmp_path: Path) -> No
     with pytest.raises(OSError, match="folder") as error:
         write_atomic(tmp_path / "folder", b"new")
     assert error.value.filename == str(tmp_path / "folder")
-    assert [one.name for one in tmp_path.iterdir()] == ["folder"]
+    assert [each.name for each in tmp_path.iterdir()] == ["folder"]
 
 
 def test_an_error_about_another_file_keeps_its_name(tmp_path: Path) -> None:

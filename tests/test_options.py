@@ -79,7 +79,7 @@ def test_what_a_group_requires_is_required() -> None:
 
 def test_a_group_has_its_heading_and_leaves_single_options_alone() -> None:
     app, _ = program()
-    headings = {one.name: one.rich_help_panel for one in typer.main.get_command(app).params}  # type: ignore[attr-defined]
+    headings = {param.name: param.rich_help_panel for param in typer.main.get_command(app).params}  # type: ignore[attr-defined]
     assert headings == {
         "lamp": None,
         "shade": "Colours of the lamp",

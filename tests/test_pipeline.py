@@ -25,7 +25,7 @@ def identity(result: FrameResult) -> tuple[object, ...]:
     scored = None if detections is None else (detections.scores.tolist(), detections.is_accepted.tolist())
     ranges, tracks = result.ranges, result.tracks
     ranged = None if ranges is None else (repr(ranges.ranges_m.tolist()), ranges.sigmas_m.tolist())
-    followed = None if tracks is None else repr([getattr(tracks, one.name).tolist() for one in fields(tracks)])
+    followed = None if tracks is None else repr([getattr(tracks, field.name).tolist() for field in fields(tracks)])
     return result.frame, result.timestamp_ns, result.proposals.boxes_xyxy_px.tolist(), scored, ranged, followed
 
 

@@ -138,10 +138,10 @@ def test_pictures_and_a_can_log(tmp_path: Path, run: Path) -> None:
     assert len(pictures) == 12
     database = cantools.database.load_file(OWN_DBC)
     with can.ASCReader(tmp_path / "out" / "beam.asc") as log:
-        messages = [(one.arbitration_id, database.decode_message(one.arbitration_id, one.data)) for one in log]
+        messages = [(each.arbitration_id, database.decode_message(each.arbitration_id, each.data)) for each in log]
     assert len(messages) == 5 * 12
-    for place, record in enumerate(lines(tmp_path / "out")):
-        of_frame = dict(messages[5 * place : 5 * place + 5])
+    for index, record in enumerate(lines(tmp_path / "out")):
+        of_frame = dict(messages[5 * index : 5 * index + 5])
         gaps = of_frame[0x3B4]
         assert gaps["Time"] == record["timestamp_ns"] // 1_000_000
         assert gaps["Mode"] == {"full": "Full", "glare_free": "GlareFree", "low": "Low"}[record["beam"]["mode"]]
@@ -155,7 +155,7 @@ def test_compact_can_log(tmp_path: Path, run: Path) -> None:
     can = pytest.importorskip("can")
     beam(run, "--out", tmp_path, "--can", "log", "--compact", "--limit", 4)
     with can.CanutilsLogReader(tmp_path / "beam.log") as log:
-        assert [one.arbitration_id for one in log] == [0x3B4] * 4
+        assert [each.arbitration_id for each in log] == [0x3B4] * 4
 
 
 @pytest.mark.slow
@@ -167,8 +167,8 @@ def test_one_image_with_its_picture(tmp_path: Path, images: Path, equipment: tup
 
 def test_faults_are_counted(tmp_path: Path, images: Path) -> None:
     (tmp_path / "same").mkdir()
-    for place in range(3):
-        shutil.copy(sorted(images.iterdir())[0], tmp_path / "same" / f"{place}.jpg")
+    for index in range(3):
+        shutil.copy(sorted(images.iterdir())[0], tmp_path / "same" / f"{index}.jpg")
     (tmp_path / "own.toml").write_text("[guard]\nneeds_speed = false\nmax_same_images = 1\n")
     options = ("--calibration", CALIBRATION, "--config", tmp_path / "own.toml")
     said = beam(tmp_path / "same", "--out", tmp_path / "out", *options)

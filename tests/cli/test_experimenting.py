@@ -136,7 +136,7 @@ def test_distance(tmp_path: Path) -> None:
     assert result.stdout.endswith(f"look in {out / 'report.html'}\n")
     assert "Mean range of direct light: 83 m; here" in result.stdout
     record = json.loads((out / "results.json").read_text())
-    assert {one["estimator"] for one in record["findings"]} == {"gp", "psd_3d"}
+    assert {finding["estimator"] for finding in record["findings"]} == {"gp", "psd_3d"}
     assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
 
 

@@ -33,7 +33,7 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def scene_of(folder: Path) -> Path:
-    one = Scene(
+    single = Scene(
         name="mine",
         duration_s=4 / 18,
         road=RoadSpec(length_m=150.0),
@@ -41,7 +41,7 @@ def scene_of(folder: Path) -> Path:
         ego=EgoSpec(timetable=((0.0, 20.0), (10.0, 220.0))),
     )
     path = folder / "mine.toml"
-    path.write_text(scene_to_toml(one))
+    path.write_text(scene_to_toml(single))
     return path
 
 
@@ -150,8 +150,8 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
     (tmp_path / "changed.toml").write_text(changed)
     before, after = read_scene(tmp_path / "plain.toml"), read_scene(tmp_path / "changed.toml")
     assert (before.ego.beam, after.ego.beam) == ("low", "high")
-    assert any(one.beam != "off" for one in before.vehicles)
-    assert all(one.beam == "off" for one in after.vehicles)
+    assert any(vehicle.beam != "off" for vehicle in before.vehicles)
+    assert all(vehicle.beam == "off" for vehicle in after.vehicles)
     assert after.road == before.road
     small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast")
     result = foreglow("simulate", "--out", tmp_path / "DATA", *small, "--ego-beam", "matrix", "--empty")

@@ -27,7 +27,7 @@ def test_run_is_kept_as_a_recording(tmp_path: Path) -> None:
     assert len(found.values("/camera/image", "EncodedImage:blob")) == 4
     assert len(found.values("/plots/lux/car\\ 0", "Scalars:scalars")) == 4
     texts = [(tmp_path / name / "frames.jsonl").read_text().splitlines() for name in ("with", "without")]
-    for ours, theirs in ((json.loads(one), json.loads(other)) for one, other in zip(*texts, strict=True)):
+    for ours, theirs in ((json.loads(each), json.loads(other)) for each, other in zip(*texts, strict=True)):
         assert ours == theirs  # to look changes nothing
 
 
@@ -67,11 +67,11 @@ def test_a_recording_that_cannot_be_written(tmp_path: Path, folder: Path, config
 def test_a_failed_run_leaves_no_recording(tmp_path: Path, folder: Path, config: Path) -> None:
     (folder / "000002.png").write_text("no image")
     complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--save", tmp_path / "run.rrd")
-    assert not [one for one in tmp_path.iterdir() if "rrd" in one.name]
+    assert not [path for path in tmp_path.iterdir() if "rrd" in path.name]
 
 
 def test_without_rerun(tmp_path: Path, folder: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [one for one in sys.modules if one == "rerun" or one.startswith("foreglow.display.viewer")]:
+    for name in [module for module in sys.modules if module == "rerun" or module.startswith("foreglow.display.viewer")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rerun", None)
     line = complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--save", tmp_path / "run.rrd")

@@ -37,11 +37,11 @@ def test_parts_of_a_split_are_its_frames_in_order(split: Path) -> None:
     whole = PVDN(split)
     assert part_names(whole) == ("S00001", "S00002")
     frames = [frame for name in part_names(whole) for frame in part_of(whole, name)]
-    for one, other in zip(frames, whole, strict=True):
-        assert (one.frame, one.sequence, one.timestamp_ns, one.path) == (
+    for each, other in zip(frames, whole, strict=True):
+        assert (each.frame, each.sequence, each.timestamp_ns, each.path) == (
             other.frame, other.sequence, other.timestamp_ns, other.path,
         )  # fmt: skip
-        assert np.array_equal(one.image, other.image)
+        assert np.array_equal(each.image, other.image)
 
 
 def test_a_part_keeps_the_selection_and_skips_for_itself(split: Path) -> None:

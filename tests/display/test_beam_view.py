@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from foreglow.display.beam_view import FAULT_BGR, GAP_BGR, BeamView
+from foreglow.display.beam_view import AHEAD_M, ASIDE_M, CELLS, FAULT_BGR, GAP_BGR, BeamView, RoadLight, place_on_scale
 from foreglow.display.overlay import TRACK_BGR, Picture
-from foreglow.display.road_light import AHEAD_M, ASIDE_M, CELLS, RoadLight, place_on_scale
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import NUM_LEDS, illuminance_lx, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.distance.box_light import CONTRAST_FLOOR, light_of_boxes
+from foreglow.distance.road_surface import CONTRAST_FLOOR, light_of_boxes
 from foreglow.geometry import Floats
 from foreglow.types import Boxes, Image
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foreglow.distance.series import SERIES, over_frames
+from foreglow.lab.studies.distance.run import SERIES, over_frames
 
 FRAMES = np.array([3, 4, 5, 7, 8, 9, 20])
 RANGES = np.array([100.0, 90.0, np.nan, 60.0, 50.0, 10.0, np.nan])

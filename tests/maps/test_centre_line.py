@@ -97,9 +97,9 @@ def test_the_road_is_where_it_was(way_m: float, left_m: float, turn_deg: float, 
     line = CentreLine(arc(), 3.5)
     turned = way_m / 200.0
     side = np.array([-np.sin(turned), np.cos(turned), 0.0])
-    place = np.array([200 * np.sin(turned), 200 * (1 - np.cos(turned)), 0.0]) + left_m * side
+    position_m = np.array([200 * np.sin(turned), 200 * (1 - np.cos(turned)), 0.0]) + left_m * side
     yaw_rad = turned + np.radians(turn_deg) + np.pi * is_against
-    where = Pose(place, rotation(yaw_rad))
+    where = Pose(position_m, rotation(yaw_rad))
     road = line.ahead(where, length_m=500.0)
     left = way_m if is_against else 300.0 - way_m
     if road is None:

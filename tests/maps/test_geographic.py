@@ -18,7 +18,7 @@ def test_distances_stay_within_the_stated_error() -> None:
     places = np.array([[48.09, 9.0], [48.09, 9.001], [48.0902, 9.001]])
     far = GeographicOrigin(48.0, 9.0).local(*places.T)
     near = GeographicOrigin(48.09, 9.0).local(*places.T)
-    lengths = [np.linalg.norm(np.diff(one, axis=0), axis=1) for one in (far, near)]
+    lengths = [np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (far, near)]
     np.testing.assert_allclose(lengths[0], lengths[1], rtol=1.3e-6)
 
 

@@ -109,7 +109,7 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("one", "message"),
+    ("text", "message"),
     [
         (road("", 40), "road 7: planView: expected at least one <geometry>"),
         (road(geometry(0, 0, 0, 0, 40, "<poly3/>"), 40), "road 7: geometry: expected line, arc, .*got poly3"),
@@ -124,9 +124,9 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
         (road(geometry(0, 0, 0, 0, 40, "<line/>"), "long"), "road 7: <road> length: .* got 'long'"),
     ],
 )
-def test_errors(tmp_path: Path, one: str, message: str) -> None:
+def test_errors(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=rf"town\.xodr: {message}"):
-        read(tmp_path, one)
+        read(tmp_path, text)
 
 
 def test_broken_files(tmp_path: Path) -> None:

@@ -43,10 +43,10 @@ def test_between_two_poses(tmp_path: Path) -> None:
 
 def test_at_the_poses_themselves_and_outside(tmp_path: Path) -> None:
     track = read_poses(write(tmp_path, METRIC))
-    for time_ns, place in zip(track.times_ns.tolist(), track.positions_m, strict=True):
+    for time_ns, position_m in zip(track.times_ns.tolist(), track.positions_m, strict=True):
         at = track.pose(time_ns)
         assert at is not None
-        np.testing.assert_allclose(at.position_m, place)
+        np.testing.assert_allclose(at.position_m, position_m)
     assert track.pose(1_700_000_000_099_999_999) is None
     assert track.pose(1_700_000_003_200_000_001) is None
     assert track.pose(1_700_000_002_000_000_000) is None  # in a gap of three seconds

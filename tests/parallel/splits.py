@@ -20,8 +20,8 @@ class DeadlySplit(PVDN):
         notes.mkdir(exist_ok=True)
         (notes / f"{name}-{time.monotonic_ns()}").touch()
         is_fatal = name == "S00002" and len(list(notes.glob(f"{name}-*"))) == 1
-        for place, frame in enumerate(super().__iter__()):
-            if is_fatal and place == 2:
+        for index, frame in enumerate(super().__iter__()):
+            if is_fatal and index == 2:
                 os.kill(os.getpid(), signal.SIGKILL)
             yield frame
 

@@ -52,7 +52,7 @@ def test_what_is_done_of_every_sequence_is_kept_in_order(drives: Path, tmp_path:
     assert set(sequences) <= {"S00001", "S00002"}  # the third was not begun
     for sequence in set(sequences):
         frames = [line["frame"] for line in lines if line["sequence"] == sequence]
-        assert frames == [10_000 * int(sequence[1:]) + place for place in range(len(frames))]
+        assert frames == [10_000 * int(sequence[1:]) + index for index in range(len(frames))]
     assert names(tmp_path) == RESULTS
     assert signal.getsignal(signal.SIGINT) is before
 

@@ -71,44 +71,44 @@ def summary_of(folder: Path) -> dict[str, object]:
 
 def times_of(folder: Path) -> list[tuple[int, str, int, list[str]]]:
     lines = [json.loads(line) for line in (folder / "times.jsonl").read_text().splitlines()]
-    return [(one["frame"], one["sequence"], one["timestamp_ns"], list(one["stage_ms"])) for one in lines]
+    return [(each["frame"], each["sequence"], each["timestamp_ns"], list(each["stage_ms"])) for each in lines]
 
 
 @pytest.mark.parametrize("data", ["split", "drives"])
 def test_run(data: str, tmp_path: Path, options: tuple[object, ...], request: pytest.FixtureRequest) -> None:
-    source, one, many = request.getfixturevalue(data), tmp_path / "one", tmp_path / "many"
-    run("run", source, "--out", one)
+    source, alone, many = request.getfixturevalue(data), tmp_path / "one", tmp_path / "many"
+    run("run", source, "--out", alone)
     run("run", source, "--out", many, *options)
-    assert names(many) == names(one) == RESULTS
-    assert (many / "frames.jsonl").read_bytes() == (one / "frames.jsonl").read_bytes()
-    assert (many / "config.toml").read_bytes() == (one / "config.toml").read_bytes()
-    assert summary_of(many) == summary_of(one)
-    assert times_of(many) == times_of(one)
-    assert len({line[1] for line in times_of(one)}) > 1
+    assert names(many) == names(alone) == RESULTS
+    assert (many / "frames.jsonl").read_bytes() == (alone / "frames.jsonl").read_bytes()
+    assert (many / "config.toml").read_bytes() == (alone / "config.toml").read_bytes()
+    assert summary_of(many) == summary_of(alone)
+    assert times_of(many) == times_of(alone)
+    assert len({line[1] for line in times_of(alone)}) > 1
 
 
 def test_run_of_one_piece(tmp_path: Path, drives: Path, options: tuple[object, ...]) -> None:
-    source, one, many = drives / "images" / "S00001", tmp_path / "one", tmp_path / "many"
+    source, alone, many = drives / "images" / "S00001", tmp_path / "one", tmp_path / "many"
     pictures = shutil.copytree(source, tmp_path / "pictures")
     for given in (source, pictures):
-        run("run", given, "--out", one)
+        run("run", given, "--out", alone)
         run("run", given, "--out", many, *options)
-        assert (many / "frames.jsonl").read_bytes() == (one / "frames.jsonl").read_bytes()
+        assert (many / "frames.jsonl").read_bytes() == (alone / "frames.jsonl").read_bytes()
 
 
 def test_run_skips_and_stops_at_bad_images_as_ever(tmp_path: Path, drives: Path, cluster: DaskCluster) -> None:
     options = ("--cluster", cluster.address)
     source = shutil.copytree(drives, tmp_path / "train")
     (source / "images" / "S00002" / "020001.png").write_text("no image")
-    one, many = tmp_path / "one", tmp_path / "many"
+    alone, many = tmp_path / "one", tmp_path / "many"
     line = complaint("run", source, "--out", many, *options)
     assert "020001.png" in line
     assert not many.exists()
-    run("run", source, "--out", one, "--on-error", "skip")
+    run("run", source, "--out", alone, "--on-error", "skip")
     run("run", source, "--out", many, "--on-error", "skip", *options)
-    assert (many / "frames.jsonl").read_bytes() == (one / "frames.jsonl").read_bytes()
-    assert summary_of(many) == summary_of(one)
-    assert summary_of(one)["num_skipped"] == 1
+    assert (many / "frames.jsonl").read_bytes() == (alone / "frames.jsonl").read_bytes()
+    assert summary_of(many) == summary_of(alone)
+    assert summary_of(alone)["num_skipped"] == 1
 
 
 def test_run_with_a_lost_worker(tmp_path: Path, drives: Path, workers: Workers) -> None:
@@ -131,11 +131,11 @@ def test_run_with_a_lost_worker(tmp_path: Path, drives: Path, workers: Workers) 
 
 
 def test_annotate(tmp_path: Path, split: Path, options: tuple[object, ...]) -> None:
-    one, many = (shutil.copytree(split, tmp_path / name) for name in ("one", "many"))
-    run("annotate", one, "--json", tmp_path / "one.json")
+    alone, many = (shutil.copytree(split, tmp_path / name) for name in ("one", "many"))
+    run("annotate", alone, "--json", tmp_path / "one.json")
     run("annotate", many, "--json", tmp_path / "many.json", *options)
-    assert contents(many) == contents(one)
-    assert len(contents(one, "labels/bounding_boxes/*.json")) == 8
+    assert contents(many) == contents(alone)
+    assert len(contents(alone, "labels/bounding_boxes/*.json")) == 8
     figures = [json.loads((tmp_path / f"{name}.json").read_text())[name] for name in ("one", "many")]
     assert figures[0] | {"root": ""} == figures[1] | {"root": ""}
 

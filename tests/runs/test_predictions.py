@@ -124,8 +124,8 @@ def test_no_file(tmp_path: Path) -> None:
 def test_damaged_files_are_read_or_refused(suffix: str, data: st.DataObject) -> None:
     document = _LINE if suffix == ".jsonl" else {"7": {"boxes": [[1, 2, 3, 4]], "scores": [0.5]}, "8": []}
     text = bytearray(json.dumps(document).encode())
-    for place in data.draw(st.lists(st.integers(0, len(text) - 1), max_size=4)):
-        text[place] = data.draw(st.integers(0, 255))
+    for index in data.draw(st.lists(st.integers(0, len(text) - 1), max_size=4)):
+        text[index] = data.draw(st.integers(0, 255))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"predictions{suffix}"
         path.write_bytes(bytes(text))

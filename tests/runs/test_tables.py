@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import foreglow
-from foreglow.runs.tables import columns_of
+from foreglow.runs.recorded_run import columns_of
 from foreglow.types import Frame
 from tests.runs.test_recorded_run import made_up, write_run
 from tests.stand_ins import night_image, result_of

@@ -60,10 +60,10 @@ def test_log_comes_back(tmp_path: Path, suffix: str) -> None:
     sink.close()
     assert list(tmp_path.iterdir()) == [path]
     messages = read(path, suffix)
-    assert [(one.arbitration_id, bytes(one.data)) for one in messages] == expected
-    assert all(one.is_fd and not one.is_extended_id for one in messages)
-    assert suffix == ".log" or not any(one.is_rx for one in messages)  # our own commands are sent, not received
-    times_s = np.array([one.timestamp for one in messages])
+    assert [(message.arbitration_id, bytes(message.data)) for message in messages] == expected
+    assert all(message.is_fd and not message.is_extended_id for message in messages)
+    assert suffix == ".log" or not any(message.is_rx for message in messages)  # our own commands are sent, not received
+    times_s = np.array([message.timestamp for message in messages])
     np.testing.assert_allclose(times_s - times_s[0], np.repeat(np.arange(6), 5) * PERIOD / 1e9, atol=2e-6)
     if suffix != ".asc":
         assert times_s[0] == pytest.approx(1_700_000_000, abs=2e-3)
@@ -76,8 +76,11 @@ def test_times_from_zero(tmp_path: Path, suffix: str) -> None:
         sink.write(*result_at(number * PERIOD))
     sink.close()
     messages = read(tmp_path / "beam.partial", suffix)
-    np.testing.assert_allclose([one.timestamp for one in messages[::5]], [0, 0.055, 0.11], atol=2e-6)
-    assert decode_levels([CanFrame(one.arbitration_id, bytes(one.data)) for one in messages[:4]]).levels.min() == 1.0
+    np.testing.assert_allclose([message.timestamp for message in messages[::5]], [0, 0.055, 0.11], atol=2e-6)
+    assert (
+        decode_levels([CanFrame(message.arbitration_id, bytes(message.data)) for message in messages[:4]]).levels.min()
+        == 1.0
+    )
     assert decode_gaps(messages[4].arbitration_id, bytes(messages[4].data)).gap_ranges_m == [76.0]
 
 
@@ -92,8 +95,8 @@ def test_sequences_follow_each_other(tmp_path: Path) -> None:
     sink.close()
     messages = read(tmp_path / "beam.log", ".log")[4::5]
     expected_ms = [0, 55, 1055, 1110, 5000, 5055]
-    np.testing.assert_allclose([one.timestamp for one in messages], np.array(expected_ms) / 1e3, atol=2e-6)
-    times = [decode_gaps(one.arbitration_id, bytes(one.data)).header.time_ms for one in messages]
+    np.testing.assert_allclose([message.timestamp for message in messages], np.array(expected_ms) / 1e3, atol=2e-6)
+    times = [decode_gaps(message.arbitration_id, bytes(message.data)).header.time_ms for message in messages]
     assert times == expected_ms
 
 
@@ -103,8 +106,8 @@ def test_gaps_alone(tmp_path: Path) -> None:
         sink.write(*result_at(number * PERIOD))
     sink.close()
     messages = read(tmp_path / "beam.log", ".log")
-    headers = [decode_gaps(one.arbitration_id, bytes(one.data)).header for one in messages]
-    assert [one.counter for one in headers] == [0, 1, 2]
+    headers = [decode_gaps(message.arbitration_id, bytes(message.data)).header for message in messages]
+    assert [header.counter for header in headers] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("suffix", LOG_SUFFIXES)

@@ -13,7 +13,7 @@ IMAGE = np.zeros((2, 2), np.uint8)
 def test_sequences_follow_each_other() -> None:
     axis = TimeAxis()
     times = {"A": (7, 50), "B": (0, 50), "C": (10 * PAUSE_NS,)}
-    found = [axis.time_ns(Frame(IMAGE, one, sequence=name)) for name, its in times.items() for one in its]
+    found = [axis.time_ns(Frame(IMAGE, each, sequence=name)) for name, its in times.items() for each in its]
     assert found == [7, 50, 50 + PAUSE_NS, 100 + PAUSE_NS, 10 * PAUSE_NS]
 
 

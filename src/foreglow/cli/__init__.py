@@ -15,7 +15,7 @@ with interruptible():
 
     # In the order of the help.
     from foreglow.cli import run, demo, beam, live, ros2, report, calibrate, export_mot  # noqa: F401  isort: skip
-    from foreglow.cli import labels, evaluate, stages, download, simulate, learning, yolo, experiment, reproduce  # noqa: F401  isort: skip
+    from foreglow.cli import labels, evaluate, stages, download, simulate, learning, yolo, experiment  # noqa: F401  isort: skip
 
 __all__ = ["app", "main"]
 

@@ -38,7 +38,7 @@ def _check(copy: Path) -> None:
     import rich
     from rich.table import Table
 
-    from foreglow.datasets.pvdn.counting import count_pvdn
+    from foreglow.datasets.pvdn.download import count_pvdn
 
     counts = count_pvdn(copy)
     table = Table("", "scenes", "of", "images", "of", title=str(copy), title_justify="left")

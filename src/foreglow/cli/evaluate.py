@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from foreglow.config import PipelineConfig
     from foreglow.lab.evaluation import BoxQuality, Examination
-    from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion
+    from foreglow.lab.evaluation.boxes.directness import KindConfusion
     from foreglow.parallel import Workers
 
 

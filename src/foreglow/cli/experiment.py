@@ -1,17 +1,83 @@
-"""`experiment`: what `lab.studies` registers, each a command."""
+"""`experiment`: what `lab.studies` registers, each a command; `reproduce`: every number of the paper beside ours."""
 
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from foreglow.cli.app import app
 from foreglow.lab.studies import STUDIES
-from foreglow.options import with_options
+from foreglow.options import (
+    DeviceOption,
+    PipelineOptions,
+    WorkerOptions,
+    argument,
+    file,
+    folder,
+    option,
+    with_options,
+)
 
 experiment = typer.Typer(no_args_is_help=True, help="Run an experiment: figures, tables and a report in a folder.")
 app.add_typer(experiment, name="experiment")
 
 for _name, _module in STUDIES.items():
     experiment.command(_name)(with_options(importlib.import_module(_module).command))
+
+
+ModelFile = Annotated[Path | None, file("Model for its row of the table, instead of training one.", metavar="MODEL")]
+YoloRun = Annotated[Path | None, file("Folder of a finished `yolo train` for its row of the table.", metavar="RUN")]
+
+
+@app.command()
+@with_options
+def reproduce(
+    data: Annotated[Path, argument("DATA", "PVDN, or simulated drives; test at the full frame rate.")],
+    out: Annotated[Path, folder("Folder for the page; what is finished in it is not run again.")],
+    pipeline: PipelineOptions,
+    work: WorkerOptions,
+    baseline_model: ModelFile = None,
+    paper_model: ModelFile = None,
+    published: Annotated[Path | None, file("Published weights, converted by `import-weights`.")] = None,
+    yolo_small: YoloRun = None,
+    yolo_large: YoloRun = None,
+    epochs: Annotated[
+        int | None, option("N", "Epochs of the baseline's and the paper's network (default: the paper's).", min=1)
+    ] = None,
+    trials: Annotated[int, option("N", "Trials of the search for parameters.", min=1)] = 200,
+    images: Annotated[int, option("N", "Images of train that it goes by.", min=1)] = 600,
+    scenes: Annotated[int, option("N", "Simulated scenes to drive in closed loop.", min=1)] = 8,
+    production_category: Annotated[
+        int, option("N", "PVDN's image category for the production system's detection.", min=0, max=7)
+    ] = 6,
+    device: DeviceOption = "auto",
+) -> None:
+    """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it."""
+    from foreglow.display.progress import StepProgress
+    from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.reproduction.experiments import MODELS, ReproductionPlan
+    from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
+    from foreglow.lab.studies.reproduction.run import run_experiments
+
+    require_matplotlib()
+    given = (baseline_model, paper_model, published, yolo_small, yolo_large)
+    words = {"--preset": pipeline.preset, "--model": pipeline.model, "--config": pipeline.config}
+    plan = ReproductionPlan(
+        data=data,
+        config=pipeline.configuration(),
+        pipeline=tuple(str(word) for item in words.items() if item[1] is not None for word in item),
+        models={name: path for name, path in zip(MODELS, given, strict=True) if path is not None},
+        epochs=epochs,
+        trials=trials,
+        images=images,
+        scenes=scenes,
+        device=device,
+        production_category=production_category,
+    )
+    with StepProgress() as progress:
+        outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
+    report = write_page(plan, outcomes, out)
+    typer.echo("\n".join([*summary_lines(answers(plan, outcomes)), f"look in {report}"]))

@@ -162,7 +162,7 @@ def recorded_lux(frames: FrameSource) -> LuxOf | None:
     """The light at other drivers' eyes, as a simulated drive has it on file; None for other sources."""
     from foreglow.datasets import Equipped, LabelledSource
     from foreglow.datasets.simulated import has_truth
-    from foreglow.datasets.simulated.lux import RecordedLux
+    from foreglow.datasets.simulated.vehicle import RecordedLux
 
     if isinstance(frames, Equipped):
         frames = frames.source

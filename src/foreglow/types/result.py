@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from foreglow.types.arrays import Image
 from foreglow.types.beam import BeamCommand
@@ -14,6 +16,54 @@ from foreglow.types.tracks import Tracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from foreglow.types.arrays import Image
+    from foreglow.types.boxes import Detections, Proposals
+    from foreglow.types.tracks import Tracks
+
+COLOURS = {"proposal": "#fabe46", "rejected": "#91a0b4", "accepted": "#5aeb78", "track": "#5abeff"}
+"""Of the annotated videos."""
+
+
+def plot(
+    proposals: Proposals, detections: Detections | None, tracks: Tracks | None, image: Image | None, axes: Axes | None
+) -> Axes:
+    """As `FrameResult.plot`."""
+    try:
+        from matplotlib import pyplot
+        from matplotlib.patches import Rectangle
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "FrameResult.plot: matplotlib is not installed: pip install 'foreglow[plots]'", name=error.name
+        ) from None
+    shown = pyplot.subplots(layout="constrained")[1] if axes is None else axes
+
+    def add(box: Any, kind: str, text: str = "") -> None:
+        x1, y1, x2, y2 = np.asarray(box, np.float64) - 0.5  # pixels are centred on whole numbers
+        shown.add_patch(Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, edgecolor=COLOURS[kind]))
+        if text:
+            shown.text(x1, y1, text, color=COLOURS[kind], fontsize="small", verticalalignment="bottom")
+
+    if image is not None:
+        shown.imshow(image, cmap="gray", norm="asinh")
+    if detections is None:
+        for box in proposals.boxes_xyxy_px:
+            add(box, "proposal")
+    else:
+        columns = detections.boxes_xyxy_px, detections.scores, detections.is_accepted
+        for box, score, is_accepted in zip(*columns, strict=True):
+            add(box, "accepted" if is_accepted else "rejected", f"{score:.2f}")
+    if tracks is not None:
+        for index in np.flatnonzero(tracks.is_plausible):
+            range_m = tracks.ranges_m[index]
+            text = f"#{tracks.ids[index]}" + ("" if np.isnan(range_m) else f" {range_m:.0f} m")
+            add(tracks.boxes_xyxy_px[index], "track", text)
+    shown.set(xlabel="column, pixels", ylabel="row, pixels", aspect="equal")
+    if image is None:
+        shown.autoscale_view()
+        if not shown.yaxis_inverted():
+            shown.invert_yaxis()
+    return shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +104,6 @@ class FrameResult:
         Raises:
             ModuleNotFoundError: If matplotlib is not installed (extra `plots`).
         """
-        from foreglow.types.plotting import plot
-
         shown = plot(self.proposals, self.detections, self.tracks, image, axes)
         shown.set_title(f"frame {self.frame}")
         return shown

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from foreglow.datasets import Recording
 from foreglow.datasets.bags.containers import decompressed
-from foreglow.datasets.bags.image_messages import DECODERS
+from foreglow.datasets.bags.recording import DECODERS
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
 IMAGES = images(5)

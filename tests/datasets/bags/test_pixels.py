@@ -95,5 +95,5 @@ def test_what_cannot_be(broken: Pixels, message: str) -> None:
 
 
 def test_every_encoding_has_a_test() -> None:
-    tested = {f"{name}{bits}" for name in (*ORDERS, *(f"bayer_{one}" for one in BAYER)) for bits in (8, 16)}
+    tested = {f"{name}{bits}" for name in (*ORDERS, *(f"bayer_{each}" for each in BAYER)) for bits in (8, 16)}
     assert set(ENCODINGS) == tested | {"8UC1", "16UC1"}

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.datasets.pvdn import counting
-from foreglow.datasets.pvdn.counting import PVDN_COUNTS, count_pvdn
+from foreglow.datasets.pvdn import download
+from foreglow.datasets.pvdn.download import PVDN_COUNTS, count_pvdn
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import IDS, make_pvdn
 
@@ -23,7 +23,7 @@ def test_the_splits_add_up_to_what_the_paper_states() -> None:
 def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A whole copy of a smaller data set: two splits, each of two scenes and five images."""
     stated = dict.fromkeys(("day/val", "night/val"), (NUM_SCENES, NUM_IMAGES))
-    monkeypatch.setattr(counting, "PVDN_COUNTS", stated)
+    monkeypatch.setattr(download, "PVDN_COUNTS", stated)
     for cycle in ("day", "night"):
         make_pvdn(tmp_path, cycle)
     return tmp_path
@@ -55,7 +55,7 @@ def test_what_is_missing_is_named(copy: Path) -> None:
 
 
 def test_fewer_scenes_and_images_than_stated(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(counting, "PVDN_COUNTS", {"day/val": (9, 99)})
+    monkeypatch.setattr(download, "PVDN_COUNTS", {"day/val": (9, 99)})
     (found,) = count_pvdn(copy)
     assert found.missing == (
         f"{copy}/day/val: expected 9 scenes in the labels, got {NUM_SCENES}",

@@ -101,7 +101,7 @@ def test_vehicles_and_instances(split: Path) -> None:
     dataset = PVDN(split)
     (vehicle,) = dataset.annotations(11)
     assert (vehicle.position_px, vehicle.oid, vehicle.is_direct) == ((40, 30), 2, True)
-    assert [(one.iid, one.is_direct, one.is_rear) for one in vehicle.instances] == [
+    assert [(instance.iid, instance.is_direct, instance.is_rear) for instance in vehicle.instances] == [
         (0, True, False),
         (1, True, False),
         (2, False, True),

@@ -142,7 +142,7 @@ def test_any_vehicles_survive(vehicles: list[tuple[Vehicle, ...]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         with PVDNWriter(folder) as writer:
             writer.add_sequence(
-                Sequence.plain(1), [LabelledImage(_frame(number), one) for number, one in enumerate(vehicles)]
+                Sequence.plain(1), [LabelledImage(_frame(number), each) for number, each in enumerate(vehicles)]
             )
         dataset = PVDN(folder)
         assert [dataset.annotations(number) for number in range(len(vehicles))] == vehicles

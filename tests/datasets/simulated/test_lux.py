@@ -9,7 +9,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.simulated import read_truth
-from foreglow.datasets.simulated.lux import RecordedLux
+from foreglow.datasets.simulated.vehicle import RecordedLux
 from foreglow.types import Frame
 
 IMAGE = np.zeros((2, 2), np.uint8)
@@ -17,9 +17,9 @@ IMAGE = np.zeros((2, 2), np.uint8)
 
 def test_it_is_that_of_the_truth() -> None:
     lux_of, truth = RecordedLux(shipped_drive()), read_truth(shipped_drive()).sequence(1)
-    for one in (truth.frames[0], truth.frames[80]):
-        (vehicle,) = one.vehicles
-        assert lux_of(Frame(IMAGE, one.timestamp_ns, one.image_id)) == {"car 0": vehicle.eye_lx["ego"]}
+    for each in (truth.frames[0], truth.frames[80]):
+        (vehicle,) = each.vehicles
+        assert lux_of(Frame(IMAGE, each.timestamp_ns, each.image_id)) == {"car 0": vehicle.eye_lx["ego"]}
     assert lux_of(Frame(IMAGE, 0, truth.frames[80].image_id))["car 0"] > 0
 
 

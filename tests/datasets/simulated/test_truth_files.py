@@ -86,7 +86,7 @@ def test_the_road_ahead_and_the_message_agree(whole: Path) -> None:
     assert ahead.shape == (101, 3)
     np.testing.assert_allclose(frame.ego_pose.to_outer(ahead[60]), road.points(frame.ego_s_m + 60.0), atol=1e-9)
     assert frame.street.error_bound_m == sequence.frames[0].street.error_bound_m
-    assert sum(one.length_m for one in frame.street.segments) >= 400
+    assert sum(segment.length_m for segment in frame.street.segments) >= 400
 
 
 def test_road_file_is_the_centre_line(whole: Path) -> None:

@@ -113,13 +113,13 @@ def log_of(tmp_path: Path, frames: list[Sent], mapping: str = MAPPING) -> CanLog
     database: Any = cantools.database.load_file(tmp_path / "car.dbc")
     with can.CanutilsLogWriter(tmp_path / "car.log") as log:
         for k, (name, values) in enumerate(frames):
-            one = database.get_message_by_name(name)
+            message = database.get_message_by_name(name)
             log(
                 can.Message(
                     timestamp=1 + k / 100,
-                    arbitration_id=one.frame_id,
-                    is_extended_id=one.is_extended_frame,
-                    data=one.encode(values),
+                    arbitration_id=message.frame_id,
+                    is_extended_id=message.is_extended_frame,
+                    data=message.encode(values),
                 )
             )
     return read_can_log(tmp_path / "car.log", tmp_path / "car.dbc", tmp_path / "car.toml")
@@ -138,7 +138,7 @@ def test_the_road_of_another_car(tmp_path: Path) -> None:
     ]
     found = log_of(tmp_path, frames).street(1_100_000_000)
     assert found is not None
-    assert [one.segment_id for one in found.segments] == [7, 8]
+    assert [segment.segment_id for segment in found.segments] == [7, 8]
     assert (found.remaining_length_m, found.error_class) == (30, 1)
     first, second = found.segments
     assert (first.length_m, first.slope, second.slope) == (80.0, -0.03, 0.0)

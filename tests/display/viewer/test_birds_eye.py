@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from foreglow.display.viewer.birds_eye import FARTHEST_M, arc_m, fan_triangles, gap_sector_m, road_lines_m, track_bars
+from foreglow.display.viewer.entities import FARTHEST_M, arc_m, fan_triangles, gap_sector_m, road_lines_m, track_bars
 from foreglow.geometry import Camera, Pose
 from foreglow.rays import RayCaster
 from foreglow.types import RoadAhead, Tracks

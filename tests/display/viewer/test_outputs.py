@@ -35,7 +35,7 @@ def test_a_discarded_file_leaves_nothing(tmp_path: Path) -> None:
     file = RrdFile(tmp_path / "run.rrd", ARRANGED)
     file.log(0, 0, noise(0))
     file.discard()
-    assert [one.name for one in tmp_path.iterdir()] == ["run.rrd"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
     assert (tmp_path / "run.rrd").read_bytes() == b"older"
 
 

@@ -63,7 +63,7 @@ def test_all_of_a_frame(path: Path) -> None:
     (_, places), *_ = found.values("/map/tracks/places", "Points3D:positions")
     assert np.hypot(*(np.array(places)[0, :2] - [1.9, 0.0])) == pytest.approx(50.0, abs=0.1)
     (_, borders), *_ = found.values("/map/gaps/borders", "LineStrips3D:strips")
-    assert [len(one) for one in borders] == [8, 9]
+    assert [len(border) for border in borders] == [8, 9]
 
 
 def test_an_image_without_loss_and_one_as_jpeg(path: Path) -> None:
@@ -135,7 +135,9 @@ def test_dates_are_dates(path: Path) -> None:
     sink.write(frame, full_result(frame))
     sink.close()
     chunks = rr.chunk.RrdReader(path).stream()
-    kinds = {str(one.to_record_batch().schema.field("time").type) for one in chunks if "time" in one.timeline_names}
+    kinds = {
+        str(chunk.to_record_batch().schema.field("time").type) for chunk in chunks if "time" in chunk.timeline_names
+    }
     assert kinds == {"timestamp[ns]"}
 
 
@@ -151,7 +153,7 @@ def test_as_many_scores_in_every_frame(count: int) -> None:
 def test_words_of_a_track() -> None:
     states = [TrackState.CONFIRMED, TrackState.COASTING]
     tracks = tracks_of([(0, 0, 9, 9), (20, 0, 29, 9)], states, [3, 12], [85.0, np.nan])
-    assert [track_words(tracks, place) for place in (0, 1)] == ["#3 85+-8 m", "#12, coasting"]
+    assert [track_words(tracks, position) for position in (0, 1)] == ["#3 85+-8 m", "#12, coasting"]
     direct = dataclasses.replace(tracks, light_kinds=kinds_of_direct(np.array([0.9, 0.2])))
     assert [track_words(direct, index) for index in (0, 1)] == ["#3 85+-8 m, direct", "#12, indirect, coasting"]
     told = dataclasses.replace(tracks, light_kinds=np.array([[0.1, 0.6, 0.2, 0.1], [0.1, 0.2, 0.3, 0.4]]))

@@ -51,15 +51,15 @@ def split_labels(
         name="made up",
         rate_hz=rate_hz,
         lights={image_id: tuple(its) for image_id, its in lights.items()},
-        doubtful_px={one: np.array(doubtful.get(one, []), np.float64).reshape(-1, 2) for one in lights},
+        doubtful_px={each: np.array(doubtful.get(each, []), np.float64).reshape(-1, 2) for each in lights},
         empty_images=frozenset(empty),
-        weather_of={one: "rain" if one // 100 else "dry" for one in lights},
-        sequence_of={one: one // 100 for one in lights},
-        time_s={one: one % 100 / rate_hz for one in lights},
-        scenario_of={one: "village" if one // 100 else "motorway" for one in lights},
+        weather_of={each: "rain" if each // 100 else "dry" for each in lights},
+        sequence_of={each: each // 100 for each in lights},
+        time_s={each: each % 100 / rate_hz for each in lights},
+        scenario_of={each: "village" if each // 100 else "motorway" for each in lights},
     )
 
 
-def is_same(one: float, other: float) -> bool:
+def is_same(value: float, other: float) -> bool:
     """Equal up to rounding, or both NaN."""
-    return math.isclose(one, other, abs_tol=1e-12) or (math.isnan(one) and math.isnan(other))
+    return math.isclose(value, other, abs_tol=1e-12) or (math.isnan(value) and math.isnan(other))

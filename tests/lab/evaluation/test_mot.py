@@ -27,11 +27,11 @@ def fixture_dataset(tmp_path: Path) -> PVDN:
     root = make_pvdn(tmp_path / "set")
     for image_id in (5, 7):
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": []})
-    for place, image_id in enumerate(IMAGES):
-        lights = [light(4, 20 + place, 30), light(9, 60, 30)][: 1 + (place > 0)]
+    for index, image_id in enumerate(IMAGES):
+        lights = [light(4, 20 + index, 30), light(9, 60, 30)][: 1 + (index > 0)]
         vehicles = [{"pos": [50, 50], "oid": 7, "direct": False, "instances": lights}]
         document = {"image_id": image_id, "annotations": vehicles}
-        if place == 2:
+        if index == 2:
             document["doubtful"] = [light(-1, 90, 50)]
         write(root / f"labels/keypoints/{image_id:06d}.json", document)
     return PVDN(root)
@@ -52,9 +52,9 @@ def followed(*ids: int, last: TrackState = TrackState.CONFIRMED) -> dict[int, Tr
     """The first light's box in each image, under these track ids."""
     tracks = {
         image_id: tracks_of(
-            [BOXES.boxes_xyxy_px[image_id][0]], [last if place == 2 else TrackState.CONFIRMED], ids=[its]
+            [BOXES.boxes_xyxy_px[image_id][0]], [last if index == 2 else TrackState.CONFIRMED], ids=[its]
         )
-        for place, (image_id, its) in enumerate(zip(IMAGES, ids, strict=True))
+        for index, (image_id, its) in enumerate(zip(IMAGES, ids, strict=True))
     }
     return tracks | {5: tracks_of([]), 7: tracks_of([])}
 

@@ -28,7 +28,7 @@ def vehicle(*lamps: LampTruth, yaw_rad: float = math.pi) -> VehicleTruth:
 
 
 def moments(shares: list[float], **changes: Any) -> list[Moment]:
-    return [Moment(number / 18, HERE, (vehicle(lamp(one), **changes),)) for number, one in enumerate(shares)]
+    return [Moment(number / 18, HERE, (vehicle(lamp(each), **changes),)) for number, each in enumerate(shares)]
 
 
 def test_first_sight_is_when_a_lamp_is_seen() -> None:

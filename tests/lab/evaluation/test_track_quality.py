@@ -38,7 +38,7 @@ def matched(
 
 def test_first_confirmation_and_false_tracks() -> None:
     """Track 0 holds the light from the second image on and is plausible in the third; track 1 never holds any."""
-    (one,) = matched(
+    (only,) = matched(
         {0: [light(0, 5, 5)], 1: [light(1, 5, 5)], 2: [light(2, 5, 5)], 3: []},
         {
             0: tracks_of((1, CONFIRMED, 1)),
@@ -47,24 +47,24 @@ def test_first_confirmation_and_false_tracks() -> None:
             3: tracks_of((0, COASTING, -1)),
         },
     )
-    (vehicle,) = one.vehicles
+    (vehicle,) = only.vehicles
     assert (vehicle.light_s, vehicle.found_s, vehicle.lamp_s, vehicle.num_frames) == (0.0, 1.0, 0.0, 2.0)
-    assert (one.num_plausible, one.num_false, one.duration_s) == (2, 1, 2.0)
+    assert (only.num_plausible, only.num_false, only.duration_s) == (2, 1, 2.0)
 
 
 def test_the_box_of_a_plausible_track_must_hold_the_light() -> None:
     """Its detection held the light before; its own box does so in the second image only."""
-    (one,) = matched(
+    (only,) = matched(
         {0: [light(0, 55, 5)], 1: [light(1, 5, 5)]},
         {0: tracks_of((0, CONFIRMED, 1)), 1: tracks_of((0, COASTING, -1))},
     )
-    (vehicle,) = one.vehicles
-    assert (vehicle.found_s, vehicle.num_frames, one.num_false) == (0.5, 1.0, 0)
+    (vehicle,) = only.vehicles
+    assert (vehicle.found_s, vehicle.num_frames, only.num_false) == (0.5, 1.0, 0)
 
 
 def test_tentative_tracks_are_not_false() -> None:
-    (one,) = matched({0: []}, {0: tracks_of((0, TENTATIVE, 0))})
-    assert (one.num_plausible, one.num_false) == (0, 0)
+    (only,) = matched({0: []}, {0: tracks_of((0, TENTATIVE, 0))})
+    assert (only.num_plausible, only.num_false) == (0, 0)
 
 
 @pytest.mark.parametrize("when", [0, 2])
@@ -74,13 +74,13 @@ def test_any_light_at_any_time_makes_it_true(when: int) -> None:
     empty: dict[int, Sequence[Light]] = {0: [], 1: [], 2: []}
     (doubtful,) = matched(empty, tracks, doubtful_px={when: [(5.0, 5.0)]})
     (rear,) = matched(empty | {when: [light(when, 5, 5, is_rear=True)]}, tracks)
-    for one in (doubtful, rear):
-        assert (one.num_plausible, one.num_false, one.vehicles) == (1, 0, ())
+    for each in (doubtful, rear):
+        assert (each.num_plausible, each.num_false, each.vehicles) == (1, 0, ())
 
 
 def test_a_vehicle_that_is_never_confirmed() -> None:
-    (one,) = matched({0: [light(0, 99, 99, kind="rail")]}, {0: tracks_of((0, CONFIRMED, 0))})
-    (vehicle,) = one.vehicles
+    (only,) = matched({0: [light(0, 99, 99, kind="rail")]}, {0: tracks_of((0, CONFIRMED, 0))})
+    (vehicle,) = only.vehicles
     assert math.isnan(vehicle.found_s)
     assert math.isnan(vehicle.lamp_s)
     assert math.isnan(vehicle.num_frames)
@@ -97,7 +97,7 @@ def test_sequences_are_apart() -> None:
 
 def test_false_tracks_where_nobody_is() -> None:
     """Track 1 comes up in an image without light, track 2 in one with light; both stay and hold none."""
-    (one,) = matched(
+    (only,) = matched(
         {0: [], 1: [light(1, 5, 5)], 2: []},
         {
             0: tracks_of((1, CONFIRMED, 1)),
@@ -106,4 +106,4 @@ def test_false_tracks_where_nobody_is() -> None:
         },
         empty=[0, 2],
     )
-    assert (one.num_false, one.num_false_empty, one.empty_s) == (2, 1, 1.0)
+    assert (only.num_false, only.num_false_empty, only.empty_s) == (2, 1, 1.0)

@@ -61,7 +61,7 @@ class Page(html.parser.HTMLParser):
             for reference in self.references
             if reference.startswith(start)
         ]
-        return [np.asarray(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)) for one in found]
+        return [np.asarray(cv2.imdecode(np.frombuffer(each, np.uint8), cv2.IMREAD_COLOR)) for each in found]
 
 
 def check_self_contained(page: Page, path: Path) -> None:

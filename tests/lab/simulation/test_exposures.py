@@ -24,8 +24,7 @@ from foreglow.lab.simulation import (
     simulate_datasets,
 )
 from foreglow.lab.simulation.camera.profile import CameraProfile, EncoderSpec, ExposureSpec, ViewSpec, read_profile
-from foreglow.lab.simulation.drive import camera_of
-from foreglow.lab.simulation.drive_camera import DriveCamera
+from foreglow.lab.simulation.drive import DriveCamera, camera_of
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.shares import box_shares
 from foreglow.lab.simulation.light.render import QUALITIES
@@ -69,12 +68,12 @@ def test_pvdn_day_is_what_the_drive_has_been_without_cameras() -> None:
 
 def test_cameras_do_not_depend_on_each_other_or_their_order() -> None:
     for both, alone in zip(exposed(OWN, DAY), exposed(DAY), strict=True):
-        for one, again in zip(both[2:], alone, strict=True):
-            assert np.array_equal(one.frame.image, again.frame.image)
+        for each, again in zip(both[2:], alone, strict=True):
+            assert np.array_equal(each.frame.image, again.frame.image)
     for both, turned in zip(exposed(OWN, DAY), drive_exposures(lit(), (DAY, OWN), 2, "fast"), strict=True):
-        for one, again in zip(both, (*turned[2:], *turned[:2]), strict=True):
-            assert np.array_equal(one.frame.image, again.frame.image)
-            assert one.to_line() == again.to_line()
+        for each, again in zip(both, (*turned[2:], *turned[:2]), strict=True):
+            assert np.array_equal(each.frame.image, again.frame.image)
+            assert each.to_line() == again.to_line()
 
 
 def test_labels_lie_in_the_cameras_own_image() -> None:

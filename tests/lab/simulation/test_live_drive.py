@@ -33,7 +33,7 @@ def test_our_own_light_in_closed_loop() -> None:
         level = 1.0 if frame.frame < 5 else 0.0
         mode = BeamMode.FULL if level else BeamMode.LOW
         drive.send(BeamCommand(frame.timestamp_ns, mode, np.full((2, NUM_LEDS), level)))
-        assert drive.lux(frame).keys() == {f"vehicle {one.vehicle_id}" for one in drive._drive.latest.vehicles}  # type: ignore[union-attr]
+        assert drive.lux(frame).keys() == {f"vehicle {vehicle.vehicle_id}" for vehicle in drive._drive.latest.vehicles}  # type: ignore[union-attr]
         assert frame.timestamp_ns <= drive.now_ns() <= frame.timestamp_ns + 1e9 / scene.rate_hz
     dark, lit = np.mean(means[:2]), np.mean(means[4:6])  # the lamps want some good commands before they shine
     assert lit > dark + 0.3

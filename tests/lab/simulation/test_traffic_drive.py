@@ -12,7 +12,7 @@ from foreglow.datasets import PVDN
 from foreglow.datasets.simulated import VehicleTruth, read_truth
 from foreglow.lab.simulation import DatasetConfig, Scene, drive_frames, simulate_dataset
 from foreglow.lab.simulation.drive_frame import DriveFrame
-from foreglow.lab.simulation.scenes.mirror import mirrored
+from foreglow.lab.simulation.scenes.scenarios import mirrored
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, SensorSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import Panel, Signal, SurroundingsSpec, Verge
 
@@ -122,7 +122,7 @@ def test_the_mirror_image_of_a_scene_looks_like_one() -> None:
     assert np.abs(grey - there.frame.image).mean() > 2 * np.abs(grey - flipped).mean()
     for before, after in zip(here.vehicles, there.vehicles, strict=True):
         for lamp, other in zip(before.lamps, after.lamps, strict=True):
-            same = next(one for one in after.lamps if one.name == _swapped(lamp.name))
+            same = next(each for each in after.lamps if each.name == _swapped(lamp.name))
             np.testing.assert_allclose(same.position_px[0], 320 - lamp.position_px[0], atol=0.5)
             assert other.is_rear == lamp.is_rear
 

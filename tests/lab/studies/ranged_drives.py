@@ -34,14 +34,14 @@ def drive(scene: Scene) -> Iterator[DriveFrame]:
     mount = Pose(np.array([0.0, 0.0, 1.3]), rotation(pitch_rad=-0.02))
     focal, centre = (FOCAL_PX, FOCAL_PX), (WIDTH_PX / 2, HEIGHT_PX / 2)
     camera = Camera(WIDTH_PX, HEIGHT_PX, focal, centre, (-0.05, 0.02, 0, 0, 0), mount)
-    for place, known in enumerate(stub_drive.drive(scene)):
-        artifacts = tuple(_artifact(number, place, camera) for number in LIGHTS_M)
-        if place == 0:
+    for index, known in enumerate(stub_drive.drive(scene)):
+        artifacts = tuple(_artifact(number, index, camera) for number in LIGHTS_M)
+        if index == 0:
             far = dataclasses.replace(artifacts[0], instance_id=-1, is_doubtful=True)
             haze = dataclasses.replace(artifacts[0], instance_id=2, kind="haze", is_direct=False, depth_m=np.nan)
             alone = dataclasses.replace(artifacts[1], instance_id=LONELY, position_px=(5.0, 5.0))
             artifacts = (*artifacts, far, haze, alone)
-        its_range_m = 30.0 - 2.0 * place
+        its_range_m = 30.0 - 2.0 * index
         yield dataclasses.replace(
             known,
             frame=dataclasses.replace(known.frame, image=_image(artifacts)),
@@ -56,22 +56,22 @@ def make_split(root: Path, name: str = "test") -> Path:
     return simulate_dataset(root, [scene(0), scene(1)], drive, DatasetConfig(split=name)).root
 
 
-def known_range_m(instance: int, place: int) -> float:
+def known_range_m(instance: int, index: int) -> float:
     """From the camera to the light."""
-    return float(np.linalg.norm(np.array(LIGHTS_M[instance]) - [2.0 * place, 0.0, 1.3]))
+    return float(np.linalg.norm(np.array(LIGHTS_M[instance]) - [2.0 * index, 0.0, 1.3]))
 
 
-def _artifact(number: int, place: int, camera: Camera) -> Artifact:
-    point = np.array(LIGHTS_M[number]) - [2.0 * place, 0.0, 0.0]
+def _artifact(number: int, index: int, camera: Camera) -> Artifact:
+    point = np.array(LIGHTS_M[number]) - [2.0 * index, 0.0, 0.0]
     x, y = camera.project(camera.vehicle_from_camera.to_body(point)).tolist()
     make = artifact if number else lamp_artifact
-    return make(x=x, y=y, instance_id=number, depth_m=known_range_m(number, place))
+    return make(x=x, y=y, instance_id=number, depth_m=known_range_m(number, index))
 
 
 def _image(artifacts: tuple[Artifact, ...]) -> Image:
     """A round spot at each light but the one in the corner."""
     image = np.full((HEIGHT_PX, WIDTH_PX), 6.0)
     rows, columns = np.mgrid[:HEIGHT_PX, :WIDTH_PX] + 0.5
-    for x, y in {one.position_px for one in artifacts if one.instance_id != LONELY}:
+    for x, y in {each.position_px for each in artifacts if each.instance_id != LONELY}:
         image += 200.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 3.0**2))
     return np.asarray(np.clip(image, 0, 255).round(), np.uint8)

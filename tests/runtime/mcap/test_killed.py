@@ -48,7 +48,7 @@ def test_a_killed_process(tmp_path: Path, num_written: int) -> None:
         process.send_signal(signal.SIGKILL)
         num_said = num_written + len(process.stdout.read().split())
     assert process.returncode == -signal.SIGKILL
-    assert [one.name for one in tmp_path.iterdir()] == ["drive.mcap.partial"]
+    assert [each.name for each in tmp_path.iterdir()] == ["drive.mcap.partial"]
     source = Recording(tmp_path / "drive.mcap.partial")
     frames = list(source)
     assert source.skipped == []

@@ -74,7 +74,7 @@ def test_topics_times_and_schemas(tmp_path: Path) -> None:
     with path.open("rb") as file:
         reader = mcap_reader.make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
-        channels = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
+        channels = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
         assert channels == TOPICS
         (metadata,) = reader.iter_metadata()
         assert summary.statistics.chunk_count >= 3
@@ -85,7 +85,7 @@ def test_topics_times_and_schemas(tmp_path: Path) -> None:
     for topic in TOPICS.keys() - {"/health", "/log"}:
         assert [time_ns for time_ns, _ in found[topic]] == times_ns
     assert [json.loads(data) for _, data in found["/result"]] == [
-        {**frame_to_line(one, full_result(one)), **frame_to_times(one, full_result(one))} for one in frames
+        {**frame_to_line(each, full_result(each)), **frame_to_times(each, full_result(each))} for each in frames
     ]
     assert [json.loads(data)["motion"]["speed_mps"] for _, data in found["/frame"]] == [20.0 + k for k in range(30)]
     ((time_ns, health),) = found["/health"]
@@ -187,8 +187,8 @@ def test_sequences_follow_each_other_and_keep_their_times(tmp_path: Path) -> Non
     record(path, frames).close()
     times_ms = [time_ns // 10**6 for time_ns, _ in messages_in(path)["/camera/image"]]
     assert times_ms == [0, 50, 100, 1100, 1150, 1200]
-    assert [(one.sequence, one.timestamp_ns) for one in Recording(path)] == [
-        (one.sequence, one.timestamp_ns) for one in frames
+    assert [(each.sequence, each.timestamp_ns) for each in Recording(path)] == [
+        (frame.sequence, frame.timestamp_ns) for frame in frames
     ]
 
 
@@ -209,7 +209,7 @@ def test_a_replay_gives_the_same_results(tmp_path: Path, kind: str) -> None:
     recorder.close()
     pipeline.reset()
     found = [frame_to_line(frame, pipeline.step(frame)) for frame in Recording(path)]
-    assert any(one["tracks"] for one in expected)
+    assert any(each["tracks"] for each in expected)
     assert found == expected
 
 
@@ -293,7 +293,7 @@ def test_a_full_disk(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
         recorder.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert [one.name for one in tmp_path.iterdir()] == ["drive.mcap.partial"]
+    assert [each.name for each in tmp_path.iterdir()] == ["drive.mcap.partial"]
     assert partial.stat().st_size == size
     source = Recording(partial)
     frames = list(source)

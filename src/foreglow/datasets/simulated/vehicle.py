@@ -1,12 +1,14 @@
-"""What the car knew in a simulated drive: the part of the truth that a real car has, too."""
+"""What the car knew in a simulated drive, as a real car does, and its light at other drivers' eyes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
 from foreglow.calibration import read_calibration
 from foreglow.datasets.json_files import Record, read_json_lines
+from foreglow.datasets.simulated.files import MAX_FRAMES, SequenceTruth, read_truth
 from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.geometry import Camera
 from foreglow.street import StreetMessage, road_from_message
@@ -67,3 +69,34 @@ class SimulatedVehicle(VehicleData):
     def _read_frames(self, sequence: str) -> dict[int, _CarTruth]:
         path = self._root / sequence / "frames.jsonl"
         return {known.image_id: known for _, known in read_json_lines(path, _CarTruth)} if path.exists() else {}
+
+
+class RecordedLux:
+    """The light of ours that reached each other driver's eye, for a frame of a simulated split.
+
+    It is the light of the beam with which the drive was simulated, whatever the beam is commanded to do now.
+    """
+
+    def __init__(self, split: Path) -> None:
+        """Lists the sequences; each is read when its first frame comes.
+
+        Raises:
+            FileNotFoundError: If the split is not simulated.
+            ValueError: If its `info.json` is broken.
+        """
+        self._truth = read_truth(split)
+        self._latest: SequenceTruth | None = None
+
+    def __call__(self, frame: Frame) -> Mapping[str, float]:
+        """Lux by kind and number of the vehicle, such as `car 0`; empty where nothing is known about the sequence.
+
+        Raises:
+            ValueError: If the truth is broken; the message names path, line and field.
+        """
+        sequence_id = frame.frame // MAX_FRAMES
+        if sequence_id not in self._truth.sequence_ids:
+            return {}
+        if self._latest is None or self._latest.sequence_id != sequence_id:
+            self._latest = self._truth.sequence(sequence_id)
+        vehicles = self._latest.frame(frame.frame).vehicles
+        return {f"{vehicle.kind} {vehicle.vehicle_id}": vehicle.eye_lx.get("ego", 0.0) for vehicle in vehicles}

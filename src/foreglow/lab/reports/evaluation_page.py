@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup, OperatingPoint
-from foreglow.lab.evaluation.boxes.directness import Directness
+from foreglow.lab.evaluation.boxes.directness import Directness, KindConfusion
 from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
-from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration
 from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE, WhoseLight

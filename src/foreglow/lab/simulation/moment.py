@@ -18,10 +18,8 @@ from foreglow.lab.simulation.light.lamps import EGO_LAYER, FIRST_VEHICLE_LAYER, 
 from foreglow.lab.simulation.light.render import Rendered, Renderer, RenderSettings
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.traffic.actors import Actor, actors_at, ego_lamps, ego_tables
-from foreglow.lab.simulation.traffic.eyes import Eyes
-from foreglow.lab.simulation.traffic.fixed_lights import FixedLights
 from foreglow.lab.simulation.traffic.kinematics import BodyMotion, VehicleState, ego_state
-from foreglow.lab.simulation.traffic.sightings import Sightings
+from foreglow.lab.simulation.traffic.sightings import Eyes, FixedLights, Sightings
 from foreglow.lab.simulation.variants import AS_IT_IS, Variant
 from foreglow.lab.simulation.world.bodies import BODIES
 from foreglow.lab.simulation.world.mesh import Mesh

@@ -150,7 +150,7 @@ def test_counts_agree_with_plain_loops(case: tuple[Keypoints, Predictions]) -> N
         inside = [[b[0] <= p[0] <= b[2] and b[1] <= p[1] <= b[3] for b in boxes] for p in points]
         tp += sum(any(row) for row in inside)
         fn += sum(not any(row) for row in inside)
-        fp += sum(not any(row[place] for row in inside) for place in range(len(boxes)))
+        fp += sum(not any(row[index] for row in inside) for index in range(len(boxes)))
     quality = evaluate_boxes(keypoints, predictions)
     assert (quality.tp, quality.fp, quality.fn) == (tp, fp, fn)
 
@@ -186,9 +186,9 @@ def test_moving_everything_changes_nothing(case: tuple[Keypoints, Predictions], 
 @given(_CASES)
 def test_a_higher_threshold_never_finds_more(case: tuple[Keypoints, Predictions]) -> None:
     found = [evaluate_boxes(*case, threshold) for threshold in (0.0, 0.3, 0.6, 1.0)]
-    assert [one.tp for one in found] == sorted((one.tp for one in found), reverse=True)
-    assert [one.fp for one in found] == sorted((one.fp for one in found), reverse=True)
-    assert [one.fn for one in found] == sorted(one.fn for one in found)
+    assert [each.tp for each in found] == sorted((each.tp for each in found), reverse=True)
+    assert [each.fp for each in found] == sorted((each.fp for each in found), reverse=True)
+    assert [each.fn for each in found] == sorted(each.fn for each in found)
 
 
 @_quick
@@ -221,7 +221,7 @@ _PUBLISHED = {
 def test_the_published_code_gives_the_same(tmp_path: Path) -> None:
     golden = json.loads(shared_file("reference/golden/metrics_cases.json").read_text())
     keypoints = {
-        int(image_id): _points(*(one["pos"] for vehicle in vehicles for one in vehicle["instances"]))
+        int(image_id): _points(*(instance["pos"] for vehicle in vehicles for instance in vehicle["instances"]))
         for image_id, vehicles in golden["gt"].items()
     }
     for name, case in golden["cases"].items():

@@ -27,11 +27,11 @@ def test_parity_with_the_metrics_at_every_threshold(seed: int) -> None:
     matches = match_boxes(points, predictions)
     for thresholds in (distinct_thresholds(matches.scores), np.array([-1.0, 0.0, 0.05, 0.5, 0.95, 1.0, 2.0])):
         curve = quality_curve(matches, thresholds)
-        for place, threshold in enumerate(thresholds.tolist()):
+        for index, threshold in enumerate(thresholds.tolist()):
             quality = evaluate_boxes(points, predictions, threshold)
             for name in ("precision", "recall", "f1", "q", "q_k", "q_b"):
-                assert is_same(getattr(curve, name)[place], getattr(quality, name)), (name, threshold)
-            assert curve.false_boxes_per_frame[place] == quality.fp / len(points)
+                assert is_same(getattr(curve, name)[index], getattr(quality, name)), (name, threshold)
+            assert curve.false_boxes_per_frame[index] == quality.fp / len(points)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -100,8 +100,8 @@ def test_blur_keeps_the_mean() -> None:
 
 
 def test_images_of_one_pixel() -> None:
-    one = Frame(np.array([[7]], np.uint8), 0)
+    single = Frame(np.array([[7]], np.uint8), 0)
     for disturbance in DISTURBANCES:
-        assert disturbance(one).image.shape == (1, 1)
+        assert disturbance(single).image.shape == (1, 1)
     assert noise_level(np.zeros((1, 1), np.float32)) == 0.0
     assert black_level(np.full((3, 3), 4.0, np.float32)) == 4.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from foreglow.datasets.simulated.shares import SOURCES, BoxShares
 from foreglow.files import json_text
-from foreglow.lab.evaluation.boxes.kind_confusion import kind_confusion
+from foreglow.lab.evaluation.boxes.directness import kind_confusion
 from foreglow.lab.reports.evaluation_page import kinds_rows, kinds_words
 from foreglow.runs.predictions import Predictions
 from foreglow.types import KINDS

@@ -61,8 +61,8 @@ def test_hidden_until_the_first_lamp(tmp_path: Path) -> None:
     dataset = PVDN(split)
     image_ids = sorted(dataset.sequences[0].image_ids)
     instance = {"pos": [5, 5], "iid": 1, "direct": False, "rear": False}
-    for place, image_id in enumerate(image_ids):
-        vehicle = {"pos": [5, 5], "oid": 3, "direct": False, "instances": [instance | {"direct": place == 1}]}
+    for index, image_id in enumerate(image_ids):
+        vehicle = {"pos": [5, 5], "oid": 3, "direct": False, "instances": [instance | {"direct": index == 1}]}
         edit(split / "labels" / "keypoints" / f"{image_id:06d}.json", "annotations", value=[vehicle])
     assert len(image_ids) >= 2
     lights = read_lights(PVDN(split))

@@ -30,8 +30,8 @@ def test_figures_worked_by_hand() -> None:
 
 def test_equal_scores_share_a_bin() -> None:
     scores, labels = [0.0] * 8 + [0.9, 1.0], [0, 1] * 4 + [1, 1]
-    assert [one.num for one in reliability(scores, labels, 5)] == [8, 2]
-    assert [one.num for one in reliability([0.5] * 3, [1, 0, 0], 10)] == [3]
+    assert [each.num for each in reliability(scores, labels, 5)] == [8, 2]
+    assert [each.num for each in reliability([0.5] * 3, [1, 0, 0], 10)] == [3]
     assert reliability([], [], 4) == ()
     assert math.isnan(expected_calibration_error([], []))
 

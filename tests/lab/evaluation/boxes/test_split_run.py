@@ -77,8 +77,8 @@ def test_the_same_as_frame_by_frame(dataset: PVDN) -> None:
 def test_variants_do_not_meet(dataset: PVDN) -> None:
     runs = run_variants(dataset, {"a": (Pipeline(CONFIG), blur(40.0)), "b": (Pipeline(CONFIG), UNDISTURBED)})
     alone = run_split(dataset, Pipeline(CONFIG)).predictions.boxes_xyxy_px
-    assert all(np.array_equal(runs["b"].predictions.boxes_xyxy_px[one], alone[one]) for one in alone)
-    assert any(not np.array_equal(runs["a"].predictions.boxes_xyxy_px[one], alone[one]) for one in alone)
+    assert all(np.array_equal(runs["b"].predictions.boxes_xyxy_px[each], alone[each]) for each in alone)
+    assert any(not np.array_equal(runs["a"].predictions.boxes_xyxy_px[each], alone[each]) for each in alone)
 
 
 def test_robustness_has_a_row_a_disturbance(dataset: PVDN) -> None:

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foreglow.lab.simulation.camera.encoder import Encoder
-from foreglow.lab.simulation.camera.imager import ElectronImager
+from foreglow.lab.simulation.camera.imager import ElectronImager, Encoder, Tone
 from foreglow.lab.simulation.camera.profile import (
     CameraProfile,
     EncoderSpec,
@@ -15,7 +14,6 @@ from foreglow.lab.simulation.camera.profile import (
     LensSpec,
     ToneSpec,
 )
-from foreglow.lab.simulation.camera.tone import Tone
 from foreglow.lab.simulation.camera.windscreen import Windscreen
 from foreglow.lab.simulation.scenes.scene import SensorSpec
 from tests.lab.simulation.cameras import camera

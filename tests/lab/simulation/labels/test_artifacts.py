@@ -64,7 +64,7 @@ def surroundings(**fields: Any) -> Surroundings:
 
 
 def marked(artifacts: tuple[Artifact, ...]) -> list[Artifact]:
-    return [one for one in artifacts if not one.is_doubtful]
+    return [each for each in artifacts if not each.is_doubtful]
 
 
 def found(light: VehicleLight, rule: LabelRule = RULE, **fields: Any) -> tuple[Artifact, ...]:
@@ -72,23 +72,23 @@ def found(light: VehicleLight, rule: LabelRule = RULE, **fields: Any) -> tuple[A
 
 
 def test_one_blob_in_the_dark() -> None:
-    (one,) = found(light_of(added_light((150, 90, 20))))
-    assert one.position_px == (150.0, 90.0)
-    assert one.kind == "rail"
-    assert one.depth_m == 50.0
-    assert (one.instance_id, one.is_direct, one.is_rear, one.is_doubtful) == (-1, False, False, False)
+    (only,) = found(light_of(added_light((150, 90, 20))))
+    assert only.position_px == (150.0, 90.0)
+    assert only.kind == "rail"
+    assert only.depth_m == 50.0
+    assert (only.instance_id, only.is_direct, only.is_rear, only.is_doubtful) == (-1, False, False, False)
     # A Gaussian smoothed by a Gaussian.
-    assert one.grey == pytest.approx(20 * 6**2 / (6**2 + SMOOTHING_PX**2), rel=0.01)
+    assert only.grey == pytest.approx(20 * 6**2 / (6**2 + SMOOTHING_PX**2), rel=0.01)
     sensor = 1.5 / (2 * math.sqrt(math.pi) * SMOOTHING_PX)
-    assert one.contrast == pytest.approx(one.grey / math.hypot(sensor, 0.35), rel=0.02)
+    assert only.contrast == pytest.approx(only.grey / math.hypot(sensor, 0.35), rel=0.02)
     # Half height of a Gaussian lies at 1.18 sigma.
-    assert one.area_px == pytest.approx(math.pi * (6**2 + SMOOTHING_PX**2) * 2 * math.log(2), rel=0.05)
+    assert only.area_px == pytest.approx(math.pi * (6**2 + SMOOTHING_PX**2) * 2 * math.log(2), rel=0.05)
 
 
 @pytest.mark.parametrize("x", [150.4, 150.6, 151.4, 151.6, 152.4])
 def test_the_peak_is_found_to_the_pixel(x: float) -> None:
-    (one,) = found(light_of(added_light((x, x - 60, 20))))
-    assert one.position_px == (round(x), round(x - 60))
+    (only,) = found(light_of(added_light((x, x - 60, 20))))
+    assert only.position_px == (round(x), round(x - 60))
 
 
 def test_no_light_is_no_artifact() -> None:
@@ -124,25 +124,25 @@ def test_image_size_scales_lengths(width_scale: float) -> None:
 
 
 def test_light_at_the_border_of_the_image() -> None:
-    (one,) = found(light_of(added_light((0, HEIGHT_PX - 1, 20))))
-    assert one.position_px == (0.0, HEIGHT_PX - 1.0)
+    (only,) = found(light_of(added_light((0, HEIGHT_PX - 1, 20))))
+    assert only.position_px == (0.0, HEIGHT_PX - 1.0)
 
 
 def test_sky_and_scattered_light_are_haze_without_depth() -> None:
     light = light_of(added_light((150, 90, 20)))
     sky = np.full((HEIGHT_PX, WIDTH_PX), NO_MATERIAL, np.uint8)
     for fields in ({"materials": sky}, {"haze_share": np.full((HEIGHT_PX, WIDTH_PX), 0.6, np.float32)}):
-        (one,) = found(light, **fields)
-        assert one.kind == "haze"
-        assert math.isnan(one.depth_m)
+        (only,) = found(light, **fields)
+        assert only.kind == "haze"
+        assert math.isnan(only.depth_m)
 
 
 def test_kind_is_what_most_of_the_light_falls_on() -> None:
     materials = np.full((HEIGHT_PX, WIDTH_PX), material_number("grass_blade"), np.uint8)
     materials[:, 149:] = material_number("leaf")
     depth_m = np.where(materials == material_number("leaf"), 30, 80).astype(np.float32)
-    (one,) = found(light_of(added_light((150, 90, 20))), materials=materials, depth_m=depth_m)
-    assert (one.kind, one.depth_m) == ("foliage", 30.0)
+    (only,) = found(light_of(added_light((150, 90, 20))), materials=materials, depth_m=depth_m)
+    assert (only.kind, only.depth_m) == ("foliage", 30.0)
 
 
 def test_a_glow_cut_up_by_trees_is_one_instance() -> None:
@@ -157,9 +157,9 @@ def test_a_glow_cut_up_by_trees_is_one_instance() -> None:
 
 
 def test_rear_light_gives_rear_artifacts() -> None:
-    (one,) = found(light_of(added_light((150, 90, 20)), is_rear=True))
-    assert one.is_rear
-    assert not one.is_direct
+    (only,) = found(light_of(added_light((150, 90, 20)), is_rear=True))
+    assert only.is_rear
+    assert not only.is_direct
 
 
 def speckles(seed: int, num: int = 25) -> VehicleLight:
@@ -176,22 +176,22 @@ def test_a_scaled_rule_needs_no_image(seed: int, factor: float) -> None:
     direct = indirect_artifacts(light, surroundings(), other)[0]
     stored = apply_rule(candidates, other)
     assert len(stored) > 3
-    assert [(one.position_px, one.kind, one.is_doubtful) for one in stored] == [
-        (one.position_px, one.kind, one.is_doubtful) for one in direct
+    assert [(each.position_px, each.kind, each.is_doubtful) for each in stored] == [
+        (each.position_px, each.kind, each.is_doubtful) for each in direct
     ]
-    assert [one.grey for one in stored] == pytest.approx([one.grey for one in direct], rel=1e-6)
+    assert [each.grey for each in stored] == pytest.approx([each.grey for each in direct], rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_rules_of_selection(seed: int) -> None:
     artifacts, candidates = indirect_artifacts(speckles(seed, 150), surroundings(), RULE)
-    strengths = [strength(one, RULE) for one in marked(artifacts)]
+    strengths = [strength(each, RULE) for each in marked(artifacts)]
     assert len(candidates) == MAX_CANDIDATES
     assert len(strengths) == RULE.max_instances
     assert strengths == sorted(strengths, reverse=True)
     assert min(strengths) > max(1, RULE.relative_strength * strengths[0])
     for is_doubtful in (False, True):
-        same = [one for one in artifacts if one.is_doubtful == is_doubtful]
+        same = [each for each in artifacts if each.is_doubtful == is_doubtful]
         gaps = [math.dist(a.position_px, b.position_px) for a in same for b in same if a is not b]
         assert min(gaps) >= RULE.min_distance_px
     assert apply_rule(candidates, RULE) == artifacts
@@ -202,7 +202,7 @@ def test_one_instance_while_hidden_and_more_once_a_lamp_is_seen() -> None:
     light = light_of(added_light(*((x, 90, 20 + x / 100) for x in (50, 150, 250, 350))))
     for has_direct, num in ((False, 1), (True, 3)):
         artifacts, candidates = indirect_artifacts(light, surroundings(), rule, has_direct=has_direct)
-        assert [one.position_px[0] for one in marked(artifacts)] == [350, 250, 150][:num]
+        assert [each.position_px[0] for each in marked(artifacts)] == [350, 250, 150][:num]
         assert apply_rule(candidates, rule, has_direct=has_direct) == artifacts
         assert len(artifacts) == 4
 
@@ -212,7 +212,7 @@ def test_doubtful_between_both_thresholds() -> None:
         artifact(x, 0, grey=grey, contrast=99.0) for x, grey in ((0, 2.1), (100, 1.9), (200, 1.1), (300, 0.9))
     ]
     chosen = apply_rule(candidates, RULE)
-    assert [(one.grey, one.is_doubtful) for one in chosen] == [(2.1, False), (1.9, True), (1.1, True)]
+    assert [(each.grey, each.is_doubtful) for each in chosen] == [(2.1, False), (1.9, True), (1.1, True)]
 
 
 def test_too_small_is_nothing() -> None:
@@ -237,17 +237,17 @@ def direct(*lamps: Any, peak_grey: float = 100.0, **fields: Any) -> tuple[Artifa
 
 
 def test_a_lamp_that_is_seen() -> None:
-    (one,) = direct(lamp("low_right"))
-    assert (one.lamp, one.kind, one.is_direct, one.is_rear, one.is_doubtful) == (
+    (only,) = direct(lamp("low_right"))
+    assert (only.lamp, only.kind, only.is_direct, only.is_rear, only.is_doubtful) == (
         "low_right",
         "lamp",
         True,
         False,
         False,
     )
-    assert one.position_px == (50.0, 40.0)
-    assert one.depth_m == pytest.approx(math.hypot(100, 0.7))
-    assert one.contrast == pytest.approx(100 / 1.5)
+    assert only.position_px == (50.0, 40.0)
+    assert only.depth_m == pytest.approx(math.hypot(100, 0.7))
+    assert only.contrast == pytest.approx(100 / 1.5)
 
 
 def test_a_hidden_or_dark_lamp_is_no_artifact() -> None:
@@ -259,16 +259,16 @@ def test_a_hidden_or_dark_lamp_is_no_artifact() -> None:
 
 def test_lamps_far_away_are_seen_as_one() -> None:
     left, right = lamp("low_left"), lamp("low_right", position_world_m=np.array([100, 1.2, 0.7]))
-    assert [one.lamp for one in direct(left, right)] == ["low_left"]
+    assert [each.lamp for each in direct(left, right)] == ["low_left"]
     near = dataclasses.replace(right, position_px=(52.0, 40.0))
-    (one,) = direct_artifacts([left, near], [100.0, 300.0], surroundings(), np.zeros(3), RULE)
-    assert one.position_px == (51.5, 40.0)
-    assert one.grey == 300.0
+    (only,) = direct_artifacts([left, near], [100.0, 300.0], surroundings(), np.zeros(3), RULE)
+    assert only.position_px == (51.5, 40.0)
+    assert only.grey == 300.0
     assert len(direct(left, near, width_scale=0.5)) == 2
     assert len(direct(left, dataclasses.replace(right, position_px=(53.0, 40.0)))) == 2
 
 
 def test_low_and_high_beam_share_a_housing_but_not_with_rear_lamps() -> None:
     low, high = lamp("low_left"), lamp("high_left", position_px=(60.0, 40.0))
-    assert [one.lamp for one in direct(low, high)] == ["low_left"]
-    assert [one.is_rear for one in direct(low, dataclasses.replace(high, is_rear=True))] == [False, True]
+    assert [each.lamp for each in direct(low, high)] == ["low_left"]
+    assert [each.is_rear for each in direct(low, dataclasses.replace(high, is_rear=True))] == [False, True]

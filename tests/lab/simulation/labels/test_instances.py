@@ -15,7 +15,7 @@ RULE = LabelRule(hold_frames=3, max_instances=2, max_hidden_instances=2)
 
 
 def ids(artifacts: tuple[Artifact, ...]) -> list[int]:
-    return [one.instance_id for one in artifacts]
+    return [each.instance_id for each in artifacts]
 
 
 def test_lamps_keep_their_id_by_name_through_any_gap_and_jump() -> None:
@@ -40,7 +40,7 @@ def test_two_spots_keep_their_ids_while_they_move_and_swap_their_order() -> None
     for step in range(10):
         left, right = artifact(100 + 8 * step, grey=20), artifact(200 + 12 * step, grey=20 + step)
         pair = [left, right] if step % 2 else [right, left]
-        found = {one.position_px: one.instance_id for one in tracker.update(0, pair)}
+        found = {each.position_px: each.instance_id for each in tracker.update(0, pair)}
         assert found == {left.position_px: 1, right.position_px: 0}
 
 
@@ -125,7 +125,7 @@ def test_never_more_than_max_instances_and_those_that_were_there_stay() -> None:
     third = artifact(400, grey=30)
     weak = artifact(200, grey=8, is_doubtful=True)
     history = [tracker.update(0, [third, artifact(0, grey=9), weak]) for _ in range(5)]
-    marked = [[one.position_px[0] for one in found if not one.is_doubtful] for found in history]
+    marked = [[each.position_px[0] for each in found if not each.is_doubtful] for found in history]
     assert marked == [[0, 200]] * 3 + [[400, 0]] * 2
     assert {tuple(ids(found)) for found in history} == {(2, 0, 1)}
 
@@ -133,8 +133,8 @@ def test_never_more_than_max_instances_and_those_that_were_there_stay() -> None:
 def test_one_while_hidden_and_more_in_sight() -> None:
     tracker = InstanceTracker(LabelRule(max_instances=2, max_hidden_instances=1))
     pair = [artifact(0, grey=9), artifact(200, grey=8)]
-    assert [one.is_doubtful for one in tracker.update(0, pair)] == [False, True]
-    assert [one.is_doubtful for one in tracker.update(0, [*pair, lamp_artifact()])] == [False, False, False]
+    assert [each.is_doubtful for each in tracker.update(0, pair)] == [False, True]
+    assert [each.is_doubtful for each in tracker.update(0, [*pair, lamp_artifact()])] == [False, False, False]
 
 
 @pytest.mark.slow
@@ -146,5 +146,5 @@ def test_ids_are_unique_and_everything_else_stays(frames: list[list[tuple[float,
         found = tracker.update(0, given_artifacts)
         assert len(set(ids(found))) == len(found)
         assert all(instance_id >= 0 for instance_id in ids(found))
-        assert [one.position_px for one in found] == [one.position_px for one in given_artifacts]
-        assert sum(not one.is_doubtful for one in found) <= RULE.max_instances
+        assert [each.position_px for each in found] == [each.position_px for each in given_artifacts]
+        assert sum(not each.is_doubtful for each in found) <= RULE.max_instances

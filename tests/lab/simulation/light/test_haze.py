@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import Floats
-from foreglow.lab.simulation.light.haze import FAR_M, NEAR_M
 from foreglow.lab.simulation.light.render import Renderer, RenderSettings
+from foreglow.lab.simulation.light.shading import FAR_M, NEAR_M
 from foreglow.lab.simulation.scenes.scene import WeatherSpec
 from foreglow.lab.simulation.world.mesh import joined
 from tests.lab.simulation.light import rendering as small

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.scenes import planning
-from foreglow.lab.simulation.scenes.encounter import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
+from foreglow.lab.simulation.scenes.planning import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
 from foreglow.lab.simulation.scenes.scenarios import (
     MIXTURES,
     SCENARIOS,

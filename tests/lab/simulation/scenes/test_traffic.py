@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.scenes import planning
-from foreglow.lab.simulation.scenes.clearance import without_collisions
-from foreglow.lab.simulation.scenes.lamp_rows import intensity_cd
-from foreglow.lab.simulation.scenes.mirror import mirrored
-from foreglow.lab.simulation.scenes.scenarios import MIXTURES, SCENARIOS, draw_scenes, scenario
+from foreglow.lab.simulation.scenes.assembly import without_collisions
+from foreglow.lab.simulation.scenes.roadside import intensity_cd
+from foreglow.lab.simulation.scenes.scenarios import MIXTURES, SCENARIOS, draw_scenes, mirrored, scenario
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.stream import Braking, slowed
 from foreglow.lab.simulation.traffic.kinematics import vehicle_state

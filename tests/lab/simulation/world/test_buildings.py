@@ -14,7 +14,7 @@ from foreglow.lab.simulation.world.buildings import (
     build_houses,
     build_street_lamps,
 )
-from foreglow.lab.simulation.world.fixed_light import FixedLight
+from foreglow.lab.simulation.world.furniture import FixedLight
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.world.terrain import Terrain

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import Pose, rotation
-from foreglow.lab.simulation.world.mesh import joined, smooth_normals
-from foreglow.lab.simulation.world.noise import Noise, smooth_step
-from foreglow.lab.simulation.world.primitives import (
+from foreglow.lab.simulation.world.mesh import (
     box,
     faceted,
     grid_faces,
     instanced,
+    joined,
     loft,
+    smooth_normals,
     strip,
     tubes,
     yaw_rotations,
 )
+from foreglow.lab.simulation.world.noise import Noise, smooth_step
 from tests.lab.simulation.small_scenes import face_normals
 
 

@@ -10,10 +10,17 @@ import pytest
 from foreglow.lab.simulation.scenes.scene import Branch, RoadSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge, Woods
 from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.plants import MAX_BLADES, MAX_TREE_FACES, build_plants
+from foreglow.lab.simulation.world.plants import (
+    BUSH_DETAILS,
+    MAX_BLADES,
+    MAX_TREE_FACES,
+    TREE_DETAILS,
+    build_plants,
+    bush,
+    tree,
+)
 from foreglow.lab.simulation.world.road import Road, branch_road
 from foreglow.lab.simulation.world.terrain import Terrain
-from foreglow.lab.simulation.world.trees import BUSH_DETAILS, TREE_DETAILS, bush, tree
 from tests.lab.simulation.small_scenes import BARE, drawn_terrain, is_of, points_of
 
 ROAD = RoadSpec(length_m=80, curvature_per_m=((20, 0), (30, 0.02)), branches=(Branch(s_m=40, angle_deg=-90),))

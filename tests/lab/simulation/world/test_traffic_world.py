@@ -9,8 +9,8 @@ import pytest
 
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene
 from foreglow.lab.simulation.scenes.surroundings import House, Panel, Signal, StreetLamp
-from foreglow.lab.simulation.world.markings import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.materials import material_number
+from foreglow.lab.simulation.world.road import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.world import World, build_world
 from tests.lab.simulation.small_scenes import is_of, points_of, small_scene
 

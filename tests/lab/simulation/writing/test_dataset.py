@@ -47,7 +47,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_pvdn_reads_what_was_driven(whole: Path) -> None:
     split = PVDN(whole / "night" / "train")
     assert split.frame_ids == (10000, 10001, 10002, 20000, 20001)
-    assert [one.directory for one in split.sequences] == ["S00001", "S00002"]
+    assert [sequence.directory for sequence in split.sequences] == ["S00001", "S00002"]
     assert (split.sequences[0].start_time_ms, split.sequences[1].num_images) == (500, 2)
     frames = iter(split)
     for number, given in enumerate(SCENES, start=1):
@@ -67,14 +67,14 @@ def test_labels_are_the_artifacts_that_are_sure(whole: Path) -> None:
     artifacts = known.vehicles[0].artifacts
     (vehicle,) = split.annotations(10001)
     assert (vehicle.oid, vehicle.is_direct) == (0, True)
-    positions = [tuple(int(one) for one in artifact.position_px) for artifact in artifacts]
-    assert [(one.position_px, one.iid, one.is_direct) for one in vehicle.instances] == [
+    positions = [tuple(int(each) for each in artifact.position_px) for artifact in artifacts]
+    assert [(instance.position_px, instance.iid, instance.is_direct) for instance in vehicle.instances] == [
         (positions[0], 0, True),
         (positions[1], 1, False),
     ]
-    assert [(one.position_px, one.iid) for one in split.doubtful(10001)] == [(positions[2], -1)]
+    assert [(each.position_px, each.iid) for each in split.doubtful(10001)] == [(positions[2], -1)]
     # The first vehicle's only light is doubtful in the third frame, so PVDN would not know of it.
-    assert [one.oid for one in split.annotations(10002)] == [1]
+    assert [annotation.oid for annotation in split.annotations(10002)] == [1]
     assert len(split.doubtful(10002)) == 2
     assert split.annotations(10000) == () == split.doubtful(10000)
     assert split.labels.images_file.info["label_rule"]["min_grey"] == LabelRule().min_grey

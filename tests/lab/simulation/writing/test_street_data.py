@@ -52,10 +52,10 @@ def test_a_message_without_offset_tells_the_road(ego_s_m: float) -> None:
 
 def test_segments_follow_each_other() -> None:
     message = street_map(WINDING).message(20.0)
-    ids = [one.segment_id for one in message.segments]
-    assert [one.parent_id for one in message.segments[1:]] == ids[:-1]
-    assert sum(one.length_m for one in message.segments[1:]) + message.remaining_length_m >= 400
-    assert sum(one.length_m for one in message.segments[1:-1]) + message.remaining_length_m < 400 + 254
+    ids = [segment.segment_id for segment in message.segments]
+    assert [segment.parent_id for segment in message.segments[1:]] == ids[:-1]
+    assert sum(segment.length_m for segment in message.segments[1:]) + message.remaining_length_m >= 400
+    assert sum(segment.length_m for segment in message.segments[1:-1]) + message.remaining_length_m < 400 + 254
     assert 0 <= message.remaining_length_m <= message.segments[0].length_m
 
 
@@ -63,7 +63,7 @@ def test_ids_come_round_again() -> None:
     hills = tuple((25.0 * index, 1.5 * (index % 2)) for index in range(180))
     road = RoadSpec(length_m=4500.0, elevation_m=hills)
     streets = street_map(road)
-    ids = {one.segment_id for s_m in range(0, 4500, 100) for one in streets.message(s_m).segments}
+    ids = {segment.segment_id for s_m in range(0, 4500, 100) for segment in streets.message(s_m).segments}
     assert ids == set(range(1, NUM_SEGMENT_IDS + 1))
 
 

@@ -59,7 +59,7 @@ def test_six_moments_are_two_rows_and_show_the_dark_gap() -> None:
     whole = dataclasses.replace(STORY, confirmed_s=2.75, seen=seen, gaps_rad=gaps_rad)
     assert list(whole.moments) == ["light", "found", "confirmed", "dimmed", "sight", "reported"]
     camera = Camera(640, 480, (656.0, 656.0), (320.0, 240.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
-    its_frames = [dataclasses.replace(one, camera=camera) for one in frames(640, 480, (1, 5, 6, 7, 9, 10))]
+    its_frames = [dataclasses.replace(frame, camera=camera) for frame in frames(640, 480, (1, 5, 6, 7, 9, 10))]
     picture = moments_picture(whole, its_frames, BOXES, 0.5)
     three = moments_picture(STORY, frames(640, 480), BOXES, 0.5)
     assert picture.shape[1] == three.shape[1]
@@ -76,7 +76,7 @@ def test_a_missed_vehicle_has_two_moments_and_no_green() -> None:
 
 def test_unscored_boxes_are_amber() -> None:
     plain = Predictions(BOXES.boxes_xyxy_px, BOXES.scores, is_scored=False)
-    scored, unscored = (moments_picture(STORY, frames(640, 480), one, 0.5) for one in (BOXES, plain))
+    scored, unscored = (moments_picture(STORY, frames(640, 480), each, 0.5) for each in (BOXES, plain))
     middle = slice(scored.shape[1] // 3, 2 * scored.shape[1] // 3)
     assert share_of(unscored[:, middle], PROPOSAL_BGR) > share_of(scored[:, middle], PROPOSAL_BGR)
 

@@ -31,13 +31,13 @@ def sight(dataset: PVDN) -> Moment:
 
 
 def opened_s(dataset: PVDN, sight: Moment, gaps: dict[int, list[tuple[float, float]]]) -> float:
-    found = gap_at_sight(dataset, sight, {one: np.array(its).reshape(-1, 2) for one, its in gaps.items()})
+    found = gap_at_sight(dataset, sight, {each: np.array(its).reshape(-1, 2) for each, its in gaps.items()})
     assert found is not None
     return min(found, default=math.nan)
 
 
 def test_an_unbroken_gap_counts_from_its_beginning(dataset: PVDN, sight: Moment) -> None:
-    gaps = {one: [(-0.2, -0.1), (RIGHT, LEFT)] for one in range(SIGHT_ID - 6, SIGHT_ID + 1)}
+    gaps = {each: [(-0.2, -0.1), (RIGHT, LEFT)] for each in range(SIGHT_ID - 6, SIGHT_ID + 1)}
     assert opened_s(dataset, sight, gaps) == pytest.approx(3.0 - 6 / 18)
     del gaps[SIGHT_ID - 2]
     assert opened_s(dataset, sight, gaps) == pytest.approx(3.0 - 1 / 18)

@@ -112,7 +112,7 @@ def test_the_truth_of_the_shipped_drive_is_told() -> None:
     lights = {image_id: its for image_id, its in read_lights(dataset).items() if its}
     late = list(lights)[4:]
     around = {
-        one: [(x - 3, y - 3, x + 3, y + 3, 0.9) for x, y in (it.position_px for it in lights[one])] for one in late
+        each: [(x - 3, y - 3, x + 3, y + 3, 0.9) for x, y in (it.position_px for it in lights[each])] for each in late
     }
     (story,) = tell_stories(dataset, predictions_of(around), 0.5)
     assert story.vehicle == "car"

@@ -81,16 +81,16 @@ def test_a_row_of_a_given_model(tmp_path: Path) -> None:
     num_proposals = sum(map(len, proposed.values()))
     assert num_proposals > 0
     assert paper.num_proposals == paper.num_boxes == num_proposals / 6
-    positive = {one: label_boxes(boxes, dataset.keypoints_px(one)) == 1 for one, boxes in proposed.items()}
+    positive = {each: label_boxes(boxes, dataset.keypoints_px(each)) == 1 for each, boxes in proposed.items()}
     quality = paper.examination["quality"]
-    assert quality["fp"] == num_proposals - sum(int(one.sum()) for one in positive.values())
+    assert quality["fp"] == num_proposals - sum(int(each.sum()) for each in positive.values())
     assert paper.ceiling["precision"] == 1.0
     assert paper.ceiling["recall"] == quality["recall"]
     assert paper.num_multiply_adds_frame == paper.num_multiply_adds * num_proposals / 6
     assert 0 < paper.run_time_ms["median"] <= paper.run_time_ms["p99"]
     kept = read_predictions(tmp_path / "out/predictions/paper.json")
-    assert {one: boxes.tolist() for one, boxes in kept.boxes_xyxy_px.items()} == {
-        one: boxes.tolist() for one, boxes in proposed.items()
+    assert {each: boxes.tolist() for each, boxes in kept.boxes_xyxy_px.items()} == {
+        each: boxes.tolist() for each, boxes in proposed.items()
     }
     assert paper.note.startswith("given: paper.onnx, SHA-256 ")
 

@@ -58,7 +58,7 @@ def test_bins_have_their_lower_edge() -> None:
 def test_an_interval_holds_the_median_and_narrows() -> None:
     generator = np.random.default_rng(5)
     few, many = generator.normal(2.0, 1.0, 20), generator.normal(2.0, 1.0, 2000)
-    wide, narrow = (median_interval(one, np.arange(len(one)), seed=3) for one in (few, many))
+    wide, narrow = (median_interval(each, np.arange(len(each)), seed=3) for each in (few, many))
     assert wide[0] <= np.median(few) <= wide[1]
     assert narrow[0] <= np.median(many) <= narrow[1]
     assert narrow[1] - narrow[0] < (wide[1] - wide[0]) / 4

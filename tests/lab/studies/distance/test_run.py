@@ -45,7 +45,7 @@ def findings(results: DistanceResults) -> tuple[Finding, ...]:
     return find(results)
 
 
-def one(findings: tuple[Finding, ...], axis: str, method: Method, light: str, group: str) -> Finding:
+def finding_of(findings: tuple[Finding, ...], axis: str, method: Method, light: str, group: str) -> Finding:
     found = [f for f in findings if (f.axis, f.method, f.light, f.group) == (axis, method, light, group)]
     assert len(found) == 1
     return found[0]
@@ -72,7 +72,7 @@ def test_a_lamp_above_the_road_seems_too_far_and_light_on_it_does_not(results: D
 
 def test_every_method_has_every_light(results: DistanceResults) -> None:
     assert {method.estimator for method in results.methods} == set(ESTIMATORS)
-    assert len(results.methods) == sum(6 if issubclass(one, PixelwiseEstimator) else 1 for one in ESTIMATORS.values())
+    assert len(results.methods) == sum(6 if issubclass(each, PixelwiseEstimator) else 1 for each in ESTIMATORS.values())
     assert len(results.main_methods) == len(ESTIMATORS)
     for method in results.ranges_m:
         assert results.ranges_m[method].shape == results.sigmas_m[method].shape == (12,)
@@ -99,17 +99,19 @@ def test_series_follow_the_instances(results: DistanceResults) -> None:
 
 def test_findings_are_those_of_their_lights(results: DistanceResults, findings: tuple[Finding, ...]) -> None:
     truth, ranges = results.column("truth_m"), results.ranges_m[CENTRE_GP]
-    direct = one(findings, "range", CENTRE_GP, "direct", "all").errors
+    direct = finding_of(findings, "range", CENTRE_GP, "direct", "all").errors
     assert direct.num == 6
     assert direct.median == pytest.approx(np.median((ranges / truth - 1)[::2]))
     assert direct.absolute_low <= direct.median_absolute <= direct.absolute_high
-    assert one(findings, "range", CENTRE_GP, "all", "0-30 m").errors.num == 12
-    assert one(findings, "range", CENTRE_GP, "all", "200-400 m").errors.num == 0
-    assert one(findings, "terrain", CENTRE_GP, "indirect", "sag").errors.num == 3
-    assert one(findings, "kind", CENTRE_GP, "all", "lamp").errors.num == 6
-    to_vehicle = one(findings, "vehicle", CENTRE_GP, "indirect", "all").errors
+    assert finding_of(findings, "range", CENTRE_GP, "all", "0-30 m").errors.num == 12
+    assert finding_of(findings, "range", CENTRE_GP, "all", "200-400 m").errors.num == 0
+    assert finding_of(findings, "terrain", CENTRE_GP, "indirect", "sag").errors.num == 3
+    assert finding_of(findings, "kind", CENTRE_GP, "all", "lamp").errors.num == 6
+    to_vehicle = finding_of(findings, "vehicle", CENTRE_GP, "indirect", "all").errors
     assert to_vehicle.median == pytest.approx(np.median((ranges / results.column("vehicle_range_m") - 1)[1::2]))
-    level, up = (one(findings, "pitch", Method("gp", "centre", t), "all", f"{t:+.1f}°").errors for t in (0.0, 0.5))
+    level, up = (
+        finding_of(findings, "pitch", Method("gp", "centre", t), "all", f"{t:+.1f}°").errors for t in (0.0, 0.5)
+    )
     assert up.median > level.median
     assert sum(f.axis == "localisation" and f.light == "all" and f.method == CENTRE_GP for f in findings) in (1, 2)
     json.dumps(to_json(findings), allow_nan=False)
@@ -178,7 +180,7 @@ def test_tracks_have_the_ranges_of_their_boxes(data: Path) -> None:
 
 
 def test_up_to_two_hundred_metres_all_methods_answer_the_same_lights(results: DistanceResults) -> None:
-    findings = [one for one in find(results) if one.axis == "reach" and one.light == "all"]
+    findings = [each for each in find(results) if each.axis == "reach" and each.light == "all"]
     numbers = {
         group: {finding.errors.num for finding in findings if finding.group == group} for group in ("all", COMMON)
     }

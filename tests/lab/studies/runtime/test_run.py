@@ -32,14 +32,14 @@ def times(complete_ms: list[float], num_proposals: list[int], num_dropped: int =
 
 
 def test_dropped_frames_are_not_in_time() -> None:
-    one = times([1.0, 60.0, math.nan, 2.0], [1, 1, 1, 1], num_dropped=1)
-    assert one.share_within(0.0555) == 0.5
+    measured = times([1.0, 60.0, math.nan, 2.0], [1, 1, 1, 1], num_dropped=1)
+    assert measured.share_within(0.0555) == 0.5
     assert math.isnan(times([], []).share_within(1.0))
 
 
 def test_frames_by_proposals() -> None:
-    one = times([1.0, 2.0, 3.0, 4.0, math.nan], [0, 9, 10, 70, 70])
-    groups = {words: complete.tolist() for words, complete in frames_by_proposals(one, (0, 10, 60))}
+    measured = times([1.0, 2.0, 3.0, 4.0, math.nan], [0, 9, 10, 70, 70])
+    groups = {words: complete.tolist() for words, complete in frames_by_proposals(measured, (0, 10, 60))}
     assert groups == {"0 to 9": [1.0, 2.0], "10 to 59": [3.0], "60 and more": [4.0]}
 
 
@@ -84,7 +84,7 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "results.json", "config.toml", "frames.csv", "stages.png", "proposals.png", "report.md"
     }  # fmt: skip
     written = json.loads((tmp_path / "results.json").read_text())
-    assert [one["num_frames"] for one in written["networks"]] == [2, 1]
+    assert [network["num_frames"] for network in written["networks"]] == [2, 1]
     assert written["networks"][1]["share_within_frame"] == 0.0
     assert written["missing"].keys() == {"ROS 2, one node", "ROS 2, five processes"}
     text = report.read_text()
@@ -120,10 +120,10 @@ def test_over_ros2(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     written = json.loads((tmp_path / "results.json").read_text())
-    assert [one["name"] for one in written["networks"]] == ["ROS 2, five processes", "ROS 2, one node"]
-    for one in written["networks"]:
-        assert one["num_frames"] + one["num_dropped"] == 6
-        assert {*PARTS, "sent"} == one["parts_ms"].keys()
+    assert [network["name"] for network in written["networks"]] == ["ROS 2, five processes", "ROS 2, one node"]
+    for network in written["networks"]:
+        assert network["num_frames"] + network["num_dropped"] == 6
+        assert {*PARTS, "sent"} == network["parts_ms"].keys()
 
 
 def test_bad_input(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ def test_lamp_profile_and_saturation() -> None:
 
 
 def test_mean_of_several() -> None:
-    one, two = noisy(seed=1), noisy(sigma=4.0, seed=2)
-    both, first, second = image_statistics([one, two]), image_statistics(one), image_statistics(two)
+    alone, two = noisy(seed=1), noisy(sigma=4.0, seed=2)
+    both, first, second = image_statistics([alone, two]), image_statistics(alone), image_statistics(two)
     assert both.num_images == 2
     assert both.noise_grey == pytest.approx((first.noise_grey + second.noise_grey) / 2)
     assert both.percentiles_grey[0] == pytest.approx((first.percentiles_grey[0] + second.percentiles_grey[0]) / 2)

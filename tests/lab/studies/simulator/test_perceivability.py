@@ -17,8 +17,8 @@ RULE = LabelRule(min_grey=2.0, min_contrast=5.0)
 def drive(first_direct: int, *strengths: float) -> list[PeaksOfFrame]:
     """Images each 0.1 s whose one candidate is so many times as strong as the rule asks for."""
     return [
-        PeaksOfFrame(place / 10, place >= first_direct, ((artifact(grey=2 * s, contrast=5 * s),), ()))
-        for place, s in enumerate(strengths)
+        PeaksOfFrame(index / 10, index >= first_direct, ((artifact(grey=2 * s, contrast=5 * s),), ()))
+        for index, s in enumerate(strengths)
     ]
 
 

@@ -34,29 +34,29 @@ def fixture_dataset(tmp_path: Path) -> PVDN:
 
 def test_the_first_vehicle_is_the_one_whose_light_comes_first(dataset: PVDN) -> None:
     labels = read_split_labels(dataset)
-    (one,) = [one for one in read_encounters(dataset, labels) if one.sequence == "S00003"]
-    assert (one.sequence_id, one.vehicle_id, one.vehicle, one.scenario) == (3, 7, "vehicle", "")
-    assert (one.light_s, one.sight_s, one.duration_s) == (1 / 18, 2 / 18, 2 / 18)
-    assert one.production_s == 2 / 18  # image 13 is of the category for low beam
-    assert one.is_occluded
+    (only,) = [each for each in read_encounters(dataset, labels) if each.sequence == "S00003"]
+    assert (only.sequence_id, only.vehicle_id, only.vehicle, only.scenario) == (3, 7, "vehicle", "")
+    assert (only.light_s, only.sight_s, only.duration_s) == (1 / 18, 2 / 18, 2 / 18)
+    assert only.production_s == 2 / 18  # image 13 is of the category for low beam
+    assert only.is_occluded
     boxes = predictions_of({11: [(0, 0, 10, 10, 0.9)], 13: [(20, 25, 28, 35, 0.9), (75, 15, 85, 25, 0.9)]})
     found = first_found(labels, match_lights(labels, boxes), 0.5)
-    assert detection_times_s([one], found) == (2 / 18,)
-    assert math.isnan(detection_times_s([one], [])[0])
+    assert detection_times_s([only], found) == (2 / 18,)
+    assert math.isnan(detection_times_s([only], [])[0])
 
 
 def test_the_category_of_the_production_system_can_be_chosen(dataset: PVDN) -> None:
     labels = read_split_labels(dataset)
     categories = CategoryConfig(low_beam_trigger=ImageCategory.LOW_BEAM)
-    (one,) = [one for one in read_encounters(dataset, labels, categories) if one.sequence == "S00003"]
-    assert math.isnan(one.production_s)
+    (only,) = [each for each in read_encounters(dataset, labels, categories) if each.sequence == "S00003"]
+    assert math.isnan(only.production_s)
 
 
 def test_a_simulated_encounter_knows_scenario_and_vehicle() -> None:
     dataset = PVDN(shipped_drive())
-    (one,) = read_encounters(dataset, read_split_labels(dataset))
-    assert (one.scenario, one.vehicle) == ("curve", "car")
-    assert one.light_s < one.sight_s < one.production_s < one.duration_s
+    (only,) = read_encounters(dataset, read_split_labels(dataset))
+    assert (only.scenario, only.vehicle) == ("curve", "car")
+    assert only.light_s < only.sight_s < only.production_s < only.duration_s
 
 
 def encounter(light_s: float, sight_s: float, production_s: float) -> Encounter:

@@ -37,10 +37,10 @@ def fixture_results() -> TimeBenefitResults:
 
 def test_every_method_has_a_row(results: TimeBenefitResults) -> None:
     (encounter,) = results.encounters
-    assert [one.benefit.name for one in results.methods] == [
+    assert [each.benefit.name for each in results.methods] == [
         "single frame", *TRACKERS, "human", "first lamp in sight", "production system",
     ]  # fmt: skip
-    detected = {one.benefit.name: one.benefit.detected_s[0] for one in results.methods}
+    detected = {each.benefit.name: each.benefit.detected_s[0] for each in results.methods}
     assert detected["human"] == encounter.light_s + 0.8
     assert detected["first lamp in sight"] == encounter.sight_s
     assert detected["production system"] == encounter.production_s
@@ -155,8 +155,8 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     for image_id in (11, 12, 13):
         write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
     results = run_experiment([PVDN(root)], preset("foreglow"))
-    one = next(encounter for encounter in results.encounters if encounter.sequence == "S00003")
-    assert (one.vehicle, one.scenario, one.production_s) == ("vehicle", "", 2 / 18)
+    single = next(encounter for encounter in results.encounters if encounter.sequence == "S00003")
+    assert (single.vehicle, single.scenario, single.production_s) == ("vehicle", "", 2 / 18)
     false = results.method("tracker, ours").false
     assert false is not None
     assert math.isnan(false.per_km)
@@ -183,7 +183,7 @@ def test_the_papers_whole_chain_has_rows(tmp_path: Path) -> None:
     alone = run_experiment([PVDN(root)], preset("foreglow"))
     both = run_experiment([PVDN(root)], preset("foreglow"), paper=paper_chain(make_model(tmp_path / "all.onnx")))
     names = [method.benefit.name for method in both.methods]
-    assert [name for name in names if name not in {one.benefit.name for one in alone.methods}] == [
+    assert [name for name in names if name not in {each.benefit.name for each in alone.methods}] == [
         "single frame, paper's whole chain", "tracker, paper's whole chain",
     ]  # fmt: skip
     for method in alone.methods:

@@ -20,8 +20,7 @@ from foreglow.lab.evaluation.boxes.breakdown import (
     operating_points,
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
-from foreglow.lab.evaluation.boxes.directness import Directness, directness_of_boxes
-from foreglow.lab.evaluation.boxes.kind_confusion import KindConfusion, kind_confusion
+from foreglow.lab.evaluation.boxes.directness import Directness, KindConfusion, directness_of_boxes, kind_confusion
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
 from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light

@@ -1,19 +1,154 @@
-"""The imager of a profile: metering, electrons, noise, tone and compression, image by image along a drive."""
+"""The imager of a profile: metering, electrons, noise, tone and the stream's encoder, image by image along a drive."""
 
 from __future__ import annotations
 
 import zlib
+from fractions import Fraction
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.simulation.camera.encoder import Encoder
 from foreglow.lab.simulation.camera.optics import Image
-from foreglow.lab.simulation.camera.profile import CameraProfile
+from foreglow.lab.simulation.camera.profile import CameraProfile, EncoderSpec, ToneSpec
 from foreglow.lab.simulation.camera.sensor import DEMOSAICING, QUANTISATION_GREY
-from foreglow.lab.simulation.camera.tone import Tone
 from foreglow.lab.simulation.camera.windscreen import Windscreen
+
+TABLE_SIZE = 65536
+"""Entries of the curve's table, evenly spaced over the square root of the signal, which is finer in the shadows."""
+
+
+class Tone:
+    """The image processing of a camera, which remembers the previous image."""
+
+    def __init__(self, spec: ToneSpec) -> None:
+        self._spec = spec
+        signal = np.linspace(0.0, 1.0, TABLE_SIZE) ** 2
+        span = spec.white_level - spec.black_level
+        self._table = (spec.black_level + span * _crushed(spec, _curve(spec, signal))).astype(np.float32)
+        self._previous: Image | None = None
+
+    def grey(self, signal: Image) -> Image:
+        """Grey levels, not rounded, of a signal from 0 to 1, without what depends on neighbours."""
+        at: Image = np.asarray(cv2.sqrt(np.clip(signal, 0.0, 1.0)), np.float32)
+        at *= np.float32(TABLE_SIZE - 1)
+        at += np.float32(0.5)
+        return self._table[at.astype(np.uint16)]
+
+    def finished(self, grey: Image) -> NDArray[np.uint8]:
+        """The next image of the camera, denoised and sharpened."""
+        spec = self._spec
+        if spec.smooth > 0:
+            mean = cv2.blur(grey, (3, 3))
+            detail = grey - mean
+            is_noise = np.clip(1.5 - cv2.absdiff(grey, mean) / np.float32(spec.noise_level), 0.0, 1.0)
+            grey = mean + detail * (1.0 - np.float32(spec.smooth) * is_noise)
+        if spec.denoise > 0:
+            if self._previous is not None:
+                change = cv2.blur(cv2.absdiff(grey, self._previous), (3, 3))
+                kept = np.clip(1.5 - change / np.float32(spec.noise_level), 0.0, 1.0) * np.float32(spec.denoise)
+                grey = grey + kept * (self._previous - grey)
+            self._previous = grey
+        if spec.sharpen > 0:
+            soft = cv2.GaussianBlur(grey, (0, 0), spec.sharpen_px)
+            grey = np.asarray(cv2.addWeighted(grey, 1.0 + spec.sharpen, soft, -spec.sharpen, 0.0), np.float32)
+        return np.asarray(cv2.convertScaleAbs(np.clip(grey, 0.0, 255.0)), np.uint8)
+
+
+def _curve(spec: ToneSpec, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The curve from 0..1 to 0..1."""
+    if spec.curve == "hdr":
+        signal = np.log1p(spec.strength * signal) / np.log1p(spec.strength)
+    elif spec.curve == "filmic":
+        # Source: Reinhard et al. 2002, equation 4: a shoulder that reaches white at the largest signal.
+        exposed = spec.strength * signal
+        signal = exposed * (1.0 + exposed / spec.strength**2) / (1.0 + exposed)
+        signal = signal / signal[-1]
+    return np.asarray(np.clip(signal, 0.0, 1.0) ** (1.0 / spec.gamma))
+
+
+def _crushed(spec: ToneSpec, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values from 0 to 1 less what becomes black: a hyperbola that has the hard crush as its asymptotes."""
+
+    def above(value: Any) -> Any:
+        return 0.5 * (value - spec.crush + np.sqrt((value - spec.crush) ** 2 + spec.toe**2))
+
+    return np.asarray((above(values) - above(0.0)) / (above(1.0) - above(0.0)))
+
+
+LIBRARIES = {"h264": "libx264", "h265": "libx265"}
+PRESETS = {"h264": "superfast", "h265": "ultrafast"}
+"""The encoders of cameras are simple, and these are the quickest that predict within and between frames."""
+
+
+FRAMES_PREDICTED = 4.0
+"""Frames of the camera's own rate after which an image can hardly be predicted from the last one."""
+
+MAX_MORE_BITS = 4.0
+"""Up to how many times the bits of others a frame that is not predicted gets, as encoders give them."""
+
+
+class Encoder:
+    """A stream of one camera through a drive; the same images give the same bytes.
+
+    There are no frames that wait for later ones, so that every image comes back at once.
+    """
+
+    def __init__(self, spec: EncoderSpec, width_px: int, height_px: int, step_s: float = 0.0) -> None:
+        """A stream of images with `step_s` seconds between them; 0 for those of the camera's own rate."""
+        self._size = (width_px, height_px)
+        padded = (width_px + width_px % 2, height_px + height_px % 2)
+        rate = Fraction(spec.rate_hz).limit_denominator(1001)
+        writer: Any = av.CodecContext.create(LIBRARIES[spec.codec], "w")
+        writer.width, writer.height = padded
+        writer.pix_fmt = "yuv420p"
+        writer.framerate, writer.time_base = rate, 1 / rate
+        kbps = spec.kbps * min(MAX_MORE_BITS, max(1.0, step_s * spec.rate_hz / FRAMES_PREDICTED))
+        writer.bit_rate = round(kbps * 1000)
+        writer.gop_size = spec.key_every
+        writer.max_b_frames = 0
+        writer.thread_count = 1
+        options = {"preset": PRESETS[spec.codec], "tune": "zerolatency"}
+        buffer = round(kbps)  # of one second
+        if spec.codec == "h264":
+            options["x264-params"] = f"vbv-maxrate={buffer}:vbv-bufsize={buffer}:force-cfr=1:threads=1:sliced-threads=0"
+        else:
+            options["x265-params"] = (
+                f"vbv-maxrate={buffer}:vbv-bufsize={buffer}:frame-threads=1:pools=1:log-level=error:info=0"
+            )
+        writer.options = options
+        self._writer = writer
+        self._reader: Any = av.CodecContext.create({"h264": "h264", "h265": "hevc"}[spec.codec], "r")
+        self._reader.thread_count = 1
+        self._reader.flags |= av.codec.context.Flags.low_delay
+        self._num = 0
+
+    def through(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """`image`, shape (H, W), the next of the stream, after compression.
+
+        Raises:
+            RuntimeError: If the encoder keeps it back.
+        """
+        width, height = self._size
+        padded = np.pad(image, ((0, height % 2), (0, width % 2)), mode="edge")
+        full = np.full((padded.shape[0] * 3 // 2, padded.shape[1]), 128, np.uint8)
+        # Of the video range, 16 to 235.
+        full[: padded.shape[0]] = LIMITED[padded]
+        frame = av.VideoFrame.from_ndarray(full, format="yuv420p")
+        frame.pts = self._num
+        self._num += 1
+        for packet in self._writer.encode(frame):
+            for back in self._reader.decode(packet):
+                luma = np.asarray(back.to_ndarray())[:height, :width]
+                return np.asarray(FULL[luma])
+        raise RuntimeError("encoder: expected an image back for every image")
+
+
+LIMITED = np.rint(16 + np.arange(256) * (219 / 255)).astype(np.uint8)
+FULL = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
+
 
 PATTERN_STREAM, NOISE_STREAM = 45, 46
 """Numbers of the random streams."""

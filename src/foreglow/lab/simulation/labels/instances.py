@@ -1,4 +1,4 @@
-"""Instance ids that artifacts keep through a drive, with hysteresis at the threshold of perceivability."""
+"""The labels of a drive: light artifacts whose instances keep their ids, with hysteresis where light is hardly seen."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from foreglow.datasets.simulated import Artifact
-from foreglow.geometry import Floats
-from foreglow.lab.simulation.labels.artifacts import strength
-from foreglow.lab.simulation.scenes.scene import LabelRule
+from foreglow.datasets.simulated import Artifact, LampTruth
+from foreglow.geometry import Camera, Floats
+from foreglow.lab.simulation.camera.exposure import Exposure
+from foreglow.lab.simulation.camera.optics import REFERENCE_WIDTH_PX
+from foreglow.lab.simulation.labels.artifacts import direct_artifacts, indirect_artifacts, strength
+from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
+from foreglow.lab.simulation.traffic.actors import Actor
 
 GATE_PX = 30.0
 """Largest movement of a distant instance between two frames, at 1280 columns."""
@@ -137,3 +140,36 @@ def _costs(found: Sequence[Artifact], known: Sequence[_Instance], width_scale: f
     is_other_end = np.array([[artifact.is_rear != other.is_rear for other in latest] for artifact in found])
     # A constant outside the gate, so that artifacts that cannot be matched do not influence the others.
     return np.where(is_other_end, 1.0, np.minimum(distance_px / gate_px, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Annotation:
+    """The labels of a vehicle: artifacts with their ids, and the peaks under much looser thresholds."""
+
+    artifacts: tuple[Artifact, ...]
+    candidates: tuple[Artifact, ...]
+
+
+class Annotator:
+    """Labels a drive frame by frame, so that instances keep their ids."""
+
+    def __init__(self, scene: Scene, camera: Camera) -> None:
+        self._rule = scene.labels
+        self._scale = camera.width_px / REFERENCE_WIDTH_PX
+        self._tracker = InstanceTracker(scene.labels, self._scale)
+
+    def annotate(
+        self, index: int, actor: Actor, lamps: tuple[LampTruth, ...], exposure: Exposure, camera_world_m: Floats
+    ) -> Annotation:
+        """The labels of the vehicle `index` of the frame."""
+        surroundings = exposure.surroundings_of(index)
+        peaks_grey = exposure.lamp_peaks_grey(index, [lamp.position_px for lamp in lamps])
+        direct = direct_artifacts(lamps, peaks_grey, surroundings, camera_world_m, self._rule, self._scale)
+        light = exposure.light_of(index, is_rear=actor.spec.lane == "own")
+        indirect: tuple[Artifact, ...] = ()
+        candidates: tuple[Artifact, ...] = ()
+        if light is not None:
+            indirect, candidates = indirect_artifacts(
+                light, surroundings, self._rule, self._scale, has_direct=bool(direct)
+            )
+        return Annotation(self._tracker.update(actor.vehicle_id, (*direct, *indirect)), candidates)

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Camera, Pose
-from foreglow.lab.simulation.light.haze import Haze
 from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
-from foreglow.lab.simulation.light.lights import Lights
+from foreglow.lab.simulation.light.lights import Air, Lights, Space, air_of, space_of
 from foreglow.lab.simulation.light.llvm import dr, greatest, mi, prepare
 from foreglow.lab.simulation.light.raycast import END_GAP_M, START_GAP_M, Number, Solids
 from foreglow.lab.simulation.light.sampling import QUALITIES, RenderSettings, Samples
-from foreglow.lab.simulation.light.shading import reflectance_per_sr
-from foreglow.lab.simulation.light.space import Air, Space, air_of, space_of
+from foreglow.lab.simulation.light.shading import Haze, reflectance_per_sr
 from foreglow.lab.simulation.light.surfaces import Surface, Surfaces
 from foreglow.lab.simulation.scenes.scene import RoadSpec, WeatherSpec
 from foreglow.lab.simulation.world.materials import NO_MATERIAL

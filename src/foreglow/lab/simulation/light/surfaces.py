@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter
 from foreglow.lab.simulation.light.llvm import clipped, dr, greatest, least, mi
 from foreglow.lab.simulation.light.raycast import Hit, Number
 from foreglow.lab.simulation.scenes.scene import RoadSpec
-from foreglow.lab.simulation.world.markings import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.materials import MATERIALS, column, material_number
+from foreglow.lab.simulation.world.road import has_several_lanes, lane_lines
 
 NOISE_TEXELS = 512
 NOISE_BLUR_TEXELS = 1.2

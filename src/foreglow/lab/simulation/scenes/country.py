@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from foreglow.lab.simulation.scenes import courses
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
-from foreglow.lab.simulation.scenes.conditions import draw_weather
 from foreglow.lab.simulation.scenes.courses import Layout
-from foreglow.lab.simulation.scenes.draw import Draw
+from foreglow.lab.simulation.scenes.draw import Draw, draw_weather
 from foreglow.lab.simulation.scenes.planning import Plan, plan_encounter, shifted
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.stream import (

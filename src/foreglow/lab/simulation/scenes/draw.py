@@ -1,4 +1,4 @@
-"""Random numbers as scenarios need them."""
+"""Random numbers as scenarios need them, and what every drive draws with them: weather, camera and sensor."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
+
+from foreglow.lab.simulation.scenes.scene import CameraSpec, SensorSpec, WeatherSpec
 
 Value = TypeVar("Value")
 
@@ -45,3 +47,64 @@ class Draw:
     @staticmethod
     def _rounded(value: float) -> float:
         return float(f"{value:.5g}")
+
+
+WEATHERS = {"dry": 0.55, "wet": 0.2, "rain": 0.1, "snow": 0.08, "mist": 0.07}
+"""Kinds of weather with their shares."""
+
+
+def draw_weather(draw: Draw, *, is_even: bool = False) -> tuple[WeatherSpec, float]:
+    """The weather, and how wet the road is; `is_even` draws all kinds alike."""
+    kind = draw.choice(list(WEATHERS), None if is_even else list(WEATHERS.values()))
+    haze = {
+        "dry": (5e-5, 3e-4),
+        "wet": (1e-4, 6e-4),
+        "rain": (2e-4, 1e-3),
+        "snow": (4e-4, 1.5e-3),
+        "mist": (1e-3, 4e-3),
+    }
+    weather = WeatherSpec(
+        scattering_per_m=draw.log_uniform(*haze[kind]),
+        rain_mm_h=draw.log_uniform(0.5, 8.0) if kind == "rain" else 0.0,
+        snow_mm_h=draw.log_uniform(0.3, 3.0) if kind == "snow" else 0.0,
+        sky_cd_m2=draw.log_uniform(1e-4, 5e-3),
+    )
+    wetness = {"dry": 0.0, "wet": draw.uniform(0.3, 1.0), "rain": draw.uniform(0.6, 1.0)}
+    return weather, wetness.get(kind, draw.uniform(0.0, 0.4))
+
+
+def draw_camera(draw: Draw) -> CameraSpec:
+    """A calibration and a mount around those of PVDN's camera."""
+    return CameraSpec(
+        focal_px=draw.normal(1312.0, 50.0),
+        centre_px=(draw.normal(640.0, 6.0), draw.normal(480.0, 6.0)),
+        distortion=(
+            draw.normal(-0.05, 0.02),
+            draw.normal(0.02, 0.01),
+            draw.normal(0.0, 3e-4),
+            draw.normal(0.0, 3e-4),
+            0.0,
+        ),
+        mount_m=(draw.uniform(1.7, 2.1), draw.normal(0.0, 0.05), draw.uniform(1.2, 1.45)),
+        pitch_deg=draw.normal(-0.7, 0.4),
+        yaw_deg=draw.normal(0.0, 0.3),
+        roll_deg=draw.normal(0.0, 0.2),
+    )
+
+
+def draw_sensor(draw: Draw) -> SensorSpec:
+    """Draws around the figures of the one lossless real frame."""
+    return SensorSpec(
+        grey_per_cd_m2=draw.log_uniform(38.0, 66.0),
+        night_gain=draw.log_uniform(6.0, 11.0),
+        black_level=draw.normal(7.6, 0.8),
+        knee=draw.normal(38.0, 3.0),
+        log_slope=draw.normal(14.0, 1.5),
+        read_noise=draw.normal(1.35, 0.15),
+        shot_noise=draw.log_uniform(0.038, 0.066),
+        column_noise=draw.log_uniform(0.7, 1.3),
+        core_px=draw.normal(0.8, 0.08),
+        middle_share=draw.uniform(0.18, 0.32),
+        middle_px=draw.log_uniform(0.5, 1.2),
+        tail_share=draw.log_uniform(8e-3, 2.2e-2),
+    )

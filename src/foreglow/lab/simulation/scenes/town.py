@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
-from foreglow.lab.simulation.scenes.conditions import draw_weather
-from foreglow.lab.simulation.scenes.draw import Draw
-from foreglow.lab.simulation.scenes.lamp_rows import lamp_row
+from foreglow.lab.simulation.scenes.draw import Draw, draw_weather
+from foreglow.lab.simulation.scenes.roadside import lamp_row
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.stream import TOWN, Braking, Kinds, Stream, drawn_kind, drawn_vehicle, slowed
 from foreglow.lab.simulation.scenes.surroundings import (

@@ -1,4 +1,4 @@
-"""Visibility of lamps and bodies for the camera."""
+"""Lines of sight: what the camera sees of lamps and bodies, light at drivers' eyes, and the faces of fixed lights."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from foreglow.datasets.simulated import LampTruth
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.lab.simulation.camera.optics import LampPoints
-from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
+from foreglow.lab.simulation.light.lamps import FIXED_LAYER, PlacedBody, PlacedLamp
 from foreglow.lab.simulation.light.render import Renderer
 from foreglow.lab.simulation.traffic.actors import Actor, LitLamp
-from foreglow.photometry import illuminance_lx
+from foreglow.lab.simulation.world.furniture import FixedLight
+from foreglow.photometry import IntensityTable, illuminance_lx, street_lamp, traffic_light, window
 
 DISC = np.array(
     [(0.0, 0.0), *((share * np.cos(a), share * np.sin(a)) for share in (0.5, 0.95) for a in np.arange(6) * np.pi / 3)]
@@ -161,3 +162,121 @@ def _disc_points(lamp: PlacedLamp) -> Floats:
     """Points on a lamp's disc, two centimetres in front of it, shape (len(DISC), 3), in the world."""
     local = np.column_stack([np.full(len(DISC), 0.02), DISC * lamp.radius_m])
     return lamp.world_from_lamp.to_outer(local)
+
+
+EGO_EYE_M = np.array([1.45, 0.35, 1.2])
+"""Our driver's eye in the vehicle's frame, in a car for right-hand traffic."""
+
+FARTHEST_LAMP_M = 400.0
+"""Lamps further away are left out: a low beam gives less than 0.005 lx there."""
+
+FAINTEST_LX = 1e-6
+
+
+class Eyes:
+    """Illuminance at eyes in one frame, on a plane perpendicular to the driver's line of sight.
+
+    The windscreen and the driver's own vehicle do not block any light.
+    """
+
+    def __init__(
+        self, sightings: Sightings, actors: Sequence[Actor], own: Sequence[PlacedLamp], fixed: Sequence[PlacedLamp]
+    ) -> None:
+        """Takes the frame's lamps.
+
+        Args:
+            sightings: Lines of sight in this frame.
+            actors: The other vehicles.
+            own: Our headlamps.
+            fixed: Street lamps nearby.
+        """
+        self._sightings = sightings
+        self._actors = actors
+        self._own = own
+        self._fixed = fixed
+
+    def at_vehicle(self, index: int) -> dict[str, float]:
+        """Illuminance at the eye of the vehicle at `index`, by source: `ego`, `fixed`, and other vehicles' ids."""
+        actor = self._actors[index]
+        eye, forward = actor.eye_world_m, actor.state.pose.rotation[:, 0]
+        sources = {"ego": self._own, "fixed": self._fixed}
+        sources |= {
+            str(other.vehicle_id): [lamp.placed for lamp in other.lamps]
+            for number, other in enumerate(self._actors)
+            if number != index
+        }
+        return {name: self._lx(eye, forward, lamps, index) for name, lamps in sources.items()}
+
+    def at_ego(self, pose: Pose) -> dict[str, float]:
+        """Illuminance at our own driver's eye, by vehicle id."""
+        eye, forward = pose.to_outer(EGO_EYE_M), pose.rotation[:, 0]
+        return {
+            str(actor.vehicle_id): self._lx(eye, forward, [lamp.placed for lamp in actor.lamps], None)
+            for actor in self._actors
+        }
+
+    def _lx(self, eye_m: Floats, forward: Floats, lamps: Sequence[PlacedLamp], ignore_body: int | None) -> float:
+        if not lamps:
+            return 0.0
+        positions = np.array([lamp.world_from_lamp.position_m for lamp in lamps])
+        distances = np.linalg.norm(positions - eye_m, axis=1)
+        facing = np.clip((positions - eye_m) @ forward / distances, 0.0, None)
+        direct = np.array([self._sightings.illuminance_lx(lamp, eye_m) for lamp in lamps])
+        direct *= facing * (distances < FARTHEST_LAMP_M)
+        if float(direct.sum()) < FAINTEST_LX:
+            return 0.0
+        return float((direct * self._sightings.is_free(positions, eye_m, ignore_body)).sum())
+
+
+FARTHEST_DRAWN_M = 600.0
+"""Lights further away are not drawn."""
+
+PANE = np.array([(y, z) for z in (-1 / 3, 0.0, 1 / 3) for y in (-0.25, 0.25)])
+"""Points that draw a light's face, in its width and height."""
+
+SMALL_PX = 8.0
+"""A face that is smaller in the image is drawn as one disc."""
+
+
+class FixedLights:
+    """The fixed lights of a scene."""
+
+    def __init__(self, lights: Sequence[FixedLight]) -> None:
+        self._lights = tuple(light for light in lights if light.intensity_cd > 0)
+        self._positions_m = np.array([light.pose.position_m for light in self._lights]).reshape(-1, 3)
+
+    def lamps_near(self, position_m: Floats) -> list[PlacedLamp]:
+        """The lights that light what a camera at `position_m`, shape (3,), sees; windows of flats light nothing."""
+        distances = np.linalg.norm(self._positions_m - position_m, axis=1)
+        return [
+            PlacedLamp(light.pose, _table(light), FIXED_LAYER, light.intensity_cd)
+            for light, distance in zip(self._lights, distances, strict=True)
+            if distance < light.reach_m and light.kind != "window"
+        ]
+
+    def points(self, sightings: Sightings) -> LampPoints:
+        """The faces of the lights as the camera sees them, a few points each; screens are surfaces of the world."""
+        positions, illuminances, radii = [], [], []
+        camera_m = sightings.camera_m
+        for light, position_m in zip(self._lights, self._positions_m, strict=True):
+            distance = float(np.linalg.norm(camera_m - position_m))
+            if distance > FARTHEST_DRAWN_M or light.kind == "screen":
+                continue
+            towards = light.pose.to_body(camera_m)
+            intensity = float(_table(light).towards(towards)) * light.intensity_cd
+            is_small = sightings.radius_px(max(light.size_m), distance) < SMALL_PX
+            pane = PANE[:1] * 0.0 if is_small else PANE
+            # Slightly in front of the face, which otherwise would hide its own points.
+            points = light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m]))
+            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane), bool)
+            cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(pane) / np.pi)
+            for point in points[seen]:
+                positions.append(sightings.project(point))
+                illuminances.append(intensity / len(pane) / distance**2 * sightings.attenuation(distance))
+                radii.append(sightings.radius_px(float(cell_m), distance))
+        return LampPoints(np.array(positions).reshape(-1, 2), np.array(illuminances), np.array(radii))
+
+
+def _table(light: FixedLight) -> IntensityTable:
+    tables = {"street_lamp": street_lamp, "signal": traffic_light}
+    return tables.get(light.kind, window)()

@@ -16,8 +16,7 @@ import numpy as np
 from foreglow.config import read_toml
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.primitives import box, loft, tubes
+from foreglow.lab.simulation.world.mesh import Mesh, box, joined, loft, tubes
 
 SHIPPED = Path(__file__).with_name("bodies.toml")
 

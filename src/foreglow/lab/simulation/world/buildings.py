@@ -6,11 +6,9 @@ import numpy as np
 
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.scenes.surroundings import House, StreetLamp
-from foreglow.lab.simulation.world.fixed_light import FixedLight, screen, screen_light
-from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS
+from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS, FixedLight, screen, screen_light
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.primitives import box, flat, triangulated, tubes
+from foreglow.lab.simulation.world.mesh import Mesh, box, flat, joined, triangulated, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
 
 STOREY_M = 2.7

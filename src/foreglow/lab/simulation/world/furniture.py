@@ -1,17 +1,182 @@
-"""Guardrails, walls and delineators along a road."""
+"""Guardrails, walls, delineators and the median along a road, and its fixed lights."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foreglow.geometry import Floats
-from foreglow.lab.simulation.scenes.surroundings import Rail, Side, Span, SurroundingsSpec, Wall
+from foreglow.geometry import Floats, Pose, rotation
+from foreglow.lab.simulation.scenes.surroundings import Panel, Rail, Side, Signal, Span, SurroundingsSpec, Wall
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
+from foreglow.lab.simulation.world.mesh import (
+    Mesh,
+    box,
+    faceted,
+    flat,
+    instanced,
+    joined,
+    polygon,
+    strip,
+    tubes,
+    yaw_rotations,
+)
 from foreglow.lab.simulation.world.noise import Noise, smooth_step
-from foreglow.lab.simulation.world.primitives import box, faceted, flat, instanced, strip, yaw_rotations
 from foreglow.lab.simulation.world.terrain import Terrain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedLight:
+    """A fixed light, not that of a vehicle.
+
+    Attributes:
+        pose: world_from_lamp; a street lamp's x points down, others' out of their face.
+        kind: What it is; a screen is a billboard or a shop window, whose face is a surface of the world.
+        intensity_cd: Intensity on its axis; how it falls to the side follows from the kind.
+        size_m: Width (along its y) and height (along its z) of its face.
+        reach_m: Distance from the camera up to which what it lights matters in the image.
+    """
+
+    pose: Pose
+    kind: Literal["street_lamp", "window", "screen", "signal"]
+    intensity_cd: float
+    size_m: tuple[float, float]
+    reach_m: float = 120.0
+
+
+def screen(size_m: tuple[float, float], screen_cd_m2: float, *, picture: float) -> Mesh:
+    """A rectangle that faces along x and shines by itself; `picture`, 0..1, is how much its luminance varies."""
+    y, z = size_m[0] / 2, size_m[1] / 2
+    corners = np.array([[0.0, -y, -z], [0.0, y, -z], [0.0, y, z], [0.0, -y, z]])
+    mesh = polygon(corners, material_number("screen"))
+    shine = np.broadcast_to(np.array([screen_cd_m2, picture], np.float32), mesh.coordinates_m.shape)
+    return replace(mesh, coordinates_m=shine)
+
+
+def screen_light(pose: Pose, size_m: tuple[float, float], screen_cd_m2: float) -> FixedLight:
+    """The light of a screen at `pose`, world_from_screen, as that of a point slightly in front of its middle."""
+    out = Pose(pose.to_outer([0.3, 0.0, 0.0]), pose.rotation)
+    return FixedLight(out, "screen", screen_cd_m2 * size_m[0] * size_m[1], size_m)
+
+
+HOUSING_M = (0.22, 0.32, 0.94)
+"""Depth, width and height of a traffic light with three lenses of 0.2 m."""
+
+LENS_M = 0.2
+LENS_HEIGHTS_M = {"red": 0.77, "amber": 0.47, "green": 0.17}
+"""Heights of the lenses above the lower edge of the housing."""
+
+
+def build_panels(panels: tuple[Panel, ...], terrain: Terrain) -> tuple[list[Mesh], list[FixedLight]]:
+    """The billboards in the world, and their light."""
+    meshes: list[Mesh] = []
+    lights: list[FixedLight] = []
+    for panel in panels:
+        side, (width, height) = SIDE_SIGNS[panel.side], panel.size_m
+        t = side * (terrain.road.half_width_m + panel.offset_m + width / 2)
+        facing = float(terrain.road.heading_rad(panel.s_m)) + np.pi + side * float(np.radians(panel.yaw_deg))
+        foot = Pose(terrain.points(panel.s_m, t), rotation(facing))
+        middle = np.array([0.0, 0.0, panel.height_m + height / 2])
+        frame = box(middle - [0.12, 0.0, 0.0], (0.2, width + 0.15, height + 0.15), material_number("sign_back"))
+        feet = np.array([[-0.12, y, -BURIED_M] for y in (-0.35 * width, 0.35 * width)])
+        posts = tubes(
+            feet, feet + np.array([0.0, 0.0, panel.height_m + BURIED_M]), 0.08, 0.08, 10, material_number("pole")
+        )
+        meshes.append(joined([frame, posts]).moved(foot))
+        if panel.screen_cd_m2 > 0:
+            pose = foot @ Pose(middle, rotation())
+            picture = joined([screen(panel.size_m, panel.screen_cd_m2, picture=0.8), *_print(panel.size_m)])
+            meshes.append(picture.moved(pose))
+            lights.append(screen_light(pose, panel.size_m, panel.screen_cd_m2))
+    return meshes, lights
+
+
+def build_signals(signals: tuple[Signal, ...], terrain: Terrain) -> tuple[list[Mesh], list[FixedLight]]:
+    """The traffic lights in the world, and the light of their lenses."""
+    meshes: list[Mesh] = []
+    lights: list[FixedLight] = []
+    for signal in signals:
+        side = SIDE_SIGNS[signal.side]
+        t = side * (terrain.road.half_width_m + signal.offset_m)
+        facing = float(terrain.road.heading_rad(signal.s_m)) + (0.0 if signal.faces_oncoming else np.pi)
+        foot = Pose(terrain.points(signal.s_m, t), rotation(facing))
+        # Seen from the housing's front, the road is to the left of a mast on the reader's right.
+        inwards = side * (-1.0 if signal.faces_oncoming else 1.0)
+        across = inwards * signal.arm_m
+        meshes.append(_signal_mesh(signal.height_m, across).moved(foot))
+        if signal.intensity_cd > 0:
+            lens = np.array([HOUSING_M[0] / 2 + 0.02, across, signal.height_m + LENS_HEIGHTS_M[signal.lit]])
+            pose = foot @ Pose(lens, rotation())
+            lights.append(FixedLight(pose, "signal", signal.intensity_cd, (LENS_M, LENS_M)))
+    return meshes, lights
+
+
+def _print(size_m: tuple[float, float]) -> list[Mesh]:
+    """Lines of large letters on a billboard, as bars."""
+    width, height = size_m
+    lines = ((0.0, 0.3, 0.8, 0.1), (-0.14, 0.14, 0.52, 0.06), (0.1, -0.38, 0.6, 0.08))
+    return [
+        box((0.02, y * width, z * height), (0.02, length * width, size * height), material_number("sign_black"))
+        for y, z, length, size in lines
+    ]
+
+
+def _signal_mesh(height_m: float, across_m: float) -> Mesh:
+    """Mast, arm and housing; x towards the reader, the foot of the mast at the origin."""
+    depth, _, size = HOUSING_M
+    top = height_m + size / 2
+    behind = -depth / 2 - 0.06
+    starts = np.array([[behind, 0.0, -BURIED_M], [behind, 0.0, top]])
+    ends = np.array([[behind, 0.0, top], [behind, across_m, top + 0.1]])
+    masts = tubes(starts, ends, np.array([0.07, 0.06]), np.array([0.06, 0.04]), 10, material_number("pole"))
+    housing = box((0.0, across_m, top), HOUSING_M, material_number("sign_black"))
+    return joined([masts, housing])
+
+
+BARRIER_PROFILE_M = np.array([[-0.30, -0.05], [-0.29, 0.07], [-0.16, 0.26], [-0.09, 0.90], [0.09, 0.90]])
+"""Offset and height of the left half and the top of a step barrier of 0.9 m, similar to EN 1317's common shapes."""
+
+STEP_M = 1.0
+RAIL_APART_M = 0.45
+"""Distance of either rail's face from the centre line."""
+
+REFLECTOR_SPACING_M = 50.0
+REFLECTOR_SIZE_M = (0.02, 0.09, 0.18)
+
+
+def build_median(terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
+    """The median of the terrain's road, in the world; nothing for a road without one."""
+    road = terrain.road
+    span = (0.0, road.length_m)
+    if road.spec.median == "barrier":
+        return [_barrier(terrain, span), _reflectors(terrain, 0.93)]
+    if road.spec.median == "rails":
+        wobble = Noise(rng, 6.0)
+        rails = [
+            rail_run(terrain, span, -side * RAIL_APART_M, side, post_spacing_m=4.0, wobble=wobble)
+            for side in (1.0, -1.0)
+        ]
+        return [*rails[0], *rails[1], _reflectors(terrain, 0.85)]
+    return []
+
+
+def _barrier(terrain: Terrain, span: Span) -> Mesh:
+    right = BARRIER_PROFILE_M[:-1][::-1] * [-1.0, 1.0]
+    profile = np.concatenate([BARRIER_PROFILE_M[:-1], right])
+    s = np.arange(span[0], span[1] + STEP_M / 2, STEP_M)
+    points = terrain.road.points(s[:, None], profile[:, 0], profile[:, 1])
+    return strip(points, material_number("concrete"))
+
+
+def _reflectors(terrain: Terrain, height_m: float) -> Mesh:
+    """Reflectors to both directions on top of the median."""
+    s = np.arange(0.5 * REFLECTOR_SPACING_M, terrain.road.length_m, REFLECTOR_SPACING_M)
+    plate = box((0.0, 0.0, 0.0), REFLECTOR_SIZE_M, material_number("reflector"))
+    feet = terrain.road.points(s, 0.0, height_m + REFLECTOR_SIZE_M[2] / 2)
+    return instanced(plate, feet, yaw_rotations(terrain.road.heading_rad(s)))
+
 
 RAIL_PROFILE_M = np.array(
     [

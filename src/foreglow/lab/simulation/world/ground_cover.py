@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.scenes.surroundings import Verge
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
+from foreglow.lab.simulation.world.mesh import Mesh, grid_faces, joined
 from foreglow.lab.simulation.world.noise import Noise, smooth_step
-from foreglow.lab.simulation.world.primitives import grid_faces
 
 PAVEMENT_M, KERB_M = 2.2, 0.12
 """Width and height of a pavement."""

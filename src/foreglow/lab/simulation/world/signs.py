@@ -8,8 +8,7 @@ from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.scenes.surroundings import Sign, SignKind
 from foreglow.lab.simulation.world.furniture import BURIED_M, SIDE_SIGNS
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
-from foreglow.lab.simulation.world.primitives import polygon, tubes
+from foreglow.lab.simulation.world.mesh import Mesh, joined, polygon, tubes
 from foreglow.lab.simulation.world.terrain import Terrain
 
 LAYER_M = 0.008

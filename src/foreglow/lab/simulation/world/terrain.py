@@ -12,9 +12,8 @@ from foreglow.geometry import Floats
 from foreglow.lab.simulation.scenes.surroundings import Span, Verge
 from foreglow.lab.simulation.world.ground_cover import KERB_M, PAVEMENT_M, covered, ground_cover
 from foreglow.lab.simulation.world.materials import material_number
-from foreglow.lab.simulation.world.mesh import Mesh, joined
+from foreglow.lab.simulation.world.mesh import Mesh, joined, strip
 from foreglow.lab.simulation.world.noise import Noise, smooth_step
-from foreglow.lab.simulation.world.primitives import strip
 from foreglow.lab.simulation.world.road import Road
 
 OUTS_M = np.array(

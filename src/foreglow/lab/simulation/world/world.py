@@ -11,14 +11,17 @@ from foreglow.geometry import Floats
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.scenes.surroundings import Span
 from foreglow.lab.simulation.world.buildings import build_houses, build_street_lamps
-from foreglow.lab.simulation.world.fixed_light import FixedLight
-from foreglow.lab.simulation.world.furniture import build_furniture
-from foreglow.lab.simulation.world.median import build_median
+from foreglow.lab.simulation.world.furniture import (
+    FixedLight,
+    build_furniture,
+    build_median,
+    build_panels,
+    build_signals,
+)
 from foreglow.lab.simulation.world.mesh import Mesh, joined
 from foreglow.lab.simulation.world.plants import build_plants
 from foreglow.lab.simulation.world.road import Road, branch_road, interpolated
 from foreglow.lab.simulation.world.signs import build_signs
-from foreglow.lab.simulation.world.street_lights import build_panels, build_signals
 from foreglow.lab.simulation.world.terrain import Terrain
 
 __all__ = ["FixedLight", "World", "build_world"]

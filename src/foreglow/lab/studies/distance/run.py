@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -19,12 +19,42 @@ from foreglow.datasets import SplitName, split_in
 from foreglow.distance import ESTIMATORS, RangeEstimator
 from foreglow.distance.heuristics import HEURISTICS
 from foreglow.distance.pixelwise import PixelwiseEstimator
-from foreglow.distance.series import SERIES, over_frames
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.studies.distance.lights import LidarLights, RangedLight, Sample, SimulatedLights
 from foreglow.lab.studies.progress import Progress
 from foreglow.tracking import make_tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
+
+NUM_FRAMES = 5
+"""Source: Ewecker et al., arXiv 2107.11302, distance estimation over a track."""
+
+Reduce: TypeAlias = Callable[[Floats], Any]
+
+SERIES: dict[str, Reduce] = {"mean of five frames": np.mean, "median of five frames": np.median}
+"""Averages of the latest ranges, by name."""
+
+
+def over_frames(frames: NDArray[np.int64], ranges_m: Floats, reduce: Reduce) -> Floats:
+    """`reduce` applied to the ranges in each frame and the `NUM_FRAMES` - 1 before it, shape (N,).
+
+    Earlier ranges are not predicted to the latest frame: an approaching light is nearer than their mean.
+
+    Args:
+        frames: Shape (N,), numbers of the frames in which the light has a box, ascending; frames may be missing.
+        ranges_m: Shape (N,), its ranges; NaN is left out, and the result is NaN where all are.
+        reduce: Makes one range out of several.
+
+    >>> over_frames(np.array([0, 1, 7]), np.array([50.0, 40.0, 20.0]), np.mean).tolist()
+    [50.0, 45.0, 20.0]
+    """
+    begins = np.searchsorted(frames, frames - NUM_FRAMES, side="right")
+    results = np.full(len(frames), np.nan)
+    for index, begin in enumerate(begins):
+        window = ranges_m[begin : index + 1]
+        known = window[~np.isnan(window)]
+        if len(known):
+            results[index] = reduce(known)
+    return results
 
 
 def tilted(frame: Frame, pitch_rad: float) -> Frame:
