@@ -110,8 +110,8 @@ data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split test --scenes $(call scenes,60) $(standard)
 	$(BIN)/python -m foreglow.lab.simulation.data_card $(DATA)/standard
 
-# Drives for docs/results.md and the model foreglow of version 0.1.0, 1280x960, 4 frames a second, with low beam, and with all of the
-# matrix beam on, which lights much that is no vehicle: about 70 minutes on two cores; goes on where it was.
+# Drives for docs/results.md, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights much that
+# is no vehicle: about 70 minutes on two cores; goes on where it was.
 pvdn-data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA) --split train --scenes 100 --seed 7 --fps 4
 	$(BIN)/foreglow simulate --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
@@ -126,32 +126,41 @@ drives: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/18hz --split val --scenes 40 --seed 11
 	$(BIN)/foreglow simulate --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
-# The drives that the model any_camera learnt from: an eighth of `make data`, and drives by PVDN's camera in pairs of moments, also with
-# all of the matrix beam on and without any vehicle's light. About 90 minutes on two cores; goes on where it was.
-draw = $(BIN)/foreglow simulate --out $(DATA)/$(1) --split $(2) --scenes $(3) --seed $(4) --fps $(5)
-exposures = --pairs 0.25 --camera pvdn_day,pvdn_night
-empty = $(exposures) --ego-beam matrix --empty
-cycles = $(DATA)/$(1)/pvdn_day/day $(DATA)/$(1)/pvdn_night/night
-MODEL_SETS = $(call cycles,exposures) $(DATA)/lossless/day $(call cycles,exposures_empty)
+# The drives that the model learnt from, in data/model: an eighth of `make data`, and drives by PVDN's camera, also with all of the
+# matrix beam on and without any vehicle's light. Two hours of two cores; goes on where it was.
+draw = $(BIN)/foreglow simulate --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4)
+pairs = --pairs 0.25 --fps
+both = --camera pvdn_day,pvdn_night $(pairs)
+matrix = --ego-beam matrix
+MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(wildcard $(DATA)/model/*/day $(DATA)/model/*/*/day $(DATA)/model/*/*/night)
 model-data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes 62 $(standard)
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes 16 $(standard)
-	$(call draw,exposures,train,24,8,2.5) $(exposures)
-	$(call draw,exposures,val,16,7,1.25) $(exposures)
-	$(call draw,exposures_empty,train,12,33,2.5) $(empty)
-	$(call draw,exposures_empty,val,6,32,1.25) $(empty)
-	$(call draw,lossless,train,30,57,2.5) --pairs 0.25
-	$(call draw,lossless,val,12,7,4)
+	$(call draw,low,train,40,7) --fps 4
+	$(call draw,low,val,12,7) --fps 4
+	$(call draw,pairs,train,30,57) $(pairs) 2.5
+	$(call draw,pairs,val,3,57) $(pairs) 2.5
+	$(call draw,exposures,train,24,8) $(both) 2.5
+	$(call draw,exposures,val,16,7) $(both) 1.25
+	$(call draw,matrix,train,6,31) --fps 4 $(matrix)
+	$(call draw,matrix,val,2,31) --fps 4 $(matrix)
+	$(call draw,matrix_exposures,train,7,34) $(both) 2.5 $(matrix)
+	$(call draw,matrix_exposures,val,2,34) $(both) 2.5 $(matrix)
+	$(call draw,empty,train,9,32) --fps 4 $(matrix) --empty
+	$(call draw,empty,val,5,32) --fps 4 $(matrix) --empty
+	$(call draw,empty_pairs,train,14,58) $(pairs) 2.5 $(matrix) --empty
+	$(call draw,empty_pairs,val,4,58) $(pairs) 2.5 $(matrix) --empty
+	$(call draw,empty_exposures,train,12,33) $(both) 2.5 $(matrix) --empty
+	$(call draw,empty_exposures,val,6,32) $(both) 1.25 $(matrix) --empty
 
-# The model any_camera, trained on these drives, in 13 minutes of one core: one thread, for the same bits each time.
+# The model that ships, trained on these drives, in 15 minutes of one core: one thread, for the same bits each time.
 model: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(wildcard $(DATA)/standard/*/*)) $(MODEL_SETS) \
-	    --recipe foreglow --preset foreglow --out runs/foreglow
-	cp runs/foreglow/model.onnx src/foreglow/models/any_camera.onnx
+	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --recipe foreglow --preset foreglow --out runs/foreglow
+	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
 # What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
 # the images again. OLD_DATA and OLD_CACHE name those drives and the folder of their samples.
-OLD_DATA ?= $(wildcard $(DATA)/standard/*/*) $(MODEL_SETS)
+OLD_DATA ?= $(sort $(MODEL_SETS))
 OLD_CACHE ?= runs/foreglow/samples
 old-samples: $(VENV)/.dev
 	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --cache $(OLD_CACHE)

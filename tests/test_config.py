@@ -156,7 +156,7 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_unknown_preset_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="expected one of paper, baseline, foreglow, any_camera, got 'best'"):
+    with pytest.raises(ValueError, match="expected one of paper, baseline, foreglow, got 'best'"):
         preset("best")
 
 

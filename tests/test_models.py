@@ -35,11 +35,11 @@ def test_the_default_pipeline_classifies() -> None:
 def test_it_reads_a_moment_of_the_past() -> None:
     spec = OnnxClassifier(foreglow.preset("foreglow").classifier).spec
     assert spec.lag_s == pytest.approx(0.25)
-    assert spec.num_features == 7
+    assert spec.num_features == 9
 
 
-def test_the_model_for_any_camera_tells_kinds() -> None:
-    pipeline = foreglow.Pipeline(foreglow.preset("any_camera"))
+def test_the_model_tells_kinds() -> None:
+    pipeline = foreglow.Pipeline()
     for number in range(3):
         detections = pipeline.step(Frame(night_image(number, 960, 1280), number * 55_555_556)).detections
         assert detections is not None

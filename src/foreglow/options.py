@@ -233,7 +233,7 @@ class PipelineOptions:
     """Pipeline."""
 
     preset: Annotated[
-        str | None, option("foreglow|any_camera|paper|baseline", "Preset to start from (default: foreglow).")
+        str | None, option("foreglow|paper|baseline", "Preset to start from (default: foreglow).")
     ] = None
     model: ModelOption = None
     config: ConfigOption = None

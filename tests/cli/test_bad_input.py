@@ -94,7 +94,7 @@ def test_broken_split_is_one_line(tmp_path: Path, config: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--preset", "best"], "preset: expected one of paper, baseline, foreglow, any_camera, got 'best'"),
+        (["--preset", "best"], "preset: expected one of paper, baseline, foreglow, got 'best'"),
         (["--config", "absent.toml"], "absent.toml: no such file"),
         (["--on-error", "ignore"], "on_error: expected stop, skip or mark, got 'ignore'"),
         (["--model", "absent.onnx"], "absent.onnx"),

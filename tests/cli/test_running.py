@@ -10,8 +10,6 @@ import av
 import pytest
 
 import foreglow
-from foreglow.cli.running import expectation
-from foreglow.config import preset
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.shared_data import shared_file
@@ -180,12 +178,3 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     assert "the model has seen simulated drives only" in line
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
-
-
-def test_other_cameras_have_a_preset_of_their_own() -> None:
-    hint = "try --preset any_camera"
-    assert hint in expectation("dashcam", preset("foreglow"))
-    assert hint in expectation(None, preset("foreglow"))
-    assert hint not in expectation("pvdn_day", preset("foreglow"))
-    assert hint not in expectation("dashcam", preset("any_camera"))
-    assert "simulated drives only" in expectation("dashcam", preset("any_camera"))

@@ -153,7 +153,7 @@ def train(
     out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
     from_: Annotated[
         Path | None,
-        option("foreglow|any_camera|FILE", "Go on from this model, in minutes, with old samples mixed in.", "--from"),
+        option("foreglow|FILE", "Go on from this model, in minutes, with old samples mixed in.", "--from"),
     ] = None,
     mix: Annotated[
         list[Path] | None,

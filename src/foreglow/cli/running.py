@@ -96,17 +96,12 @@ def look_sink(frames: FrameSource, limit: int | None) -> LookSink:
 def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     """What to expect of a run whose camera resembles this profile of the simulator."""
     from foreglow.config import PRESETS
-    from foreglow.options import DEFAULT_PRESET
 
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
     model = configuration.classifier.model
     if model is None or all(model != other.classifier.model for other in PRESETS.values()):
         return f"camera: {like}"
-    line = f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
-    is_pvdns = profile is not None and profile.startswith("pvdn")
-    if is_pvdns or model != PRESETS[DEFAULT_PRESET].classifier.model:
-        return line
-    return f"{line}; try --preset any_camera, too"
+    return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 
 
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:

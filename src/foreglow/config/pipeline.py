@@ -79,13 +79,11 @@ PRESETS: dict[str, PipelineConfig] = {
             split_saddle=0.6,
         ),
         # At this threshold 0.2 false boxes a frame are left in the validation images without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.24),
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.2),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),
 }
-# The same proposals for other cameras than PVDN's, with a model that has seen five of them and tells kinds of light.
-PRESETS["any_camera"] = PRESETS["foreglow"].changed("classifier", model=Path("any_camera"), score_threshold=0.2)
 
 
 def preset(name: str) -> PipelineConfig:

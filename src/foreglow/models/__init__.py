@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-BUNDLED = ("foreglow", "any_camera")
-"""Names of the models: for PVDN's camera, and for others."""
+BUNDLED = ("foreglow",)
+"""Names of the models."""
 
 OLD_SAMPLES = Path(__file__).parent / "foreglow_samples.npz"
 """A little of what the model learnt from, for training it further; `foreglow.lab.learning.old_samples` makes it."""
