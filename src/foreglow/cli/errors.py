@@ -24,6 +24,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
+from foreglow.plugins import raising
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -135,8 +136,8 @@ class Commands(TyperGroup):
             line, code = "interrupted", INTERRUPTED
         except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
             raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
-        except Exception as error:
-            if is_debug:
+        except BaseException as error:
+            if is_debug or not (isinstance(error, Exception) or raising(error)):
                 raise
             is_interrupted = any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error))
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
@@ -158,13 +159,16 @@ def _complain(line: str) -> None:
         typer.echo(f"foreglow: {line}", err=True)
 
 
-def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
+def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, int]:
     """The error as one line, and the exit code; of an unforeseen error a report is written.
 
     Args:
         error: What was raised.
         inputs: Files and folders that the command line names.
     """
+    origin = raising(error)
+    if origin is not None:
+        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {error}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     if isinstance(error, OSError) and error.filename is not None:
@@ -195,7 +199,7 @@ def _inputs(arguments: Sequence[str]) -> list[Path]:
     return paths
 
 
-def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
+def _input_read(error: BaseException, inputs: Sequence[Path]) -> Path | None:
     """The input that was being read when the error was raised: the path that the innermost reader had in hand."""
     found, is_reading = None, False
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -238,7 +242,7 @@ def shortened(text: str, length: int = MAX_LENGTH) -> str:
     return line if len(line) <= length else f"{line[:half]}…{line[-half:]}"
 
 
-def _report(error: Exception) -> str:
+def _report(error: BaseException) -> str:
     """Writes what a developer needs to a file, and returns its path."""
     from importlib import metadata
 
