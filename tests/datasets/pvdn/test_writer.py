@@ -71,7 +71,17 @@ def test_files_use_the_data_sets_own_spelling(tmp_path: Path) -> None:
 def test_until_the_block_ends_it_is_no_split(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected at least one image"), PVDNWriter(tmp_path) as writer:
         _add_one_then_none(writer)
-    assert not list((tmp_path / "labels").glob("*.json"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_leaves_what_was_there_before(tmp_path: Path) -> None:
+    (tmp_path / "images" / "mine").mkdir(parents=True)
+    (tmp_path / "notes.txt").touch()
+    writer = PVDNWriter(tmp_path)
+    (tmp_path / "images" / "mine" / "a.txt").touch()
+    with pytest.raises(ValueError, match="expected at least one image"), writer:
+        _add_one_then_none(writer)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.txt", "images", "mine", "notes.txt"]
 
 
 def _add_one_then_none(writer: PVDNWriter) -> None:
