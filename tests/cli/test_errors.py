@@ -141,6 +141,20 @@ def test_what_a_plug_in_raises_is_no_fault_of_ours(
     assert not Path("out").exists()
 
 
+def test_an_optional_module_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As ROS 2's without its libraries: the error names none of our modules, nor is anything missing."""
+    (tmp_path / "cantools").mkdir()
+    (tmp_path / "cantools" / "__init__.py").write_text("import cantools.database", encoding="utf-8")
+    (tmp_path / "cantools" / "database.py").write_text("raise ImportError('libcan.so: no such file')", encoding="utf-8")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "cantools"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ImportError) as caught:
+        importlib.import_module("cantools")
+    line = "cantools is installed, but cannot be loaded: libcan.so: no such file"
+    assert errors.one_line(caught.value) == (line, 2)
+
+
 def test_a_plug_in_that_lacks_a_method(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     importlib.invalidate_caches()
