@@ -141,7 +141,7 @@ def test_what_a_plug_in_raises_is_no_fault_of_ours(
     assert not Path("out").exists()
 
 
-def test_an_optional_module_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_package_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As ROS 2's without its libraries: the error names none of our modules, nor is anything missing."""
     (tmp_path / "cantools").mkdir()
     (tmp_path / "cantools" / "__init__.py").write_text("import cantools.database", encoding="utf-8")
@@ -149,10 +149,22 @@ def test_an_optional_module_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatc
     for name in [name for name in sys.modules if name.partition(".")[0] == "cantools"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(str(tmp_path))
+    space: dict[str, object] = {"__name__": "foreglow.datasets.made_up"}
+    exec("def read():\n    import cantools\n", space)
     with pytest.raises(ImportError) as caught:
-        importlib.import_module("cantools")
+        space["read"]()  # type: ignore[operator]
     line = "cantools is installed, but cannot be loaded: libcan.so: no such file"
     assert errors.one_line(caught.value) == (line, 2)
+
+
+def test_a_working_directory_that_is_gone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(FileNotFoundError) as caught:
+        Path.cwd()
+    assert errors.one_line(caught.value) == ("the working directory is there no more", 2)
 
 
 def test_a_plug_in_that_lacks_a_method(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -171,9 +171,11 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {error}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
-    broken = _broken_extra(error)
+    broken = _broken_package(error)
     if broken is not None:
         return f"{broken} is installed, but cannot be loaded: {shortened(str(error), 400)}", 2
+    if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
+        return "the working directory is there no more", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, OSError) and _is_printing(error):
@@ -191,12 +193,19 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
 
 
-def _broken_extra(error: BaseException) -> str | None:
-    """The optional module that could not be imported although it is there, such as for a library that it lacks."""
-    if not isinstance(error, ImportError):
+def _broken_package(error: BaseException) -> str | None:
+    """The package of others that could not be imported although it is there, such as for a library that it lacks."""
+    if not isinstance(error, ImportError) or isinstance(error, ModuleNotFoundError):
         return None
-    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return next((name for name in (error.name or "", *modules) if name in EXTRAS), None)
+    package = None
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        name = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if name == "foreglow":
+            package = None
+        elif package is None and name != "importlib":
+            package = name
+    package = package or (error.name or "").partition(".")[0]
+    return None if package in ("", "foreglow") else package
 
 
 def _inputs(arguments: Sequence[str]) -> list[Path]:
