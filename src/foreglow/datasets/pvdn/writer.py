@@ -40,6 +40,9 @@ CATEGORIES = tuple(
 )
 """The image categories, named as in `ImageCategory`."""
 
+LABEL_FILES = ("image_annotations.json", "sequences.json")
+"""Files of the whole split, in the order in which they are written."""
+
 LABEL_FOLDERS = ("labels/keypoints", "labels/bounding_boxes")
 """Folders with a file per image."""
 
@@ -165,10 +168,17 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
-            return
-        for path in self._written:
+        try:
+            if kind is None:
+                self.close()
+        except BaseException:
+            self._discard()
+            raise
+        if kind is not None:
+            self._discard()
+
+    def _discard(self) -> None:
+        for path in (*self._written, *(self.root / "labels" / name for name in LABEL_FILES)):
             path.unlink(missing_ok=True)
         images = self.root / "images"
         for folder in (*images.iterdir(), images, *(self.root / name for name in LABEL_FOLDERS), self.root / "labels"):
@@ -274,8 +284,8 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
     Raises:
         OSError: If a file cannot be written.
     """
-    write_json(root / "labels" / "image_annotations.json", images_file)
-    write_json(root / "labels" / "sequences.json", sequences_file)
+    for name, record in zip(LABEL_FILES, (images_file, sequences_file), strict=True):
+        write_json(root / "labels" / name, record)
 
 
 def _make_folders(root: Path) -> None:
