@@ -186,7 +186,7 @@ def is_written(path: Path, folder: Path) -> bool:
 
 def is_left(path: Path) -> bool:
     """Whether a file is one that only an unfinished command has; a recording is kept as far as it came."""
-    return (
+    return not path.is_fifo() and (
         path.suffix == ".tmp"
         or path.name.startswith(".")
         or (".mcap" not in path.suffixes and path.suffix == ".partial")
