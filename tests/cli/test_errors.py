@@ -167,6 +167,12 @@ def test_a_working_directory_that_is_gone(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert errors.one_line(caught.value) == ("the working directory is there no more", 2)
 
 
+def test_our_own_cameras_are_no_plug_ins() -> None:
+    result = foreglow_command("live", "camera:x", "--give-up", "0.5")
+    assert result.exit_code == 2
+    assert "plug-in" not in result.stderr
+
+
 def test_a_plug_in_that_lacks_a_method(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     importlib.invalidate_caches()

@@ -28,7 +28,7 @@ class FrozenModel(BaseModel):
     @classmethod
     def _check_numbers(cls, value: Any) -> Any:
         if any(MAX_NUMBER < abs(number) < math.inf for number in _floats(value)):
-            raise PydanticCustomError("too_large", f"expected numbers of at most {MAX_NUMBER:g}")  # type: ignore[arg-type]
+            raise PydanticCustomError("too_large", f"expected numbers of at most {MAX_NUMBER:g}")
         return value
 
 
