@@ -15,7 +15,7 @@ import math
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from benchmarks.image_faults import FAULTS
 from benchmarks.memory import resident_mib
 from benchmarks.timing import CONSOLE, RESULTS, write_results
 from foreglow.datasets import FrameSource, open_source, shipped_drive
+from foreglow.geometry import Camera
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.health import Health
@@ -33,9 +34,11 @@ from foreglow.runtime.live import LiveFault, LiveLoop, Paced
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Image
 
 NUM_FRAMES, NUM_QUICK = 200_000, 900
+NUM_LOOKS = 100
+"""How often memory, threads and files are looked at during a run, and the figures so far are written."""
+
 SETTLED_SHARE = 0.1
 """Memory is compared from here on: run-times of so many frames are kept, and scratch memory finds its size."""
-
 
 NUM_WRONG = 12
 """Frames in a row with something wrong."""
@@ -132,17 +135,24 @@ def reduced(frame: Frame, width_px: int) -> Frame:
     """The frame as a smaller imager behind the same lens would give it."""
     height_px = round(frame.image.shape[0] * width_px / frame.image.shape[1])
     image: Image = cv2.resize(frame.image, (width_px, height_px), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-    camera = None if frame.camera is None else frame.camera.scaled(width_px, height_px)
+    camera = None if frame.camera is None else _scaled(frame.camera, width_px, height_px)
     return dataclasses.replace(frame, image=image, camera=camera)
+
+
+@functools.cache  # the same camera for all frames, as every reader has it: stages keep what they make of it
+def _scaled(camera: Camera, width_px: int, height_px: int) -> Camera:
+    return camera.scaled(width_px, height_px)
 
 
 class Digests:
     """A live sink that keeps what came of the first and the last loop, and looks at the process now and then."""
 
-    def __init__(self, source: Again) -> None:
+    def __init__(self, source: Again, report: Callable[[list[dict[str, Any]]], None]) -> None:
+        """A sink that gives `report` all that it has seen of the process so far, each time it has looked."""
+        self._report = report
         self._starts_ns = {f"loop {loop}": loop * source.loop_ns for loop in (0, source.num_loops - 1)}
         self._ends = {sequence: hashlib.sha256() for sequence in self._starts_ns}
-        self._every = max(1, source.num_loops // 40) * len(source)
+        self._every = max(1, source.num_loops // NUM_LOOKS) * len(source)
         self.count = 0
         self.rows: list[dict[str, Any]] = []
 
@@ -163,6 +173,7 @@ class Digests:
         threads = threading.active_count()
         row = {"frames": self.count, "resident_mib": resident_mib(), "open_files": files, "threads": threads}
         self.rows.append(row)
+        self._report(self.rows)
         CONSOLE.print(" ".join(f"{name} {value:.0f}" for name, value in row.items()))
 
     def write_health(self, health: Health) -> None: ...
@@ -231,6 +242,14 @@ class Checking(Lamps):
         self._low_since: int | None = None
         self.first_low: defaultdict[str, Counter[int | None]] = defaultdict(Counter)
 
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """`first_low` as JSON has it."""
+        return {
+            fault: {str(key): num for key, num in dict(counts).items()}
+            for fault, counts in dict(self.first_low).items()
+        }
+
     def send(self, command: BeamCommand) -> None:
         self.commands, self.times_s = [], []
         super().send(command)
@@ -247,11 +266,20 @@ class Checking(Lamps):
             self.first_low[fault][self._low_since] += 1
 
 
-def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> dict[str, Any]:
-    """What happened to the process, whether the last loop's results are the first one's, and what came of faults."""
+def measure(
+    num_frames: int,
+    faults_every: int | None = None,
+    report: Callable[[dict[str, Any]], None] = lambda _: None,
+    **faults: Any,
+) -> dict[str, Any]:
+    """What happened to the process, whether the last loop's results are the first one's, and what came of faults.
+
+    Now and then `report` gets the figures so far.
+    """
     source = Again(open_source(shipped_drive()), num_frames, faults_every, **faults)
     configuration = live_config()
-    sink, lamps = Digests(source), Checking(source)
+    lamps = Checking(source)
+    sink = Digests(source, lambda rows: report({"samples": rows, "first_low": lamps.counts}))
 
     def pipeline() -> Pipeline:
         made = Pipeline(configuration)
@@ -265,7 +293,6 @@ def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> 
     settled = [row for row in sink.rows if row["frames"] >= SETTLED_SHARE * num_frames] or sink.rows
     sizes = [row["resident_mib"] for row in settled]
     later = sizes[len(sizes) // 2 :]
-    first_low = {fault: {str(key): num for key, num in counts.items()} for fault, counts in lamps.first_low.items()}
     figures = {
         "num_frames": summary.run.num_frames,
         "is_complete": summary.run.is_complete,
@@ -277,7 +304,7 @@ def measure(num_frames: int, faults_every: int | None = None, **faults: Any) -> 
             if event.fault in NEVER_PROVOKED
         ],
         "pauses": pulse.pauses,
-        "first_low": first_low,
+        "first_low": lamps.counts,
         "resident_mib": [sizes[0], min(sizes), max(sizes), sizes[-1]],
         "largest_change": max(abs(size - sizes[0]) for size in sizes) / sizes[0],
         "late_growth": later[-1] / later[0] - 1.0,
@@ -309,13 +336,20 @@ def wrong(figures: dict[str, Any]) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "soak.json", help="the figures as JSON")
+    parser.add_argument(
+        "--out", type=Path, default=RESULTS / "soak.json", help="the figures as JSON, also those so far"
+    )
     parser.add_argument("--frames", type=int, default=NUM_FRAMES, help="at least so many frames, in whole drives")
     parser.add_argument("--faults-every", type=int, help="something goes wrong every so many frames")
     parser.add_argument("--width", type=int, help="reduce the images to so many columns: quicker")
     parser.add_argument("--quick", action="store_true", help="few frames: shows that it runs")
     given = parser.parse_args(arguments)
-    figures = measure(NUM_QUICK if given.quick else given.frames, given.faults_every, width_px=given.width)
+    figures = measure(
+        NUM_QUICK if given.quick else given.frames,
+        given.faults_every,
+        lambda so_far: write_results(given.out, {"soak_so_far": so_far}),
+        width_px=given.width,
+    )
     first, least, most, last = figures["resident_mib"]
     CONSOLE.print(
         f"{figures['num_frames']} frames; resident memory {first:.1f} MiB after a tenth, then {least:.1f} to "

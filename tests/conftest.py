@@ -11,6 +11,9 @@ from hypothesis import settings
 # Hundreds of tests call a command, and building all of them takes a quarter of a second.
 typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 
+settings.register_profile("patient", deadline=None)  # how long an example takes is the machine's affair
+settings.load_profile("patient")
+
 EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
 """The markers that say which extra a test needs, and the module that is missing without it."""
 
@@ -24,7 +27,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--quick"):
-        settings.register_profile("quick", max_examples=15)
+        settings.register_profile("quick", deadline=None, max_examples=15)
         settings.load_profile("quick")
 
 

@@ -182,13 +182,38 @@ def test_the_detector_alone() -> None:
         ("led_limits_cd = [[1.0, 100.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
         ("led_limits_cd = [[0.0, 100.0], [0.0, 200.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
         ("led_limits_cd = [[0.0, 100.0], [50.0, 90.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
-        ("led_limits_cd = [[0.0, 0.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
+        ("led_limits_cd = [[0.0, 0.0]]", "led_limits_cd.0.1: Input should be greater than 0"),
         ("led_limits_cd = [[0.0]]", "led_limits_cd.0"),
     ],
 )
 def test_guard_that_makes_no_sense(line: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         read_text(f"[guard]\n{line}")
+
+
+@pytest.mark.parametrize(
+    ("section", "field"),
+    [
+        (section, name)
+        for section, model in PipelineConfig()
+        for name, value in model
+        if isinstance(value, float | tuple) or (isinstance(value, int) and not isinstance(value, bool))
+    ],
+)
+def test_every_number_has_a_range(section: str, field: str) -> None:
+    is_table = isinstance(getattr(getattr(PipelineConfig(), section), field), tuple)
+    for number in ("1e300", "-1e300", "nan", "9000000000000000000"):
+        text = f"[[0.0, 1.0], [50.0, {number}]]" if is_table else number
+        with pytest.raises(ValueError, match=rf"config\.toml: {section}\.{field}\b") as caught:
+            read_text(f"[{section}]\n{field} = {text}")
+        assert "\n" not in str(caught.value)
+
+
+def test_lowest_elevation_above_the_highest() -> None:
+    with pytest.raises(
+        ValueError, match=r"lit_street\.min_elevation_deg: expected at most max_elevation_deg, 20, got 21"
+    ):
+        read_text("[lit_street]\nmin_elevation_deg = 21.0")
 
 
 def test_limits_of_the_guard() -> None:

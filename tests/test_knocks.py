@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ def test_an_orderly_end(tmp_path: Path) -> None:
         {"code": 1},
         {"code": 70},
         {"code": -11},
+        {"code": -signal.SIGXCPU},
         {"stderr": ""},
         {"stderr": "foreglow: a\nforeglow: b\n"},
         {"stderr": "Traceback (most recent call last)\n"},

@@ -48,6 +48,7 @@ class Campaign:
         yield from self.numbers()
         yield from self.overwriting()
         yield from self.no_plain_outputs()
+        yield from self.plug_ins()
         yield from self.names()
         yield from self.signals()
         yield from self.limits()
@@ -151,6 +152,18 @@ class Campaign:
                     return laid_out(self._materials, folder, words)
 
                 yield Probe("outputs that are no files", f"{name}: {what}", prepare, refused)
+        for words, unfinished in (
+            (run("images"), "out/frames.jsonl.partial"),
+            (run("images"), "out/times.jsonl"),
+            (("record", "@images", "--out", "there.mcap"), "there.mcap.partial"),
+        ):
+
+            def lay(folder: Path, *, words: Words = words, unfinished: str = unfinished) -> Words:
+                (folder / unfinished).parent.mkdir(exist_ok=True)
+                os.mkfifo(folder / unfinished)
+                return laid_out(self._materials, folder, words)
+
+            yield Probe("outputs that are no files", f"a pipe as {unfinished}", lay, refused)
         for inside in ("@night/val/images", "@night/val/labels", "@night/val/images/S00003"):
             words = ("run", "@night/val", "--out", inside)
             yield Probe("outputs that are no files", " ".join(words), self._laid_out(words), refused)
@@ -173,6 +186,17 @@ class Campaign:
             return prepared
 
         return prepare
+
+    def plug_ins(self) -> Iterator[Probe]:
+        """Trackers that cannot be imported, raise, end the program, or return something else."""
+        for text in PLUG_INS:
+
+            def prepare(folder: Path, *, text: str = text) -> Words:
+                (folder / "own.toml").write_text('[tracker]\nmethod = "own:Own"\n')
+                (folder / "own.py").write_text(text)
+                return [*laid_out(self._materials, folder, run("images")), "--config", "own.toml"]
+
+            yield Probe("plug-ins", " ".join(text.split()), prepare, refused)
 
     def names(self) -> Iterator[Probe]:
         """Odd names of a source and of an output."""
@@ -303,6 +327,31 @@ calibrate convert @camera.toml --out @camera.toml --mount-forward 1 --mount-heig
 simulate --scene @lamps.toml --out @lamps.toml
 annotate @night/val --out @night/val/labels/sequences.json"""
 """Command lines of which an output is an input, holds one or lies in one."""
+
+OWN_TRACKER = "class Own:\n    def __init__(self, *_): {}\n    def reset(self): {}\n    def update(self, *_): {}\n"
+
+PLUG_INS = (
+    "class",
+    "import nothing",
+    "raise SystemExit(0)",
+    "Own = 3",
+    "class Own: pass",
+    "class Own:\n    def __init__(self, *_): pass",
+    OWN_TRACKER.format("1 / 0", "pass", "pass"),
+    OWN_TRACKER.format("pass", "raise OSError(28, 'No space')", "pass"),
+    *(
+        OWN_TRACKER.format("pass", "pass", end)
+        for end in (
+            "1 / 0",
+            "raise SystemExit(0)",
+            "raise GeneratorExit",
+            "raise MemoryError",
+            "return 5",
+            "return self.update()",
+        )
+    ),
+)
+"""Trackers of one's own, each with a fault."""
 
 MISUSE = """\
 run

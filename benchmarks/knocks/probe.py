@@ -23,8 +23,8 @@ MAX_ADDRESSES = 8 << 30
 MAX_RESIDENT_MIB = 1500
 """Memory that a probe may really use."""
 
-MAX_S = 60.0
-"""Wall-clock time of a probe; a run of a few frames takes one or two seconds."""
+MAX_S, MAX_WAIT_S = 60, 300.0
+"""Seconds of the processor for a probe, of which a run of a few frames takes one or two; and seconds until it hangs."""
 
 MAX_LINE_CHARS = 2000
 """A message that is longer helps nobody."""
@@ -67,7 +67,9 @@ def orderly(folder: Path, outcome: Outcome) -> list[str]:
     """What is wrong with how a command ended: it has to be done, or refuse with one line, and leave no mess."""
     wrong = []
     if outcome.code is None:
-        wrong.append(f"still busy after {MAX_S:.0f} s")
+        wrong.append(f"hangs: not done after {MAX_WAIT_S:.0f} s")
+    elif outcome.code == -signal.SIGXCPU:
+        wrong.append(f"still busy after {MAX_S} s of the processor")
     elif outcome.code not in (DONE, REFUSED, INTERRUPTED):
         wrong.append(f"exit code {outcome.code}")
     if "Traceback" in outcome.stdout + outcome.stderr:
@@ -184,7 +186,7 @@ def is_written(path: Path, folder: Path) -> bool:
 
 def is_left(path: Path) -> bool:
     """Whether a file is one that only an unfinished command has; a recording is kept as far as it came."""
-    return (
+    return not path.is_fifo() and (
         path.suffix == ".tmp"
         or path.name.startswith(".")
         or (".mcap" not in path.suffixes and path.suffix == ".partial")
@@ -215,7 +217,7 @@ def _run(probe: Probe, folder: Path, command: Any) -> tuple[int | None, float, f
         process.join(after_s)
         if process.is_alive():
             os.kill(pid, kind)
-    process.join(MAX_S)
+    process.join(MAX_WAIT_S)
     is_late = process.is_alive()
     if is_late:
         process.kill()
@@ -235,6 +237,7 @@ def _child(probe: Probe, folder: Path, command: Any) -> None:
     sys.stdout, sys.stderr = (os.fdopen(number, "w", buffering=1) for number in (1, 2))
     os.chdir(folder)
     resource.setrlimit(resource.RLIMIT_AS, (MAX_ADDRESSES, MAX_ADDRESSES))
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_S, MAX_S + 10))
     for kind, limit in probe.limits:
         resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
     code = 1

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import pkgutil
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 Entry = TypeVar("Entry")
+
+_modules: set[str] = set()
+"""The modules that were imported for a `module:Name`."""
 
 
 def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry:
@@ -66,9 +70,11 @@ def imported(field: str, target: str) -> Any:
     Raises:
         ValueError: If it cannot be imported, or cannot be called; the message starts with `field`.
     """
+    if not target.startswith("foreglow."):  # such as our own cameras, which are named by texts, too
+        _modules.add(target.partition(":")[0])
     try:
         found = pkgutil.resolve_name(target)
-    except Exception as error:  # whatever a foreign module raises
+    except (Exception, SystemExit) as error:  # whatever a foreign module raises
         raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {error}") from error
     if not callable(found):
         raise ValueError(f"{field}: {target}: expected a class, got {type(found).__name__}")
@@ -102,3 +108,16 @@ def checked(field: str, result: object, expected: type[Entry]) -> Entry:
     if not isinstance(result, expected):
         raise ValueError(f"{field}: expected {expected.__name__} for each frame, got {type(result).__name__}")
     return result
+
+
+def raising(error: BaseException) -> str | None:
+    """Where in a plug-in `error` was raised, or in what it called: its file and line; None for any other error.
+
+    For a method or an attribute that the plug-in lacks, its name.
+    """
+    lacking = getattr(error, "obj", None)  # of an AttributeError
+    found = name_of(lacking) if type(lacking).__module__ in _modules else None
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if frame.f_globals.get("__name__") in _modules:
+            found = f"{frame.f_code.co_filename}, line {line}"
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -111,3 +112,83 @@ def test_an_interrupt_while_a_module_loads(monkeypatch: pytest.MonkeyPatch, tmp_
     result = foreglow_command("run", tmp_path / "a.png", "--out", tmp_path / "out")
     assert result.exit_code == 130
     assert result.stderr == "foreglow: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "complaint"),
+    [
+        ("ZeroDivisionError('nothing')", "ZeroDivisionError: nothing"),
+        ("OSError(28, 'No space', 'a')", "OSError: [Errno 28] No space: 'a'"),
+        ("MemoryError()", "MemoryError: "),
+        ("SystemExit(0)", "SystemExit: 0"),
+        ("GeneratorExit()", "GeneratorExit: "),
+    ],
+)
+def test_what_a_plug_in_raises_is_no_fault_of_ours(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: str, complaint: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    importlib.invalidate_caches()
+    module = f"tracker_{error.partition('(')[0].lower()}"
+    lines = ["class Raising:", "    def __init__(self, config):", f"        raise {error}"]
+    Path(f"{module}.py").write_text("\n".join(lines), encoding="utf-8")
+    Path("own.toml").write_text(f'[tracker]\nmethod = "{module}:Raising"\n', encoding="utf-8")
+    cv2.imwrite("image.png", np.zeros((64, 96), np.uint8))
+    result = foreglow_command("run", "image.png", "--out", "out", "--config", "own.toml")
+    assert result.exit_code == 2
+    where = f"{Path(f'{module}.py').resolve()}, line 3"
+    assert result.stderr.strip() == f"foreglow: {where}: the plug-in raised {complaint}".strip()
+    assert not Path("out").exists()
+
+
+def test_a_package_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As ROS 2's without its libraries: the error names none of our modules, nor is anything missing."""
+    (tmp_path / "cantools").mkdir()
+    (tmp_path / "cantools" / "__init__.py").write_text("import cantools.database", encoding="utf-8")
+    (tmp_path / "cantools" / "database.py").write_text("raise ImportError('libcan.so: no such file')", encoding="utf-8")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "cantools"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    space: dict[str, object] = {"__name__": "foreglow.datasets.made_up"}
+    exec("def read():\n    import cantools\n", space)
+    with pytest.raises(ImportError) as caught:
+        space["read"]()  # type: ignore[operator]
+    line = "cantools is installed, but cannot be loaded: libcan.so: no such file"
+    assert errors.one_line(caught.value) == (line, 2)
+
+
+def test_a_working_directory_that_is_gone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(FileNotFoundError) as caught:
+        Path.cwd()
+    assert errors.one_line(caught.value) == ("the working directory is there no more", 2)
+
+
+def test_our_own_cameras_are_no_plug_ins() -> None:
+    result = foreglow_command("live", "camera:x", "--give-up", "0.5")
+    assert result.exit_code == 2
+    assert "plug-in" not in result.stderr
+
+
+def test_a_plug_in_that_lacks_a_method(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    importlib.invalidate_caches()
+    Path("silent_tracker.py").write_text("class Silent:\n    def __init__(self, config): pass\n", encoding="utf-8")
+    Path("own.toml").write_text('[tracker]\nmethod = "silent_tracker:Silent"\n', encoding="utf-8")
+    cv2.imwrite("image.png", np.zeros((64, 96), np.uint8))
+    result = foreglow_command("run", "image.png", "--out", "out", "--config", "own.toml")
+    assert result.exit_code == 2
+    assert "silent_tracker:Silent: the plug-in raised AttributeError: 'Silent' object has no" in result.stderr
+
+
+def test_a_plug_in_that_ends_the_program_when_it_is_imported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    importlib.invalidate_caches()
+    Path("ending_policy.py").write_text("raise SystemExit(0)", encoding="utf-8")
+    cv2.imwrite("image.png", np.zeros((64, 96), np.uint8))
+    result = foreglow_command("beam", "image.png", "--out", "out", "--policy", "ending_policy:Ending")
+    assert result.exit_code == 2
+    assert "--policy: ending_policy:Ending cannot be imported: SystemExit: 0" in result.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,14 @@ def test_folder_where_a_result_goes(tmp_path: Path) -> None:
     (tmp_path / "summary.json").mkdir()
     with pytest.raises(ValueError, match=r"summary\.json: expected a file"):
         OutputFolder(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["times.jsonl", "times.jsonl.partial"])
+def test_pipe_where_a_result_goes(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ValueError, match=rf"{name}: expected a file to write, or nothing, got a device, a pipe"):
+        OutputFolder(tmp_path)
+    assert (tmp_path / name).is_fifo()
 
 
 def test_unwritable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,6 +55,14 @@ REPEATED_SHARE, NOISY_REPEATED_SHARE = 0.4, 0.2
 black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image. The
 second number holds where no row was alike before, as in every image with noise."""
 
+FLAT_SHARE = 0.25
+"""Damage: so many more rows of a single value than in any of the recent images. Measured: 0 in moving images, but where
+it suddenly becomes dark in one of 320x240 at 0.045 bits a pixel, which may be taken for damage; missing halves .4."""
+
+PAIR_SHARES = np.array([[0.85], [0.5]])
+"""Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
+Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
+
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
 
@@ -200,6 +208,9 @@ class _Damage:
 
     def _forget(self) -> None:
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat: deque[float] = deque(maxlen=NUM_RECENT)
+        self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._has_pairs = False
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._latest_shares: NDArray[np.float64] | None = None
@@ -212,6 +223,12 @@ class _Damage:
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
+            is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
+        had_pairs, self._has_pairs = self._has_pairs, False
+        if len(self._pair_ratios) == NUM_RECENT:
+            are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
+            self._has_pairs = bool(are_fallen.all(axis=0).any())
+            is_unusual |= had_pairs and self._has_pairs
         if len(self._tile_shares) == NUM_RECENT:
             least = np.minimum.reduce(list(self._tile_shares))
             if not is_still:
@@ -219,7 +236,10 @@ class _Damage:
             is_unusual |= int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
         if not is_unusual:
             self._repeated.append(change.share_repeated)
+            self._flat.append(change.share_flat_rows)
             self._one_value.append(one_value)
+            if not self._has_pairs:
+                self._pair_ratios.append(change.pair_ratios)
             if self._latest_shares is not None:  # one image later, as the first one with a stuck part is not usual
                 self._tile_shares.append(self._latest_shares)
             self._latest_shares, self._usual_ns = change.tile_shares, timestamp_ns

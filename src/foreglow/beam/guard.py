@@ -34,10 +34,7 @@ from foreglow.beam.led_bounds import Lamps, led_bounds
 from foreglow.beam.sightlines import Sightlines
 from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
-from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
-
-MIN_STEP_S = 0.001
-"""No camera takes images in shorter intervals: their times are wrong."""
+from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
 
 
 class Guard:

@@ -20,6 +20,9 @@ from foreglow.types import Image
 GRID_PX = 16
 """Video encoders code squares of this size (H.264's macroblock; H.265's and MJPEG's units are multiples or halves)."""
 
+NUM_COLUMNS = 160
+"""About so many columns are compared from row to row."""
+
 
 @dataclass(frozen=True, slots=True)
 class ImageChange:
@@ -31,6 +34,10 @@ class ImageChange:
         tile_shares: Shape (8, 8), the same share in each tile of the image; 1 where a tile has no such pixel.
         share_repeated: Share of the rows, every eighth of them, that are the same as the row below. Noise makes no two
             rows of a camera alike, but where all is black.
+        share_flat_rows: Share of the same rows in which all pixels have one value, as where a decoder fills in black.
+        pair_ratios: Shape (2, 2), how much the rows of a pair differ over how much neighbouring pairs do: by absolute
+            and by squared differences, for pairs that begin with an even and with an odd row. Near 1 for any camera; a
+            row that repeats the one above stays like it behind an encoder.
         share_new_edges: Edges of the encoder's grid that stand out in the change, less those of a grid shifted by half
             a square, over the number of squares. Negative by chance.
         edge_deviations: The same difference in standard deviations of what chance makes of it (Poisson's).
@@ -40,6 +47,8 @@ class ImageChange:
     share_changed: float
     tile_shares: NDArray[np.float64]
     share_repeated: float
+    share_flat_rows: float
+    pair_ratios: NDArray[np.float64]
     share_new_edges: float
     edge_deviations: float
 
@@ -66,6 +75,20 @@ class ImageComparer:
             share_changed=change.num_changed / change.num_samples,
             tile_shares=change.tiles,
             share_repeated=change.num_repeated_rows / max(1, change.num_rows),
+            share_flat_rows=_share_flat_rows(adjacent),
+            pair_ratios=_pair_ratios(adjacent),
             share_new_edges=num_new / max(1, image.size // GRID_PX**2),
             edge_deviations=num_new / math.sqrt(max(1, change.num_edges + change.num_other_edges)),
         )
+
+
+def _share_flat_rows(image: Image) -> float:
+    rows = image[4::8]
+    return float(np.mean(rows.max(axis=1) == rows.min(axis=1))) if len(rows) else 0.0
+
+
+def _pair_ratios(image: Image) -> NDArray[np.float64]:
+    columns = image[:, :: max(1, image.shape[1] // NUM_COLUMNS)].astype(np.float32)
+    steps = np.abs(np.diff(columns, axis=0))
+    within, between = (np.array([part.sum(), np.vdot(part, part)]) + 1.0 for part in (steps[::2], steps[1::2]))
+    return np.stack([within / between, between / within], axis=1)

@@ -24,6 +24,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
+from foreglow.plugins import raising
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -135,8 +136,8 @@ class Commands(TyperGroup):
             line, code = "interrupted", INTERRUPTED
         except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
             raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
-        except Exception as error:
-            if is_debug:
+        except BaseException as error:
+            if is_debug or not (isinstance(error, Exception) or raising(error)):
                 raise
             is_interrupted = any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error))
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
@@ -158,15 +159,23 @@ def _complain(line: str) -> None:
         typer.echo(f"foreglow: {line}", err=True)
 
 
-def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
+def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, int]:
     """The error as one line, and the exit code; of an unforeseen error a report is written.
 
     Args:
         error: What was raised.
         inputs: Files and folders that the command line names.
     """
+    origin = raising(error)
+    if origin is not None:
+        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {error}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
+    broken = _broken_package(error)
+    if broken is not None:
+        return f"{broken} is installed, but cannot be loaded: {shortened(str(error), 400)}", 2
+    if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
+        return "the working directory is there no more", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, OSError) and _is_printing(error):
@@ -184,6 +193,21 @@ def one_line(error: Exception, inputs: Sequence[Path] = ()) -> tuple[str, int]:
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
 
 
+def _broken_package(error: BaseException) -> str | None:
+    """The package of others that could not be imported although it is there, such as for a library that it lacks."""
+    if not isinstance(error, ImportError) or isinstance(error, ModuleNotFoundError):
+        return None
+    package = None
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        name = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if name == "foreglow":
+            package = None
+        elif package is None and name != "importlib":
+            package = name
+    package = package or (error.name or "").partition(".")[0]
+    return None if package in ("", "foreglow") else package
+
+
 def _inputs(arguments: Sequence[str]) -> list[Path]:
     """The files and folders among the arguments of a command, without those that it writes to."""
     paths = []
@@ -195,7 +219,7 @@ def _inputs(arguments: Sequence[str]) -> list[Path]:
     return paths
 
 
-def _input_read(error: Exception, inputs: Sequence[Path]) -> Path | None:
+def _input_read(error: BaseException, inputs: Sequence[Path]) -> Path | None:
     """The input that was being read when the error was raised: the path that the innermost reader had in hand."""
     found, is_reading = None, False
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -238,7 +262,7 @@ def shortened(text: str, length: int = MAX_LENGTH) -> str:
     return line if len(line) <= length else f"{line[:half]}…{line[-half:]}"
 
 
-def _report(error: Exception) -> str:
+def _report(error: BaseException) -> str:
     """Writes what a developer needs to a file, and returns its path."""
     from importlib import metadata
 

@@ -2,18 +2,43 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
 
 from foreglow.files import shortened
 
+MAX_NUMBER = 1e12
+"""No number of a configuration is larger: what is computed from larger ones may overflow."""
+
 
 class FrozenModel(BaseModel):
-    """A frozen set of parameters: unknown fields, NaN, infinity and values of another type are errors."""
+    """A frozen set of parameters.
+
+    Unknown fields, NaN, infinity, numbers above `MAX_NUMBER` and values of another type are errors.
+    """
 
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _check_numbers(cls, value: Any) -> Any:
+        if any(MAX_NUMBER < abs(number) < math.inf for number in _floats(value)):
+            raise PydanticCustomError("too_large", f"expected numbers of at most {MAX_NUMBER:g}")
+        return value
+
+
+def _floats(value: Any) -> Iterator[float]:
+    """The floating-point numbers in the value of a field; a model in it has checked its own."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from _floats(part)
 
 
 Model = TypeVar("Model", bound=BaseModel)

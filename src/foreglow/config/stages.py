@@ -13,6 +13,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from foreglow.config.fields import FrozenModel
+from foreglow.types.frame import MAX_SPEED_MPS
 
 Dispatch: TypeAlias = Literal["auto", "baseline", "avx2", "avx512"]
 """Instruction set of the native core: `auto` takes the best one that the processor has."""
@@ -22,7 +23,10 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 """A row or column of a frame, pixels."""
 
 
-RangeLimit: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
+Speed: TypeAlias = Annotated[float, Field(ge=0, le=MAX_SPEED_MPS)]
+RangeLimit: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=10_000)], Annotated[float, Field(gt=0, le=1e6)]], Field(strict=False)
+]
 """The range from which a limit holds, metres, and the limit."""
 
 
@@ -66,9 +70,9 @@ class ProposalConfig(FrozenModel):
     eps: Annotated[float, Field(gt=0, le=1)] = 1e-3
     min_deviation: Annotated[float, Field(ge=0, le=1)] = 0.01
     gap_px: Annotated[int, Field(ge=1, le=64)] = 4
-    min_area_px: Annotated[float, Field(ge=0)] = 11.0
+    min_area_px: Annotated[float, Field(ge=0, le=1e9)] = 11.0
     max_area_px: Annotated[float, Field(gt=0, allow_inf_nan=True)] = 1999.0
-    min_width_px: Annotated[float, Field(ge=0)] = 6.0
+    min_width_px: Annotated[float, Field(ge=0, le=16384)] = 6.0
     split_saddle: Annotated[float, Field(ge=0, le=1)] = 0.0
     reduction: Annotated[int, Field(ge=1, le=16)] = 2
     reference_width_px: Annotated[int, Field(ge=64, le=16384)] = 1280
@@ -223,7 +227,7 @@ class TrackerConfig(FrozenModel):
     merge_iou: Annotated[float, Field(gt=0, le=1)] = 1.0
     compensate_yaw: bool = False
     max_misses: Annotated[int, Field(ge=0, le=1000)] = 3
-    max_gap_s: Annotated[float, Field(gt=0)] = 1.0
+    max_gap_s: Annotated[float, Field(gt=0, le=60)] = 1.0
     confirmation: Literal["frames", "m_of_n", "evidence"] = "frames"
     min_hits: Annotated[int, Field(ge=1, le=1000)] = 5
     min_confidence: Annotated[float, Field(ge=0, lt=1)] = 0.5
@@ -233,7 +237,7 @@ class TrackerConfig(FrozenModel):
     confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.5
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
     company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
-    company_s: Annotated[float, Field(ge=0)] = 2.0
+    company_s: Annotated[float, Field(ge=0, le=60)] = 2.0
 
     @model_validator(mode="after")
     def _check(self) -> TrackerConfig:
@@ -289,7 +293,7 @@ class BeamConfig(FrozenModel):
     headlamps: Annotated[Path, Field(strict=False)] | None = None
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.15
     margin_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
-    led_limit_lx: Annotated[float, Field(gt=0)] = 0.03
+    led_limit_lx: Annotated[float, Field(gt=0, le=100)] = 0.03
     coverage: Annotated[float, Field(ge=0, lt=1)] = 0.8
     min_direct: Annotated[float, Field(ge=0, le=1)] = 0.5
     min_confidence: Annotated[float, Field(ge=0, le=1)] = 0.4
@@ -319,6 +323,15 @@ class LitStreetConfig(FrozenModel):
     on_s: Annotated[float, Field(gt=0, le=60)] = 1.0
     off_s: Annotated[float, Field(gt=0, le=60)] = 3.0
 
+    @model_validator(mode="after")
+    def _check(self) -> LitStreetConfig:
+        if self.min_elevation_deg > self.max_elevation_deg:
+            raise ValueError(
+                f"min_elevation_deg: expected at most max_elevation_deg, {self.max_elevation_deg:g}, "
+                f"got {self.min_elevation_deg:g}"
+            )
+        return self
+
 
 class GuardConfig(FrozenModel):
     """Parameters of the guard, which checks every beam command; `docs/guard.md` describes what it enforces.
@@ -347,8 +360,8 @@ class GuardConfig(FrozenModel):
     max_age_s: Annotated[float, Field(gt=0, le=10)] = 0.3
     max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.2
     brightening_s: Annotated[float, Field(gt=0, le=60)] = 0.5
-    low_below_mps: Annotated[float, Field(ge=0)] = 32.0 / 3.6
-    high_above_mps: Annotated[float, Field(ge=0)] = 35.0 / 3.6
+    low_below_mps: Speed = 32.0 / 3.6
+    high_above_mps: Speed = 35.0 / 3.6
     needs_speed: bool = True
     max_same_images: Annotated[int, Field(ge=1, le=1000)] = 2
     max_saturated: Annotated[float, Field(gt=0, le=1)] = 0.25
@@ -372,9 +385,9 @@ class GuardConfig(FrozenModel):
             )
         ranges_m, limits_cd = zip(*self.led_limits_cd, strict=True)
         is_growing = all(before < after for before, after in pairwise(ranges_m))
-        if ranges_m[0] != 0 or not is_growing or min(limits_cd) <= 0 or list(limits_cd) != sorted(limits_cd):
+        if ranges_m[0] != 0 or not is_growing or list(limits_cd) != sorted(limits_cd):
             raise ValueError(
-                "led_limits_cd: expected ranges that grow from 0 on, and positive limits that do not fall, got "
+                "led_limits_cd: expected ranges that grow from 0 on, and limits that do not fall, got "
                 f"{self.led_limits_cd}"
             )
         return self

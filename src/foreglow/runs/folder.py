@@ -11,7 +11,7 @@ from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text, naming
-from foreglow.outputs import RESULT_NAMES, FolderLock, partial_path
+from foreglow.outputs import RESULT_NAMES, FolderLock, check_replaceable, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary import LiveSummary, RunSummary
@@ -37,7 +37,7 @@ class OutputFolder:
 
         Raises:
             OSError: If it cannot be made or written to; the message names the path.
-            ValueError: If it holds a folder with the name of a result, or another run is writing into it.
+            ValueError: If something there has the name of a result and is no file, or another run is writing into it.
         """
         self.path = path
         self._partials: dict[str, Path] = {}
@@ -45,8 +45,7 @@ class OutputFolder:
         self._lock = FolderLock(path)
         try:
             for name in RESULT_NAMES:
-                if (path / name).is_dir():
-                    raise ValueError(f"{path / name}: expected a file to write, or nothing, got a folder")
+                check_replaceable(path / name)
             self.write_text("frames.jsonl", "")
         except BaseException:
             self.discard()

@@ -32,13 +32,10 @@ from foreglow.tracking.track_range import (
     median_of,
     remembered,
 )
-from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
+from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState
 
 MIN_SIZE_PX = 1.0
 """Predicted boxes never become smaller than this."""
-
-MIN_STEP_S = 1e-3
-"""Frames that are less apart count as this far apart: no camera is faster, and rates divide by the step."""
 
 MAX_TRACKS = 512
 """More are not followed: those with the fewest detections end, tentative ones first."""
@@ -86,7 +83,7 @@ class AlphaBetaTracker:
         if not 0.0 < step_s <= self._config.max_gap_s or size_px != (self._size_px or size_px):
             self._states = self._born(0)
             step_s = 1.0 / self._config.rate_hz
-        step_s = max(step_s, MIN_STEP_S)
+        step_s = max(step_s, MIN_STEP_S)  # rates divide by it
         self._now_s += step_s
         self._size_px = size_px
         self._timestamp_ns, self._boxes = frame.timestamp_ns, detections.boxes_xyxy_px

@@ -8,7 +8,7 @@ full-frame pixels (x = column to the right, y = row downwards), and arrays are r
 from foreglow.types.arrays import Boxes, Image
 from foreglow.types.beam import BeamCommand, BeamMode
 from foreglow.types.boxes import Detections, Proposals, Ranges
-from foreglow.types.frame import EgoMotion, Frame, RoadAhead
+from foreglow.types.frame import MIN_STEP_S, EgoMotion, Frame, RoadAhead
 from foreglow.types.kinds import KINDS, LIGHT_KINDS
 from foreglow.types.result import FrameResult
 from foreglow.types.tracks import Tracks, TrackState
@@ -16,6 +16,7 @@ from foreglow.types.tracks import Tracks, TrackState
 __all__ = [
     "KINDS",
     "LIGHT_KINDS",
+    "MIN_STEP_S",
     "BeamCommand",
     "BeamMode",
     "Boxes",

@@ -15,6 +15,9 @@ from foreglow.types.arrays import Image, frozen_view
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS = 150.0, 3.0
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2."""
 
+MIN_STEP_S = 1e-3
+"""No camera takes images in shorter intervals."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoMotion:

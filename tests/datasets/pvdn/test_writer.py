@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets import PVDN, ImageCategory, Instance, LabelledImage, PVDNWriter, Sequence, Vehicle, Weather
+from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn.schema import BoxLabels
 from foreglow.types import Frame
 
@@ -71,7 +73,31 @@ def test_files_use_the_data_sets_own_spelling(tmp_path: Path) -> None:
 def test_until_the_block_ends_it_is_no_split(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected at least one image"), PVDNWriter(tmp_path) as writer:
         _add_one_then_none(writer)
-    assert not list((tmp_path / "labels").glob("*.json"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_is_full_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path, record: Any) -> None:
+        if path.name == "sequences.json":
+            raise OSError(28, "No space left on device", str(path))
+        write_json(path, record)
+
+    writer = PVDNWriter(tmp_path)
+    writer.add_sequence(Sequence.plain(1), [LabelledImage(_frame(4))])
+    monkeypatch.setattr("foreglow.datasets.pvdn.writer.write_json", fail)
+    with pytest.raises(OSError, match="No space left"), writer:
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_leaves_what_was_there_before(tmp_path: Path) -> None:
+    (tmp_path / "images" / "mine").mkdir(parents=True)
+    (tmp_path / "notes.txt").touch()
+    writer = PVDNWriter(tmp_path)
+    (tmp_path / "images" / "mine" / "a.txt").touch()
+    with pytest.raises(ValueError, match="expected at least one image"), writer:
+        _add_one_then_none(writer)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.txt", "images", "mine", "notes.txt"]
 
 
 def _add_one_then_none(writer: PVDNWriter) -> None:

@@ -59,8 +59,10 @@ def test_frames_out_of_order(drive: list[Frame]) -> None:
     assert summary.fault_counts[LiveFault.OUT_OF_ORDER] == 1
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_stage_that_raises(stage: str, drive: list[Frame]) -> None:
+@pytest.mark.parametrize(
+    ("stage", "error"), [*((stage, ZeroDivisionError) for stage in STAGES), ("distance", SystemExit)]
+)
+def test_stage_that_raises(stage: str, error: type[BaseException], drive: list[Frame]) -> None:
     raising = {frame.timestamp_ns for frame in drive[BEGIN : BEGIN + 2]}
 
     def make() -> Pipeline:
@@ -69,7 +71,7 @@ def test_stage_that_raises(stage: str, drive: list[Frame]) -> None:
         return pipeline
 
     def fail() -> None:
-        raise ZeroDivisionError("planted")
+        raise error("planted")
 
     configuration = live_config()
     keeper = Keeper()
@@ -81,7 +83,7 @@ def test_stage_that_raises(stage: str, drive: list[Frame]) -> None:
     assert commands[drive[BEGIN + 4].timestamp_ns].mode != BeamMode.LOW
     assert summary.run.num_frames == 58
     assert summary.fault_counts == {LiveFault.STAGE_FAILED: 1}
-    assert summary.faults[0].detail == f"{stage}: ZeroDivisionError: planted"
+    assert summary.faults[0].detail == f"{stage}: {error.__name__}: planted"
     assert summary.faults[0].until_ns is not None
     assert keeper.ends == ["close"]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import resource
 import tracemalloc
 from collections import defaultdict
@@ -268,6 +269,9 @@ def test_paths_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "folder.mcap").mkdir()
     with pytest.raises(ValueError, match=r"folder\.mcap: expected a file to write, or nothing, got a folder"):
         McapRecorder(tmp_path / "folder.mcap")
+    os.mkfifo(tmp_path / "pipe.mcap.partial")  # opening it would wait for a reader
+    with pytest.raises(ValueError, match=r"pipe\.mcap\.partial: expected a file to write, or nothing, got a device"):
+        McapRecorder(tmp_path / "pipe.mcap")
     with pytest.raises(OSError, match=r"No such file or directory: '.*absent/drive\.mcap'"):
         McapRecorder(tmp_path / "absent" / "drive.mcap")
 

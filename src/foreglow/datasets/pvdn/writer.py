@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -39,6 +40,12 @@ CATEGORIES = tuple(
 )
 """The image categories, named as in `ImageCategory`."""
 
+LABEL_FILES = ("image_annotations.json", "sequences.json")
+"""Files of the whole split, in the order in which they are written."""
+
+LABEL_FOLDERS = ("labels/keypoints", "labels/bounding_boxes")
+"""Folders with a file per image."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledImage:
@@ -67,8 +74,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     """Writes a split, sequence by sequence; images as PNG, in constant memory.
 
     Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
-    until then the folder is not a PVDN split. The reader takes an image's time from its sequence's start and 18 Hz, or
-    `rate_hz` in `info`.
+    until then the folder is not a PVDN split. With an error, nothing of the split stays. The reader takes an image's
+    time from its sequence's start and 18 Hz, or `rate_hz` in `info`.
 
     >>> import numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -96,6 +103,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}
         self._annotations: list[ImageAnnotation] = []
+        self._written: list[Path] = []
 
     def add_sequence(self, sequence: Sequence, images: Iterable[LabelledImage]) -> Sequence:
         """Writes `images` as the sequence's, and returns the sequence as stored, with its ids and their number.
@@ -138,6 +146,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         self._sequences.append(stored)
         self._images |= added
         self._annotations += annotations
+        self._written += written
         return stored
 
     def close(self) -> None:
@@ -159,8 +168,22 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
+        try:
+            if kind is None:
+                self.close()
+        except BaseException:
+            self._discard()
+            raise
+        if kind is not None:
+            self._discard()
+
+    def _discard(self) -> None:
+        for path in (*self._written, *(self.root / "labels" / name for name in LABEL_FILES)):
+            path.unlink(missing_ok=True)
+        images = self.root / "images"
+        for folder in (*images.iterdir(), images, *(self.root / name for name in LABEL_FOLDERS), self.root / "labels"):
+            with contextlib.suppress(OSError):  # not empty
+                folder.rmdir()
 
     def _record(self, labelled: LabelledImage, added: Mapping[int, ImageRecord]) -> ImageRecord:
         frame = labelled.frame
@@ -261,8 +284,8 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
     Raises:
         OSError: If a file cannot be written.
     """
-    write_json(root / "labels" / "image_annotations.json", images_file)
-    write_json(root / "labels" / "sequences.json", sequences_file)
+    for name, record in zip(LABEL_FILES, (images_file, sequences_file), strict=True):
+        write_json(root / "labels" / name, record)
 
 
 def _make_folders(root: Path) -> None:
@@ -271,5 +294,5 @@ def _make_folders(root: Path) -> None:
         found = next((path for path in (root / folder).rglob("*") if path.is_file()), None)
         if found is not None:
             raise ValueError(f"{found}: expected a folder without a data set, this file is there")
-    for folder in ("images", "labels/keypoints", "labels/bounding_boxes"):
+    for folder in ("images", *LABEL_FOLDERS):
         (root / folder).mkdir(parents=True, exist_ok=True)

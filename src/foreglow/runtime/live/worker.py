@@ -128,7 +128,7 @@ class Worker:
         """Makes the pipeline; returns whether that succeeded."""
         try:
             self._pipeline = self._make_pipeline()
-        except Exception as error:  # such as a model file that is being replaced: tried again later
+        except (Exception, SystemExit) as error:  # such as a model file that is being replaced: tried again later
             self._book.note(STAGE, [LiveFault.NO_PIPELINE], _described(error))
         self._sequence, self._num_failures = None, 0
         return self._pipeline is not None
@@ -143,7 +143,7 @@ class Worker:
                 pipeline.reset()
                 self._sequence = frame.sequence
             result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
-        except Exception as error:  # any error of any stage: low beam, and the next frame is another chance
+        except (Exception, SystemExit) as error:  # of any stage: low beam, and the next frame is another chance
             self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_described(error)}")
             self._sequence = None
             self._num_failures += 1
@@ -155,5 +155,5 @@ class Worker:
         return Stepped(arrival, begun_ns, result)
 
 
-def _described(error: Exception) -> str:
+def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

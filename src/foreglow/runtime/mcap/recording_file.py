@@ -16,7 +16,7 @@ from foxglove.mcap import MCAPWriteOptions
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import in_unicode
-from foreglow.outputs import lock, partial_path
+from foreglow.outputs import check_replaceable, lock, partial_path
 
 
 class GrowingFile:
@@ -131,12 +131,12 @@ class RecordingFile:
 
         Raises:
             OSError: If it cannot be created; the message names the path.
-            ValueError: If the path does not end in `.mcap`, or another run is recording into it.
+            ValueError: If the path does not end in `.mcap`, what is there is no file, or another run is recording into
+                it.
         """
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
-        if path.is_dir():
-            raise ValueError(f"{path}: expected a file to write, or nothing, got a folder")
+        check_replaceable(path)
         self.path, self._partial = path, partial_path(path)
         self._file = GrowingFile(self._partial, path)
         self.context = foxglove.Context()  # kept: its channels live as long as it does

@@ -100,7 +100,6 @@ class Network:
         self.processes: dict[str, Process] = {}
         self.commands: list[Command] = []
         self._config = config
-        self._last = nodes[-1]
         self._answers: dict[Header, Answer] = {}
         self._by_time: dict[int, Answer] = {}
         self._closing = contextlib.ExitStack()
