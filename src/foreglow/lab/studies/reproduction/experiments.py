@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foreglow.config import PipelineConfig, preset
-from foreglow.datasets import SPLIT_NAMES, CategoryConfig, ImageCategory, SplitName, open_labelled, split_folder
+from foreglow.datasets import (
+    SPLIT_NAMES,
+    CategoryConfig,
+    ImageCategory,
+    SplitName,
+    open_labelled,
+    split_folder,
+    split_in,
+)
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.simulated import has_truth
 from foreglow.display.summary_lines import counted as counted_words
@@ -29,8 +38,12 @@ from foreglow.provenance import provenance
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import Epoch
 
-MODELS = ("baseline", "paper", "published", "yolo-small", "yolo-large")
+MODELS = ("baseline-small", "baseline", "paper", "published", "yolo-small", "yolo-large")
 """Rows of the table of detectors whose model can be given."""
+
+
+TRAINED = MODELS[:3]
+"""Those whose network is trained here where it is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +59,7 @@ class ReproductionPlan:
         trials: Of the search for parameters.
         images: On so many images of train.
         scenes: How many simulated scenes are driven in closed loop.
+        straight: Simulated drives on a straight level road, for detection by range; those of `data` without any.
         device: To train on.
         production_category: PVDN's image category for the production system's detection.
     """
@@ -58,6 +72,7 @@ class ReproductionPlan:
     trials: int = 200
     images: int = 600
     scenes: int = 8
+    straight: tuple[Path, ...] = ()
     device: str = "auto"
     production_category: int = 6
 
@@ -86,6 +101,11 @@ class ReproductionPlan:
     def is_simulated(self) -> bool:
         """Whether the test drives are simulated: the simulator's truth is beside them."""
         return has_truth(self.split("test"))
+
+    @property
+    def straight_splits(self) -> list[Path]:
+        """The test drives for detection by range."""
+        return [split_in(path, "test") for path in self.straight] or [self.split("test")]
 
     def paper_model(self, out: Path) -> Path | None:
         """The paper's network: the given one, or that of the table of detectors; None where there is neither."""
@@ -215,7 +235,7 @@ class _Training:
 
 def _detector_rows(plan: ReproductionPlan) -> list[str]:
     """Of the YOLOs those that are given: on a processor none can be trained that is worth its row."""
-    trained = ("baseline", "paper") if _may_train(plan) else ()
+    trained = TRAINED if _may_train(plan) else ()
     return [name for name in ROWS if name in trained or name in _detector_models(plan)]
 
 
@@ -307,7 +327,7 @@ def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, pro
     from foreglow.lab.studies.detection_range.page import write_report
     from foreglow.lab.studies.detection_range.run import run_experiment
 
-    roots = [plan.split("test")]
+    roots = plan.straight_splits
     write_report(run_experiment(roots, plan.config, progress), roots, folder)
 
 
@@ -318,9 +338,33 @@ def _glare(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     def show(number: int, num_done: int, num_all: int) -> None:
         progress(f"frames of scene {number}", num_done, num_all)
 
+    scenes = _write_oncoming_scenes(plan.split("test"), folder)
     asked = GlarePlan(num_scenes=plan.scenes, paper_model=plan.paper_model(folder.parent))
     config = plan.config.commanding()
-    write_experiment(run_experiment(plan.split("test"), config, asked, folder, workers=workers, progress=show))
+    write_experiment(run_experiment(scenes, config, asked, folder, workers=workers, progress=show))
+
+
+def _write_oncoming_scenes(split: Path, folder: Path) -> Path:
+    """A file of those scenes of `split` in which a vehicle comes towards us: only there anybody can be dazzled.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    from foreglow.lab.simulation.writing.scene_files import read_scenes
+
+    scenes = [
+        {"sequence": number, "scene": scene.model_dump(mode="json")}
+        for number, scene in read_scenes(split / "scenes.jsonl")
+        if any(vehicle.lane == "oncoming" for vehicle in scene.vehicles)
+    ]
+    if not scenes:
+        raise ValueError(f"{split}: expected a scene with an oncoming vehicle, found none")
+    write_atomic(folder / SCENES, "".join(f"{json.dumps(scene)}\n" for scene in scenes).encode())
+    return folder / SCENES
+
+
+SCENES = "scenes.jsonl"
+"""What the experiment on glare drives, in its folder."""
 
 
 def _runtime(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
@@ -399,8 +443,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "detection-range": Experiment(
         "results.json",
-        lambda plan, folder: ("experiment", "detection-range", plan.root, "--out", folder, *plan.pipeline),
+        lambda plan, folder: (
+            *("experiment", "detection-range", *(plan.straight or (plan.root,)), "--out", folder),
+            *plan.pipeline,
+        ),
         _detection_range,
+        "oncoming vehicles of {groups.oncoming.all[name=all].num_drives} drives, those ahead of "
+        "{groups.ahead.all[name=all].num_drives}",
         is_simulated=True,
         runs_pipeline=True,
     ),
@@ -419,7 +468,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "glare": Experiment(
         "results.json",
         lambda plan, folder: (
-            *("experiment", "glare", plan.split("test"), "--out", folder, "--scenes", plan.scenes),
+            *("experiment", "glare", folder / SCENES, "--out", folder, "--scenes", plan.scenes),
             *plan.pipeline,
             *_chain_words(plan, folder),
         ),
