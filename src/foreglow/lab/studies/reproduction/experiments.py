@@ -34,6 +34,7 @@ from foreglow.lab.studies.time_benefit.metrics import HUMAN_AFTER_PRODUCTION_S
 from foreglow.models import model_path
 from foreglow.parallel import Workers
 from foreglow.provenance import provenance
+from foreglow.runtime.ros2 import STAGE_NODES
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import Epoch
@@ -98,6 +99,11 @@ class ReproductionPlan:
         return split_folder(self.root, name)
 
     @property
+    def may_train(self) -> bool:
+        """Whether there is something to train networks on."""
+        return self.has("train") and self.has("val")
+
+    @property
     def is_simulated(self) -> bool:
         """Whether the test drives are simulated: the simulator's truth is beside them."""
         return has_truth(self.split("test"))
@@ -158,6 +164,7 @@ def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
         "epochs": plan.epochs or paper.epochs,
         "production": ProductionConfig(),
         "headlamps": {"num_leds": read_headlamps(None).num_leds},
+        "ros2": {"num_nodes": len(STAGE_NODES) + 1, "nodes": ", ".join(STAGE_NODES)},
         "human_s": HUMAN_DELAY_S,
         "human_after_production_s": HUMAN_AFTER_PRODUCTION_S,
     }
@@ -209,7 +216,7 @@ def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
     asked = DetectorPlan(
         rows=tuple(_detector_rows(plan)),
         given={name: model_path(path) for name, path in _detector_models(plan).items()},
-        may_train=_may_train(plan),
+        may_train=plan.may_train,
         epochs={} if plan.epochs is None else {"paper": plan.epochs},
         device=plan.device,
     )
@@ -235,7 +242,7 @@ class _Training:
 
 def _detector_rows(plan: ReproductionPlan) -> list[str]:
     """Of the YOLOs those that are given: on a processor none can be trained that is worth its row."""
-    trained = TRAINED if _may_train(plan) else ()
+    trained = TRAINED if plan.may_train else ()
     return [name for name in ROWS if name in trained or name in _detector_models(plan)]
 
 
@@ -245,10 +252,6 @@ def _detector_models(plan: ReproductionPlan) -> dict[str, Path]:
     if own is not None and plan.config.proposals == preset(ROWS["ours"].preset).proposals:
         models["ours"] = own
     return models
-
-
-def _may_train(plan: ReproductionPlan) -> bool:
-    return plan.has("train") and plan.has("val")
 
 
 def _distance(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
@@ -338,13 +341,13 @@ def _glare(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     def show(number: int, num_done: int, num_all: int) -> None:
         progress(f"frames of scene {number}", num_done, num_all)
 
-    scenes = _write_oncoming_scenes(plan.split("test"), folder)
+    scenes = write_oncoming_scenes(plan.split("test"), folder)
     asked = GlarePlan(num_scenes=plan.scenes, paper_model=plan.paper_model(folder.parent))
     config = plan.config.commanding()
     write_experiment(run_experiment(scenes, config, asked, folder, workers=workers, progress=show))
 
 
-def _write_oncoming_scenes(split: Path, folder: Path) -> Path:
+def write_oncoming_scenes(split: Path, folder: Path) -> Path:
     """A file of those scenes of `split` in which a vehicle comes towards us: only there anybody can be dazzled.
 
     Raises:
