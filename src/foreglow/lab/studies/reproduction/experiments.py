@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foreglow.beam.policy import brightness
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import (
     SPLIT_NAMES,
@@ -26,6 +27,8 @@ from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.simulated import has_truth
 from foreglow.display.summary_lines import counted as counted_words
 from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.evaluation.ratios import share
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.models import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
@@ -35,8 +38,10 @@ from foreglow.models import model_path
 from foreglow.parallel import Workers
 from foreglow.provenance import provenance
 from foreglow.runtime.ros2 import STAGE_NODES
+from foreglow.types import Frame, Tracks
 
 if TYPE_CHECKING:
+    from foreglow.geometry import Floats
     from foreglow.lab.learning.training_progress import Epoch
 
 MODELS = ("baseline-small", "baseline", "paper", "published", "yolo-small", "yolo-large")
@@ -289,7 +294,7 @@ def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
 
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
     """The drive with the longest lead, of those in which everything happens that the paper's scene shows."""
-    from foreglow.lab.evaluation import Predictions
+    from foreglow.lab.evaluation import Predictions, read_split_labels
     from foreglow.lab.reports.stage_picture import stage_picture
     from foreglow.lab.studies.demo.figures import write_moments
     from foreglow.lab.studies.demo.metrics import best_story, tell_stories
@@ -298,6 +303,7 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     dataset = open_labelled(plan.split("test"))
     pipeline = Pipeline(plan.config)
     boxes, scores, tracks = {}, {}, {}
+    lights, on_lamps = read_split_labels(dataset).lights, []
     sequence = None
     for frame in counted(dataset, "images", len(dataset), progress):
         if frame.sequence != sequence:
@@ -309,6 +315,9 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
         boxes[frame.frame] = result.detections.boxes_xyxy_px.astype(np.float64)
         scores[frame.frame] = result.detections.scores.astype(np.float64)
         tracks[frame.frame] = result.tracks
+        lamps_px = np.array([light.position_px for light in lights[frame.frame] if light.is_direct])
+        if len(lamps_px) and result.tracks.is_plausible.any():
+            on_lamps.append(_brightest_holds(frame, result.tracks, lamps_px))
     predictions, threshold = Predictions(boxes, scores), plan.config.classifier.score_threshold
     stories = tell_stories(dataset, predictions, threshold, tracks)
     whole = [story for story in stories if story.confirmed_s < story.production_s and story.sight is not None]
@@ -322,8 +331,19 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
     light_s = story.times.light_s
     times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
-    record = {"sequence": story.sequence, **{name: time_s - light_s for name, time_s in times.items()}}
+    record = {
+        "sequence": story.sequence,
+        **{name: time_s - light_s for name, time_s in times.items()},
+        "brightest": {"num": len(on_lamps), "share": share(on_lamps)},
+    }
     write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+
+
+def _brightest_holds(frame: Frame, tracks: Tracks, points_px: Floats) -> bool:
+    """Whether the brightest plausible track, which alone the paper acts on, holds one of the points."""
+    boxes_xyxy_px = tracks.boxes_xyxy_px[tracks.is_plausible]
+    brightest = max(boxes_xyxy_px, key=lambda box: brightness(frame.image, box))
+    return bool(lies_in(points_px, brightest).any())
 
 
 def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
