@@ -101,13 +101,18 @@ def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Pa
     results = run_experiment(data, tmp_path / "out", plan)
     by_name = {row.name: row for row in results.rows}
     assert list(by_name) == list(ROWS)
-    assert [asked["folder"].name for asked in trainings.asked] == ["baseline", "paper", "compact", "ours"]
+    trained = [asked["folder"].name for asked in trainings.asked]
+    assert trained == ["baseline-small", "baseline", "paper", "compact", "ours"]
     for asked in trainings.asked:
         spec = ROWS[asked["folder"].name]
-        assert asked["config"] == preset(spec.preset)
+        assert asked["config"] == spec.configuration
         assert asked["recipe"].network == ("paper" if spec.recipe == "paper" else "compact")
         assert (asked["recipe"].seed, asked["recipe"].patience) == (5, 3)
     assert trainings.asked[0]["recipe"].epochs == 7
+    small, baseline = (trainings.asked[index]["config"].proposals for index in (0, 1))
+    assert (small.reduction, baseline.reduction) == (4, 2)
+    assert small.model_copy(update={"reduction": 2}) == baseline
+    assert [2 * side for side in by_name["baseline-small"].image_size_px] == list(by_name["baseline"].image_size_px)
     assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
     assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
     assert {(comparison["row"], comparison["other"]) for comparison in results.comparisons} == {

@@ -247,7 +247,9 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
         number = re.match(r"[\d.]+", paper)
         is_compared = "rule" in column or "tolerance" in column
         compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
-        row = table["says"] + (LABELLED if name.startswith("most_") else "")
+        is_label = name.startswith("most_")
+        row = table["says"] + (LABELLED if is_label else "")
+        found = table.get("labels", table["row"]) if is_label else table["row"]
         yield _claim(
             {
                 **{key: table[key] for key in ("place", "study", "reason", "why") if key in table},
@@ -259,7 +261,7 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
                 "id": f"{table['id']}-{name.replace('_', '-')}",
                 "says": f"{row}: {column['says']}",
                 "paper": paper,
-                "ours": [text.replace("{row}", table["row"]) for text in column["ours"]],
+                "ours": [text.replace("{row}", found) for text in column["ours"]],
             }
         )
 

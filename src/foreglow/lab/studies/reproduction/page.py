@@ -148,7 +148,6 @@ def _page(
         "experiment": lambda item: item[0],
         "command": lambda item: f"`{item[1].command}`",
         "measured on": lambda item: filled(EXPERIMENTS[item[0]].measured_on, item[1].results) or DASH,
-        "seconds": lambda item: f"{item[1].seconds:.0f}",
         "without results, since": lambda item: item[1].reason or DASH,
     }
     page.table(Table.of(columns, outcomes.items(), is_wordy=True))
