@@ -293,7 +293,7 @@ def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
 
 
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
-    """The drive with the longest lead, of those in which everything happens that the paper's scene shows."""
+    """The drive with the longest lead, of those in which all happens that the paper's scene shows, if there are any."""
     from foreglow.lab.evaluation import Predictions, read_split_labels
     from foreglow.lab.reports.stage_picture import stage_picture
     from foreglow.lab.studies.demo.figures import write_moments
@@ -301,8 +301,8 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     from foreglow.pipeline import Pipeline
 
     dataset = open_labelled(plan.split("test"))
-    pipeline = Pipeline(plan.config)
-    boxes, scores, tracks = {}, {}, {}
+    pipeline = Pipeline(plan.config.commanding())
+    boxes, scores, tracks, gaps_rad = {}, {}, {}, {}
     lights, on_lamps = read_split_labels(dataset).lights, []
     sequence = None
     for frame in counted(dataset, "images", len(dataset), progress):
@@ -310,17 +310,18 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
             pipeline.reset()
             sequence = frame.sequence
         result = pipeline.step(frame)
-        if result.detections is None or result.tracks is None:
-            raise ValueError("reproduce: classifier.model and tracker: expected both, the configuration lacks one")
+        assert result.detections is not None  # commands are made from tracks
+        assert result.tracks is not None
+        assert result.beam is not None
         boxes[frame.frame] = result.detections.boxes_xyxy_px.astype(np.float64)
         scores[frame.frame] = result.detections.scores.astype(np.float64)
-        tracks[frame.frame] = result.tracks
+        tracks[frame.frame], gaps_rad[frame.frame] = result.tracks, result.beam.gaps_rad
         lamps_px = np.array([light.position_px for light in lights[frame.frame] if light.is_direct])
         if len(lamps_px) and result.tracks.is_plausible.any():
             on_lamps.append(_brightest_holds(frame, result.tracks, lamps_px))
     predictions, threshold = Predictions(boxes, scores), plan.config.classifier.score_threshold
-    stories = tell_stories(dataset, predictions, threshold, tracks)
-    whole = [story for story in stories if story.confirmed_s < story.production_s and story.sight is not None]
+    stories = tell_stories(dataset, predictions, threshold, tracks, gaps_rad)
+    whole = [story for story in stories if story.confirmed_s < story.production_s and story.gaps_rad]
     story = best_story(whole or stories)
     if story is None:
         raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
