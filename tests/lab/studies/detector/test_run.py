@@ -169,7 +169,7 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
     assert row.note.startswith("network paper, 2 of 300 epochs")
     assert len(trainings.asked) == 1
     wrong = DetectorPlan(rows=("baseline",), given={"baseline": folder})
-    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of the preset baseline"):
+    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Baseline's preset"):
         run_experiment(data, tmp_path / "third", wrong)
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
@@ -219,7 +219,7 @@ def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_bad_plans(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="rows: expected some of baseline, paper, published"):
+    with pytest.raises(ValueError, match="rows: expected some of baseline-small, baseline, paper, published"):
         DetectorPlan(rows=("papers",))
     with pytest.raises(ValueError, match="rows: expected each once"):
         DetectorPlan(rows=("paper", "paper"))
