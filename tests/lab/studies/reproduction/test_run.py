@@ -168,7 +168,7 @@ def test_our_pipeline_goes_by_its_name(data: Path) -> None:
         return next(told.ours for told in found if told.claim.id == "tracker-before-human")
 
     assert words() == "+0.50 s, preset foreglow (vehicles: 3)"
-    assert words("--preset", "any_camera") == "+0.50 s, --preset any_camera (vehicles: 3)"
+    assert words("--preset", "paper") == "+0.50 s, --preset paper (vehicles: 3)"
 
 
 def test_only_scenes_with_an_oncoming_driver_are_driven(data: Path, tmp_path: Path) -> None:
