@@ -472,7 +472,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *plan.pipeline,
         ),
         _detection_range,
-        "oncoming vehicles of {groups.oncoming.all[name=all].num_drives} drives, those ahead of "
+        "drives with an oncoming vehicle in sight: {groups.oncoming.all[name=all].num_drives}, with one ahead: "
         "{groups.ahead.all[name=all].num_drives}",
         is_simulated=True,
         runs_pipeline=True,
