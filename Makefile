@@ -171,7 +171,8 @@ reproduce: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split train --scenes 8 --seed 41 --fps 2
 	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split val --scenes 2 --seed 41
 	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split test --scenes 3 --seed 41
-	$(BIN)/foreglow reproduce $(DATA)/reproduction --out runs/reproduction \
+	$(BIN)/foreglow simulate --out $(DATA)/straight --split test --mixture r48 --scenes 4 --seed 48 --fps 1 --pairs 0.25
+	$(BIN)/foreglow reproduce $(DATA)/reproduction --out runs/reproduction --straight $(DATA)/straight \
 	    --epochs 2 --trials 40 --images 60 --scenes 2 --jobs 2
 
 # The pictures of docs/simulator.md: a minute or two.

@@ -1,7 +1,7 @@
 """The ROS 2 network at a camera's rate: `python -m benchmarks.ros2 [--out FILE.json] [--quick]`.
 
 Needs `foreglow[ros2]`. Latency from exposure (the stamp) until the beam command is sent, on the drive that ships, each
-node a process and one thread: five nodes, and all stages in one, beside the pipeline in process; with and without our
+node a process and one thread: six nodes, and all stages in one, beside the pipeline in process; with and without our
 profile of Fast DDS; and quicker than the stages can follow. Then nodes are killed: how long until there is low beam,
 and until light is back.
 """
@@ -28,6 +28,7 @@ from benchmarks.timing import CONSOLE, Row, in_ms, options, table, write_results
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
+from foreglow.runtime.ros2 import STAGE_NODES
 from foreglow.types import BeamMode, Frame
 
 IN_PROCESS = "in process"
@@ -50,10 +51,10 @@ class Contender(NamedTuple):
 
 CONTENDERS = (
     Contender("one node", is_whole=True),
-    Contender("five processes"),
-    Contender("five processes, no profile", has_profile=False),
-    Contender("five processes, 3 times the rate", speed=3.0),
-    Contender("five processes, 10 times the rate", speed=10.0),
+    Contender("six processes"),
+    Contender("six processes, no profile", has_profile=False),
+    Contender("six processes, 3 times the rate", speed=3.0),
+    Contender("six processes, 10 times the rate", speed=10.0),
 )
 
 
@@ -80,9 +81,9 @@ def prepared(has_profile: bool = True) -> PipelineConfig:
 def measure(contender: Contender, num_frames: int) -> Row:
     """Latencies and lost frames of one network, and where the time goes."""
     config = prepared(contender.has_profile)
-    from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Network
+    from foreglow.runtime.ros2.measurement import WHOLE, Network
 
-    nodes = WHOLE if contender.is_whole else FIVE
+    nodes = WHOLE if contender.is_whole else STAGE_NODES
     with Network(config, nodes, keeps_results=False) as network:
         try:
             network.warm_up(next(drive(1)))
@@ -128,12 +129,12 @@ def percentiles(values_ms: Sequence[float]) -> Row:
 def reactions(rounds: int) -> list[Row]:
     """How long it takes, once a node is killed, to low beam and back to light above it, milliseconds."""
     config = prepared()
-    from foreglow.runtime.ros2.measurement import FIVE, Network
+    from foreglow.runtime.ros2.measurement import Network
 
     rows: list[Row] = []
     with Network(config, keeps_results=False) as network:
         network.warm_up(next(drive(1)))
-        network.run(killing(network, FIVE[:-1] * rounds, rows))
+        network.run(killing(network, STAGE_NODES[:-1] * rounds, rows))
     return rows
 
 

@@ -36,7 +36,8 @@ def _paragraphs(command: Any, name: str) -> Iterator[str]:
         if lines:
             yield "\n".join(lines)
     for sub_name, sub_command in commands.items():
-        yield from _paragraphs(sub_command, f"{name} {sub_name}")
+        if not sub_command.hidden:
+            yield from _paragraphs(sub_command, f"{name} {sub_name}")
 
 
 def _form(parameter: Any) -> str:

@@ -63,7 +63,7 @@ def test_nan_in_a_float_image_is_one_line(tmp_path: Path, config: Path) -> None:
         (["live", "drive", "--record", ""], "--record"),
         (["beam", "drive", "--out", "out", "--save", ""], "--save"),
         (["evaluate", "split", "--json", ""], "--json"),
-        (["ros2", "detector", "--config", ""], "--config"),
+        (["ros2", "distance", "--config", ""], "--config"),
         (["yolo", "train", "", "--out", "out"], "the command line"),
         (["run", "", "--out", "out"], "the command line"),
     ],

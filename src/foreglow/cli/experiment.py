@@ -39,6 +39,7 @@ def reproduce(
     out: Annotated[Path, folder("Folder for the page; what is finished in it is not run again.")],
     pipeline: PipelineOptions,
     work: WorkerOptions,
+    baseline_small_model: ModelFile = None,
     baseline_model: ModelFile = None,
     paper_model: ModelFile = None,
     published: Annotated[Path | None, file("Published weights, converted by `import-weights`.")] = None,
@@ -49,7 +50,13 @@ def reproduce(
     ] = None,
     trials: Annotated[int, option("N", "Trials of the search for parameters.", min=1)] = 200,
     images: Annotated[int, option("N", "Images of train that it goes by.", min=1)] = 600,
-    scenes: Annotated[int, option("N", "Simulated scenes to drive in closed loop.", min=1)] = 8,
+    scenes: Annotated[
+        int, option("N", "Simulated scenes with an oncoming vehicle to drive in closed loop.", min=1)
+    ] = 8,
+    straight: Annotated[
+        list[Path] | None,
+        option("DIR", "Drives of `simulate --mixture r48`, for detection by range; repeatable (default: DATA)."),
+    ] = None,
     production_category: Annotated[
         int, option("N", "PVDN's image category for the production system's detection.", min=0, max=7)
     ] = 6,
@@ -63,7 +70,7 @@ def reproduce(
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()
-    given = (baseline_model, paper_model, published, yolo_small, yolo_large)
+    given = (baseline_small_model, baseline_model, paper_model, published, yolo_small, yolo_large)
     words = {"--preset": pipeline.preset, "--model": pipeline.model, "--config": pipeline.config}
     plan = ReproductionPlan(
         data=data,
@@ -74,6 +81,7 @@ def reproduce(
         trials=trials,
         images=images,
         scenes=scenes,
+        straight=tuple(straight or ()),
         device=device,
         production_category=production_category,
     )

@@ -124,12 +124,19 @@ def _add_output(name: str, text: str) -> None:
         _run_node(name, context, pipeline, node, output)
 
 
-_add_stage("detector", "Find boxes that may hold light, and score them: image to detections.")
+_add_stage("proposals", "Find boxes that may hold light: image to proposals.")
+_add_stage("classifier", "Score boxes by whether they hold light of a vehicle: proposals to detections.")
 _add_stage("distance", "Estimate how far away the light in each box is: detections to ranges.")
 _add_stage("tracking", "Follow light over time: ranges to tracks.")
 _add_stage("markers", "Publish tracks as MarkerArray for RViz, and as Detection2DArray where vision_msgs is installed.")
 _add_output("beam", "Command the headlamps, checked by the guard: tracks to beam, as a topic and on the CAN bus.")
-_add_output("pipeline", "Run all four in one node: image to beam.")
+_add_output("pipeline", "Run all five in one node: image to beam.")
+
+
+@ros2.command("detector", hidden=True, context_settings=PASSING)
+def detector() -> None:
+    """Say what took this node's place."""
+    raise ValueError("ros2 detector: now two nodes, foreglow ros2 proposals and foreglow ros2 classifier")
 
 
 @ros2.command("all", context_settings=PASSING)
@@ -147,7 +154,7 @@ def everything(
     is_networked: NetworkOption = False,
     markers: Annotated[bool, flag("--markers", "Run the node `markers`, too.")] = False,
 ) -> None:
-    """Run all five nodes as processes, from SOURCE to the beam; a node that dies is started again.
+    """Run all six nodes as processes, from SOURCE to the beam; a node that dies is started again.
 
     A terminal shows a status line.
     """
@@ -157,6 +164,7 @@ def everything(
     from foreglow.runtime.run import InterruptFlag
 
     ros_arguments = _prepare(context, is_networked)
+    from foreglow.runtime.ros2 import STAGE_NODES
     from foreglow.runtime.ros2.supervisor import supervise
 
     if open_camera(frames, CameraOptions()) is None:
@@ -164,7 +172,7 @@ def everything(
     pipeline.configuration().commanding()
     ending = [*(["--network"] if is_networked else []), *ros_arguments]
     shared = _arguments(calibration=calibration, **dataclasses.asdict(pipeline))
-    nodes = {name: [name, *shared, *ending] for name in ("detector", "distance", "tracking")}
+    nodes = {name: [name, *shared, *ending] for name in STAGE_NODES}
     nodes["beam"] = ["beam", *shared, *_arguments(**dataclasses.asdict(output)), *ending]
     if markers:
         nodes["markers"] = ["markers", *shared, *ending]

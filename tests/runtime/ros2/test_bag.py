@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ pytestmark = [
 def drive(tmp_path: Path) -> tuple[Path, list[tuple[Frame, FrameResult]]]:
     path = tmp_path / "drive.mcap"
     frames = [full_frame(index) for index in range(3)] + [full_frame(index, "S00002") for index in range(2)]
-    pairs = [(frame, full_result(frame)) for frame in frames]
+    pairs = [(dataclasses.replace(frame, is_reported=True), full_result(frame)) for frame in frames]
     recorder = BagRecorder(path, source_name="here")
     for frame, result in pairs:
         recorder.write(frame, result)
@@ -65,6 +66,8 @@ def test_every_topic_has_a_message_for_each_frame(drive: tuple[Path, list[tuple[
     found = messages_in(path)
     assert found.keys() == {f"/{topic}" for topic in ({*topics.TYPES} | {*installed_types()}) - {topics.TIMING}}
     assert {len(messages) for messages in found.values()} == {len(pairs)}
+    num_boxes = [message.width * message.height for message in found["/proposals"]]
+    assert num_boxes == [len(result.proposals) for _, result in pairs]
     for (_, result), tracks, beam in zip(pairs, found["/tracks"], found["/beam"], strict=True):
         assert result.tracks is not None
         assert result.beam is not None

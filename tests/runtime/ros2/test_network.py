@@ -22,7 +22,8 @@ from foreglow.types import BeamMode, Frame, FrameResult
 
 pytest.importorskip("rclpy")
 
-from foreglow.runtime.ros2.measurement import FIVE, WHOLE, Answer, Network
+from foreglow.runtime.ros2 import STAGE_NODES
+from foreglow.runtime.ros2.measurement import WHOLE, Answer, Network
 from foreglow.runtime.ros2.node import INPUT_MISSING
 
 pytestmark = [
@@ -80,7 +81,7 @@ def assert_same(answer: Answer, result: FrameResult) -> None:
         same(getattr(answer.beam, name), getattr(result.beam, name))
 
 
-@pytest.mark.parametrize("nodes", [FIVE, WHOLE], ids=["five", "whole"])
+@pytest.mark.parametrize("nodes", [STAGE_NODES, WHOLE], ids=["stages", "whole"])
 def test_the_network_makes_what_the_pipeline_makes(nodes: tuple[str, ...], frames: list[Frame]) -> None:
     config = patient_config()
     again = [dataclasses.replace(frame, sequence="other", motion=None, road=None) for frame in frames[:5]]
@@ -98,7 +99,7 @@ def test_the_network_makes_what_the_pipeline_makes(nodes: tuple[str, ...], frame
 def test_a_killed_node_means_low_beam_and_comes_back(frames: list[Frame]) -> None:
     with Network(patient_config(), keeps_results=False) as network:
         network.warm_up(frames[0])
-        for victim in FIVE:
+        for victim in STAGE_NODES:
             network.run(killing(network, frames, victim))
 
 
@@ -154,7 +155,7 @@ def test_what_cannot_be_played_is_said_at_once(tmp_path: Path) -> None:
 def test_no_node_outlives_the_command() -> None:
     with subprocess.Popen(foreglow("all", str(shipped_drive()), "--loop"), stderr=subprocess.DEVNULL) as command:
         children: list[str] = []
-        wait_until(lambda: len(children_of(command.pid)) == len(FIVE) + 1)
+        wait_until(lambda: len(children_of(command.pid)) == len(STAGE_NODES) + 1)
         children = children_of(command.pid)
         command.kill()
         command.wait()
@@ -179,11 +180,17 @@ def wait_until(is_done: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
+def test_the_detector_has_become_two_nodes() -> None:
+    done = subprocess.run(foreglow("detector", "--preset", "paper"), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert "foreglow ros2 proposals and foreglow ros2 classifier" in done.stderr
+
+
 def test_other_options_are_refused(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from foreglow.cli import app
 
-    result = CliRunner().invoke(app, ["ros2", "detector", "--nothing", str(tmp_path)])
+    result = CliRunner().invoke(app, ["ros2", "distance", "--nothing", str(tmp_path)])
     assert result.exit_code == 2
     assert "--nothing: no such option" in result.output

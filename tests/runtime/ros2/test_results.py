@@ -24,8 +24,10 @@ from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.results import (
     beam_message,
     detections_message,
+    proposals_message,
     read_beam,
     read_detections,
+    read_proposals,
     read_ranges,
     read_timing,
     read_tracks,
@@ -104,6 +106,14 @@ def test_tracks_come_back(count: int, seed: int) -> None:
     header, back = read_tracks(tracks_message(HEADER, sent), "t")
     assert header == HEADER
     assert_equal_fields(back, sent)
+
+
+@given(count=st.integers(0, 20), seed=st.integers(0, 9))
+def test_proposals_come_back(count: int, seed: int) -> None:
+    proposals = detections_of(count, seed).proposals
+    header, read = read_proposals(proposals_message(HEADER, proposals), "proposals")
+    assert header == HEADER
+    assert_equal_fields(read, proposals)
 
 
 def test_tables_without_kinds_tell_lamps_from_their_light() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -15,7 +16,10 @@ import rclpy
 
 from benchmarks.faulty import ScriptedCamera
 from foreglow.runtime.ros2.environment import prepare
-from foreglow.runtime.ros2.source import PAUSE_NS, Due, Player, repeated, timed
+from foreglow.runtime.ros2.frame_reader import FrameReader
+from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.join import Joined
+from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, Player, repeated, timed
 from tests.stand_ins import night_frames
 
 pytestmark = pytest.mark.ros
@@ -43,6 +47,15 @@ def test_a_drive_is_played_again_as_another_sequence() -> None:
     assert [one.sequence for one in played] == ["S00001", "S00001", "S00001+1", "S00001+1", "S00001+2"]
     assert len(list(repeated(night_frames(3)))) == 3
     assert not list(repeated([], is_endless=True))
+
+
+@pytest.mark.parametrize("is_reported", [None, False, True])
+def test_what_the_production_system_says_comes_back(is_reported: bool | None) -> None:
+    frame = dataclasses.replace(night_frames(1)[0], is_reported=is_reported)
+    due = Due(frame, Header(frame.timestamp_ns, frame.sequence))
+    read = FrameReader().read(Joined(due.header, dict(FramePublisher.messages(due)), 0))
+    assert read.is_reported is is_reported
+    assert read.is_damaged is False
 
 
 def test_by_default_nobody_else_hears_us() -> None:
@@ -85,9 +98,9 @@ def test_the_launch_file_starts_nodes_that_exist() -> None:
     path = Path(CliRunner().invoke(app, ["ros2", "launch-file"]).output.replace("\n", ""))
     code = compile(path.read_text(encoding="utf-8"), str(path), "exec")
     assert "generate_launch_description" in code.co_names or "generate_launch_description" in str(code.co_consts)
-    from foreglow.runtime.ros2.measurement import FIVE
+    from foreglow.runtime.ros2 import STAGE_NODES
 
-    assert str(FIVE).replace("'", '"') in path.read_text(encoding="utf-8")
+    assert str(STAGE_NODES).replace("'", '"') in path.read_text(encoding="utf-8")
     assert os.access(path, os.R_OK)
 
 

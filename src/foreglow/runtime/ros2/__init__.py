@@ -5,3 +5,6 @@
 nodes, with `output` for beam commands, and `source` publishes frames. `supervisor` starts the nodes, and `measurement`
 runs a network over frames and times it. `docs/ros2.md` describes the topics.
 """
+
+STAGE_NODES = ("proposals", "classifier", "distance", "tracking", "beam")
+"""The nodes of a network with a process for each stage, in the order in which a frame passes them."""

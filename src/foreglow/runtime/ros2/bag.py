@@ -15,7 +15,7 @@ from foreglow.config import PipelineConfig
 from foreglow.runtime.mcap.recording_file import RecordingFile
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.results import beam_message, detections_message, tracks_message
+from foreglow.runtime.ros2.results import beam_message, detections_message, proposals_message, tracks_message
 from foreglow.runtime.ros2.source import FRAME_ID, Due, FramePublisher
 from foreglow.runtime.ros2.standard import installed_types, standard_messages
 from foreglow.runtime.time_axis import TimeAxis
@@ -83,6 +83,7 @@ class BagRecorder:
         self._file.discard()
 
     def _results(self, header: Header, frame: Frame, result: FrameResult) -> Iterator[tuple[str, Any]]:
+        yield topics.PROPOSALS, proposals_message(header, result.proposals)
         if result.detections is not None:
             yield topics.DETECTIONS, detections_message(header, result.detections)
             yield topics.RANGES, detections_message(header, result.detections, result.ranges)

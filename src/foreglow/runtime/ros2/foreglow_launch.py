@@ -9,11 +9,11 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 
-COMPUTE = ("detector", "distance", "tracking", "beam")
+COMPUTE = ("proposals", "classifier", "distance", "tracking", "beam")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The five nodes, each in a process of its own."""
+    """The six nodes, each in a process of its own."""
     source, arguments, namespace = (LaunchConfiguration(name) for name in ("source", "arguments", "namespace"))
     ros_arguments = [" --ros-args -r __ns:=", namespace]
     nodes = [

@@ -16,6 +16,7 @@ from foreglow.runtime.ros2.messages import (
     read_image,
     read_motion,
     read_mount,
+    read_reported,
     read_road,
 )
 from foreglow.types import EgoMotion, Frame
@@ -41,7 +42,7 @@ class FrameReader:
             image = read_image(messages[topics.IMAGE], topics.IMAGE)
         else:
             image = np.broadcast_to(np.uint8(0), size_px[::-1])
-        road, damage = messages.get(topics.ROAD), messages.get(topics.DAMAGE)
+        road, damage, reported = (messages.get(topic) for topic in (topics.ROAD, topics.DAMAGE, topics.REPORTED))
         return Frame(
             image,
             joined.header.timestamp_ns,
@@ -51,6 +52,7 @@ class FrameReader:
             motion=_motion(messages),
             road=None if road is None else read_road(road, topics.ROAD),
             is_damaged=damage is not None and read_damage(damage, topics.DAMAGE),
+            is_reported=None if reported is None else read_reported(reported, topics.REPORTED),
         )
 
     def _camera(self, messages: Mapping[str, Any]) -> tuple[tuple[int, int], Camera | None]:

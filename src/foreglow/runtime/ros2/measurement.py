@@ -15,7 +15,7 @@ from typing import Any
 import rclpy
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2 import STAGE_NODES, topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam, read_detections, read_ranges, read_timing, read_tracks
@@ -23,8 +23,6 @@ from foreglow.runtime.ros2.source import Due, FramePublisher, timed
 from foreglow.runtime.ros2.supervisor import Process
 from foreglow.types import BeamCommand, Detections, Frame, Ranges, Tracks
 
-FIVE = ("detector", "distance", "tracking", "beam")
-"""The compute nodes of a network of five; the measuring process is the fifth node, the source."""
 WHOLE = ("pipeline",)
 """A network whose stages are all in one node."""
 
@@ -84,7 +82,7 @@ class Network:
     def __init__(
         self,
         config: PipelineConfig,
-        nodes: Sequence[str] = FIVE,
+        nodes: Sequence[str] = STAGE_NODES,
         *,
         options: Mapping[str, Sequence[str]] | None = None,
         keeps_results: bool = True,
@@ -93,7 +91,7 @@ class Network:
 
         Args:
             config: The pipeline's configuration.
-            nodes: The nodes to start.
+            nodes: The nodes to start; the measuring process is one more, the source.
             options: Further command-line options by node.
             keeps_results: Whether boxes, ranges and tracks are recorded, too; beam commands always are.
         """

@@ -4,7 +4,7 @@
 |---|---|
 | image | `sensor_msgs/Image` |
 | camera without its mount | `sensor_msgs/CameraInfo`, as drivers send it |
-| mount of the camera, and whether the image is damaged | `sensor_msgs/PointCloud2`, one row each |
+| mount of the camera, whether the image is damaged, and whether a vehicle is reported | `sensor_msgs/PointCloud2` |
 | speed and yaw rate | `geometry_msgs/TwistStamped` |
 | pitch of the body | `geometry_msgs/Vector3Stamped`, a rotation vector |
 | road ahead | `sensor_msgs/PointCloud2`, a row for each point |
@@ -62,6 +62,7 @@ MOUNT = {
     "rotation": Field("f8", 9, is_finite=True),
 }
 DAMAGE = {"is_damaged": Field("u1")}
+REPORTED = {"is_reported": Field("u1")}
 ROAD = {
     "point_m": Field("f8", 3),
     "cross_slope": Field("f8"),
@@ -169,6 +170,17 @@ def read_damage(message: PointCloud2, topic: str) -> bool:
     """Whether the source knows that the image is damaged; any number but 0 says so."""
     _, columns = read_table(message, topic, DAMAGE, num_rows=1)
     return bool(columns["is_damaged"][0])
+
+
+def reported_message(header: Header, is_reported: bool) -> PointCloud2:
+    """Whether the car's production system reports a vehicle, `Frame.is_reported`."""
+    return table_message(header, {"is_reported": np.array([is_reported], np.uint8)})
+
+
+def read_reported(message: PointCloud2, topic: str) -> bool:
+    """Whether the car's production system reports a vehicle; any number but 0 says so."""
+    _, columns = read_table(message, topic, REPORTED, num_rows=1)
+    return bool(columns["is_reported"][0])
 
 
 def twist_message(header: Header, motion: EgoMotion | None) -> TwistStamped:

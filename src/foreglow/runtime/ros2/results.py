@@ -16,8 +16,8 @@ from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState
 from foreglow.types.kinds import kinds_of_direct
 
-DETECTIONS = {
-    "box_xyxy_px": Field("i4", 4),
+PROPOSALS = {"box_xyxy_px": Field("i4", 4)}
+DETECTIONS = PROPOSALS | {
     "score": Field("f4"),
     "direct_probability": Field("f4"),
     "light_kinds": Field("f4", 4, is_optional=True),
@@ -60,6 +60,22 @@ results were sent; the others are how long each part took, the first being the `
 """
 
 _INT_32 = np.iinfo(np.int32)
+
+
+def proposals_message(header: Header, proposals: Proposals) -> PointCloud2:
+    """The boxes that may hold light."""
+    return table_message(header, {"box_xyxy_px": proposals.boxes_xyxy_px})
+
+
+def read_proposals(message: PointCloud2, topic: str) -> tuple[Header, Proposals]:
+    """The boxes that may hold light.
+
+    Raises:
+        ValueError: If it is no such table, or a value is not valid in `Proposals`.
+    """
+    header, columns = read_table(message, topic, PROPOSALS)
+    with _naming(topic):
+        return header, Proposals(columns["box_xyxy_px"])
 
 
 def detections_message(header: Header, detections: Detections, ranges: Ranges | None = None) -> PointCloud2:

@@ -17,6 +17,7 @@ from foreglow.runtime.ros2.messages import (
     damage_message,
     image_message,
     mount_message,
+    reported_message,
     road_message,
     twist_message,
 )
@@ -63,9 +64,10 @@ class FramePublisher:
             (topics.ATTITUDE, attitude_message(header, frame.motion)),
             (topics.ROAD, road_message(header, frame.road)),
             (topics.DAMAGE, damage_message(header, frame.is_damaged)),
-            (topics.IMAGE, image_message(header, frame.image)),
         ]
-        return sent
+        if frame.is_reported is not None:
+            sent.append((topics.REPORTED, reported_message(header, frame.is_reported)))
+        return [*sent, (topics.IMAGE, image_message(header, frame.image))]
 
     def publish(self, messages: Iterable[tuple[str, Any]]) -> None:
         """Publishes messages on their topics."""
@@ -176,7 +178,7 @@ class Player:
     def _is_listened_to(self) -> bool:
         has_network = all(
             self.ros.count_subscribers(topic) and self.ros.count_publishers(topic)
-            for topic in (topics.DETECTIONS, topics.RANGES, topics.TRACKS)
+            for topic in (topics.PROPOSALS, topics.DETECTIONS, topics.RANGES, topics.TRACKS)
         )
         is_whole = self.ros.count_publishers(topics.DETECTIONS) and not self.ros.count_subscribers(topics.TRACKS)
         return bool(self.ros.count_publishers(topics.BEAM) and (has_network or is_whole))

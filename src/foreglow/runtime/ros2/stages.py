@@ -18,13 +18,15 @@ from foreglow.runtime.ros2.node import FrameNode, Inputs
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (
     detections_message,
+    proposals_message,
     read_detections,
+    read_proposals,
     read_ranges,
     read_tracks,
     tracks_message,
 )
 from foreglow.stopwatch import Stopwatch
-from foreglow.types import Detections, Frame, FrameResult, Ranges, Tracks
+from foreglow.types import Detections, Frame, FrameResult, Proposals, Ranges, Tracks
 
 Stage = TypeVar("Stage")
 
@@ -63,36 +65,61 @@ def needed(field: str, stage: Stage | None) -> Stage:
     return stage
 
 
-class DetectorNode(FrameNode[Frame]):
-    """Images to scored boxes: proposals and classification."""
+def read_pixels(joined: Joined) -> Frame:
+    """The frame with its image alone: proposals and classification need nothing else."""
+    image = read_image(joined.messages[topics.IMAGE], topics.IMAGE)
+    return Frame(image, joined.header.timestamp_ns, sequence=joined.header.sequence, path=topics.IMAGE)
+
+
+class ProposalNode(FrameNode[Frame]):
+    """Images to boxes that may hold light; the paper's proposal generation (PG)."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("detector", (topics.IMAGE,), ros_arguments=setting.ros_arguments)
+        super().__init__("proposals", (topics.IMAGE,), ros_arguments=setting.ros_arguments)
         stages = Stages(setting.config)
         self._proposer, self._standing = stages.proposer, stages.standing
-        self._classifier = needed("classifier.model", stages.classifier)
-        self._output = self.publisher(topics.DETECTIONS)
+        self._output = self.publisher(topics.PROPOSALS)
 
     def reset(self) -> None:
         """Forgets earlier frames."""
-        self._classifier.reset()
         if self._standing is not None:
             self._standing.reset()
 
     def read(self, joined: Joined) -> Frame:
-        """The image; proposals and classification need nothing else."""
-        image = read_image(joined.messages[topics.IMAGE], topics.IMAGE)
-        return Frame(image, joined.header.timestamp_ns, sequence=joined.header.sequence, path=topics.IMAGE)
+        """The image."""
+        return read_pixels(joined)
 
     def step(self, header: Header, inputs: Frame, stopwatch: Stopwatch) -> None:
-        """Publishes the scored boxes of an image."""
+        """Publishes the boxes of an image."""
         stopwatch.begin("proposals")
         proposals = self._proposer.propose(inputs.image)
         if self._standing is not None:
             stopwatch.begin("standing")
             proposals = self._standing.leave_out(inputs, proposals)
+        stopwatch.begin("send")
+        self._output.publish(proposals_message(header, proposals))
+
+
+class ClassifierNode(FrameNode[tuple[Frame, Proposals]]):
+    """Boxes that may hold light to scored ones; the paper's proposal classification (PC)."""
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__("classifier", (topics.PROPOSALS, topics.IMAGE), ros_arguments=setting.ros_arguments)
+        self._classifier = needed("classifier.model", Stages(setting.config).classifier)
+        self._output = self.publisher(topics.DETECTIONS)
+
+    def reset(self) -> None:
+        """Forgets earlier frames."""
+        self._classifier.reset()
+
+    def read(self, joined: Joined) -> tuple[Frame, Proposals]:
+        """The image and its boxes."""
+        return read_pixels(joined), read_proposals(joined.messages[topics.PROPOSALS], topics.PROPOSALS)[1]
+
+    def step(self, header: Header, inputs: tuple[Frame, Proposals], stopwatch: Stopwatch) -> None:
+        """Publishes the scored boxes of an image."""
         stopwatch.begin("classifier")
-        detections = self._classifier.classify(inputs, proposals)
+        detections = self._classifier.classify(*inputs)
         stopwatch.begin("send")
         self._output.publish(detections_message(header, detections))
 
@@ -165,6 +192,10 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
         self._output.publish(tracks_message(header, tracks))
 
 
+BEAM_SAMPLED = (topics.TWIST, topics.ROAD, topics.DAMAGE, topics.REPORTED)
+"""What policy and guard go by, beside tracks, image and camera."""
+
+
 class CommandingNode(FrameNode[Inputs]):
     """A node that commands the beam: low beam where a frame failed, or input is overdue."""
 
@@ -196,7 +227,7 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     """Tracks to beam commands that the guard has checked; low beam when no tracks come."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), (topics.TWIST, topics.ROAD, topics.DAMAGE))
+        super().__init__("beam", setting, (topics.TRACKS, topics.IMAGE), BEAM_SAMPLED)
         self._stage = needed("beam.policy", Stages(setting.config).beam)
 
     def reset(self) -> None:
@@ -219,9 +250,9 @@ class PipelineNode(CommandingNode[Frame]):
     """All stages in one node; publishes the same as the network of them."""
 
     def __init__(self, setting: Setting) -> None:
-        sampled = (topics.TWIST, topics.ATTITUDE, topics.ROAD, topics.DAMAGE)
-        super().__init__("pipeline", setting, (topics.IMAGE,), sampled)
+        super().__init__("pipeline", setting, (topics.IMAGE,), (*BEAM_SAMPLED, topics.ATTITUDE))
         self._pipeline = Pipeline(setting.config)
+        self._proposals = self.publisher(topics.PROPOSALS)
         self._detections = self.publisher(topics.DETECTIONS)
         self._ranges = self.publisher(topics.RANGES)
         self._tracks = self.publisher(topics.TRACKS)
@@ -244,6 +275,7 @@ class PipelineNode(CommandingNode[Frame]):
         self._publish(header, result)
 
     def _publish(self, header: Header, result: FrameResult) -> None:
+        self._proposals.publish(proposals_message(header, result.proposals))
         if result.detections is not None:
             self._detections.publish(detections_message(header, result.detections))
             self._ranges.publish(detections_message(header, result.detections, result.ranges))
@@ -252,10 +284,11 @@ class PipelineNode(CommandingNode[Frame]):
 
 
 NODES: Mapping[str, Callable[[Setting], FrameNode[Any]]] = {
-    "detector": DetectorNode,
+    "proposals": ProposalNode,
+    "classifier": ClassifierNode,
     "distance": DistanceNode,
     "tracking": TrackingNode,
     "beam": BeamNode,
     "pipeline": PipelineNode,
 }
-"""The compute nodes by name, in the order in which a frame passes them; `pipeline` replaces the four before it."""
+"""The compute nodes by name, in the order in which a frame passes them; `pipeline` replaces those before it."""

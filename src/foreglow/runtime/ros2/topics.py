@@ -14,7 +14,9 @@ MOUNT = "camera/mount"
 DAMAGE = "camera/damage"
 TWIST = "vehicle/twist"
 ATTITUDE = "vehicle/attitude"
+REPORTED = "vehicle/reported"
 ROAD = "road_ahead"
+PROPOSALS = "proposals"
 DETECTIONS = "detections"
 RANGES = "ranges"
 TRACKS = "tracks"
@@ -29,7 +31,9 @@ TYPES: dict[str, type[Any]] = {
     DAMAGE: PointCloud2,
     TWIST: TwistStamped,
     ATTITUDE: Vector3Stamped,
+    REPORTED: PointCloud2,
     ROAD: PointCloud2,
+    PROPOSALS: PointCloud2,
     DETECTIONS: PointCloud2,
     RANGES: PointCloud2,
     TRACKS: PointCloud2,
@@ -37,7 +41,7 @@ TYPES: dict[str, type[Any]] = {
     TIMING: PointCloud2,
 }
 
-INPUTS = (CAMERA_INFO, MOUNT, TWIST, ATTITUDE, ROAD, DAMAGE, IMAGE)
+INPUTS = (CAMERA_INFO, MOUNT, TWIST, ATTITUDE, ROAD, DAMAGE, REPORTED, IMAGE)
 """What the source publishes."""
 
 SENSORS = (IMAGE, CAMERA_INFO, TWIST, ATTITUDE)

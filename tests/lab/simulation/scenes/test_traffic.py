@@ -147,5 +147,8 @@ def test_the_road_of_un_r48_shows_both_vehicles_at_the_ranges_that_it_asks_for()
             s_m, _ = interpolated(vehicle.timetable, [time_s])
             assert 0.0 < s_m[0] < road.length_m
             ranges_m[vehicle.lane].append(float(s_m[0] - ego_m[0]))
+    for oncoming_m, ahead_m in zip(ranges_m["oncoming"], ranges_m["own"], strict=True):
+        if oncoming_m > 100.0:  # a lamp of the one that comes is seen past the side of a lorry ahead
+            assert ahead_m / oncoming_m * (scene.road.lane_width_m + 0.5) > 1.3
     for lane, required_m in (("oncoming", 400.0), ("own", 100.0)):
         assert min(ranges_m[lane]) < 0.5 * required_m < 1.4 * required_m < max(ranges_m[lane])

@@ -101,13 +101,17 @@ def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Pa
     results = run_experiment(data, tmp_path / "out", plan)
     by_name = {row.name: row for row in results.rows}
     assert list(by_name) == list(ROWS)
-    assert [asked["folder"].name for asked in trainings.asked] == ["baseline", "paper", "compact", "ours"]
+    trained = [asked["folder"].name for asked in trainings.asked]
+    assert trained == ["baseline-small", "baseline", "paper", "compact", "ours"]
     for asked in trainings.asked:
         spec = ROWS[asked["folder"].name]
-        assert asked["config"] == preset(spec.preset)
+        assert asked["config"] == spec.configuration
         assert asked["recipe"].network == ("paper" if spec.recipe == "paper" else "compact")
         assert (asked["recipe"].seed, asked["recipe"].patience) == (5, 3)
     assert trainings.asked[0]["recipe"].epochs == 7
+    small, baseline = (trainings.asked[index]["config"].proposals for index in (0, 1))
+    assert (small.reduction, baseline.reduction) == (4, 2)
+    assert small.model_copy(update={"reduction": 2}) == baseline
     assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
     assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
     assert {(comparison["row"], comparison["other"]) for comparison in results.comparisons} == {
@@ -165,7 +169,7 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
     assert row.note.startswith("network paper, 2 of 300 epochs")
     assert len(trainings.asked) == 1
     wrong = DetectorPlan(rows=("baseline",), given={"baseline": folder})
-    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of the preset baseline"):
+    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Baseline's preset"):
         run_experiment(data, tmp_path / "third", wrong)
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
@@ -215,7 +219,7 @@ def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_bad_plans(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="rows: expected some of baseline, paper, published"):
+    with pytest.raises(ValueError, match="rows: expected some of baseline-small, baseline, paper, published"):
         DetectorPlan(rows=("papers",))
     with pytest.raises(ValueError, match="rows: expected each once"):
         DetectorPlan(rows=("paper", "paper"))

@@ -55,10 +55,11 @@ def test_all_tables_and_figures_are_there() -> None:
 
 def test_each_value_of_a_row_is_a_claim() -> None:
     row = {claim.id: claim for claim in read_claims() if claim.id.startswith("table3-optimised")}
-    assert len(row) == 15
+    assert len(row) == 16
     assert row["table3-optimised-f1"].ours == ("{rows[name=paper].examination.quality.f1:.2f}",)
     assert row["table3-optimised-runtime"].value == 21.98
     assert math.isnan(row["table3-optimised-size"].value)
+    assert {claim.column for claim in row.values() if claim.network} == {"precision", "recall", "F", "q", "q_K", "q_B"}
     assert {claim.row for claim in row.values()} == {"Optimised, 640 x 480", "Optimised, 640 x 480, labelled boxes"}
 
 
@@ -103,6 +104,22 @@ def test_times_of_a_busy_machine() -> None:
     assert answer(CLAIM, results, is_pvdn=True, is_busy=True).verdict == REPRODUCED
     timed = answer(dataclasses.replace(CLAIM, is_timed=True), results, is_pvdn=True, is_busy=True)
     assert (timed.ours, timed.verdict) == ("0.82", NEEDS)
+
+
+def test_a_network_that_was_trained_for_less() -> None:
+    """Its value is shown, and what it takes to compare it; where it finds nothing, that is no other reason."""
+    claim = dataclasses.replace(CLAIM, network="paper")
+    short = {"paper": "300 epochs of training; the network had 1"}
+
+    def found(f1: float | None, **untrained: str) -> Answer:
+        return answer(claim, {"rows": [{"name": "paper", "f1": f1}]}, is_pvdn=False, untrained=untrained)
+
+    assert found(0.1).verdict == DIFFERS
+    assert found(0.1, baseline="").verdict == DIFFERS
+    assert (found(0.1, **short).ours, found(0.1, **short).verdict) == ("0.10", NEEDS)
+    assert found(0.1, **short).because == found(None, **short).because == short["paper"]
+    not_run = answer(claim, None, is_pvdn=False, untrained=short, reason="DATA has no train")
+    assert not_run.because == "a model; DATA has no train"
 
 
 def test_what_is_quoted_needs_nothing() -> None:

@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import json
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,16 @@ from typing import Any
 import pytest
 
 from foreglow.files import write_json_results
+from foreglow.lab.simulation.scenes.scene import VehicleSpec
+from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.reproduction import run
-from foreglow.lab.studies.reproduction.claims import NO_VALUE, Answer, read_claims
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experiment, ReproductionPlan
+from foreglow.lab.studies.reproduction.claims import DIFFERS, NEEDS, NO_VALUE, Answer, read_claims
+from foreglow.lab.studies.reproduction.experiments import (
+    EXPERIMENTS,
+    Experiment,
+    ReproductionPlan,
+    write_oncoming_scenes,
+)
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
 from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
 from tests.cli.commands import complaint, foreglow_command
@@ -127,6 +135,56 @@ def test_no_claim_is_without_an_answer(reproduced: Reproduced) -> None:
     assert [found.claim for found in reproduced.answers] == list(read_claims())
     assert all(found.ours and found.verdict for found in reproduced.answers)
     assert all(found.because for found in reproduced.answers if found.ours == NO_VALUE)
+
+
+def test_what_is_short_of_the_papers_training(data: Path, tmp_path: Path) -> None:
+    """The verdict of each network that is trained here, and of none that is given."""
+    rows = [{"name": name, "examination": {"quality": {"f1": 0.5}}} for name in ("baseline", "paper")]
+    outcomes = {"detector": Outcome("", 0.0, results={"rows": rows})}
+    plan = ReproductionPlan(with_splits(data, tmp_path), epochs=2, models={"paper": tmp_path})
+
+    def verdict(plan: ReproductionPlan, row: str) -> tuple[str, str]:
+        found = {found.claim.id: found for found in answers(plan, outcomes)}[f"table3-{row}-f1"]
+        return found.verdict, found.because
+
+    assert verdict(plan, "baseline") == (NEEDS, "300 epochs of training; the network had 2")
+    assert verdict(plan, "optimised")[0] == DIFFERS
+    assert verdict(dataclasses.replace(plan, epochs=None), "baseline")[0] == DIFFERS
+
+
+def with_splits(data: Path, root: Path) -> Path:
+    """The test drives, as train and val as well."""
+    for split in ("train", "val", "test"):
+        shutil.copytree(ReproductionPlan(data).split("test"), root / split)
+    return root
+
+
+def test_our_pipeline_goes_by_its_name(data: Path) -> None:
+    methods = [{"name": "tracker, ours", "before_human_s": {"mean": 0.5, "num": 3}}]
+    outcomes = {"time-benefit": Outcome("", 0.0, results={"methods": methods})}
+
+    def words(*pipeline: str) -> str:
+        found = answers(ReproductionPlan(data, pipeline=pipeline), outcomes)
+        return next(told.ours for told in found if told.claim.id == "tracker-before-human")
+
+    assert words() == "+0.50 s, preset foreglow (vehicles: 3)"
+    assert words("--preset", "paper") == "+0.50 s, --preset paper (vehicles: 3)"
+
+
+def test_only_scenes_with_an_oncoming_driver_are_driven(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "glare").mkdir()
+    _, scene = read_scenes(ReproductionPlan(data).split("test") / "scenes.jsonl")[0]
+    lanes = {1: (), 2: (VehicleSpec(lane="own"),), 3: (VehicleSpec(lane="own"), VehicleSpec(lane="oncoming"))}
+    lines = [
+        {"sequence": number, "scene": scene.model_copy(update={"vehicles": vehicles}).model_dump(mode="json")}
+        for number, vehicles in lanes.items()
+    ]
+    (tmp_path / "scenes.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    chosen = write_oncoming_scenes(tmp_path, tmp_path / "glare")
+    assert [number for number, _ in read_scenes(chosen)] == [3]
+    (tmp_path / "scenes.jsonl").write_text(json.dumps(lines[0]))
+    with pytest.raises(ValueError, match="expected a scene with an oncoming vehicle"):
+        write_oncoming_scenes(tmp_path, tmp_path / "glare")
 
 
 @pytest.mark.slow

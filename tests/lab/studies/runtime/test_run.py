@@ -86,7 +86,7 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = json.loads((tmp_path / "results.json").read_text())
     assert [network["num_frames"] for network in written["networks"]] == [2, 1]
     assert written["networks"][1]["share_within_frame"] == 0.0
-    assert written["missing"].keys() == {"ROS 2, one node", "ROS 2, five processes"}
+    assert written["missing"].keys() == {"ROS 2, one node", "ROS 2, six processes"}
     text = report.read_text()
     assert "rclpy is not installed" in text
     assert "mean of CP" in text
@@ -112,6 +112,18 @@ def test_the_papers_whole_chain_has_a_row(tmp_path: Path) -> None:
     assert paper["parts_ms"].keys() == ours["parts_ms"].keys() == {"CP", "PG", "PC", "OT", "BC"}  # not calibrated
 
 
+def test_a_network_that_does_not_answer_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def silent(*_: object) -> None:
+        raise TimeoutError("proposals, beam: expected a beam command within 60 s")
+
+    monkeypatch.setattr(runtime, "in_process", lambda *_: times([1.0, 2.0], [3, 30]))
+    monkeypatch.setattr(runtime, "in_fresh_process", silent)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    results = run_experiment(shipped_drive(), live_config(), ["process", "ros2"], 10, no_progress)
+    assert [network.num_frames for network in results.networks] == [2]
+    assert results.missing == {"ROS 2, six processes": "proposals, beam: expected a beam command within 60 s"}
+
+
 @pytest.mark.ros
 def test_over_ros2(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
@@ -120,7 +132,7 @@ def test_over_ros2(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     written = json.loads((tmp_path / "results.json").read_text())
-    assert [network["name"] for network in written["networks"]] == ["ROS 2, five processes", "ROS 2, one node"]
+    assert [network["name"] for network in written["networks"]] == ["ROS 2, six processes", "ROS 2, one node"]
     for network in written["networks"]:
         assert network["num_frames"] + network["num_dropped"] == 6
         assert {*PARTS, "sent"} == network["parts_ms"].keys()

@@ -117,14 +117,17 @@ LENGTH_M = 800.0
 
 
 def level_road(draw: Draw, name: str, seed: int) -> Scene:
-    """One vehicle comes from 600 m until we meet, and one ahead draws away from 25 m to 190 m; any weather alike."""
+    """One vehicle comes from 600 m until we meet, and we close in on one ahead from 290 m to 40 m; any weather alike.
+
+    The one ahead is never so near that it hides the one that comes.
+    """
     weather, wetness = draw_weather(draw, is_even=True)
-    journey = Journey(DURATION_S, draw.uniform(10.0, 25.0), draw.uniform(14.0, 17.0))
+    journey = Journey(DURATION_S, draw.uniform(10.0, 25.0), draw.uniform(24.0, 26.0))
     course = Course(draw.choice(["open", "forest"]))
-    oncoming_mps, ahead_mps = draw.uniform(26.0, 29.0), journey.speed_mps + draw.uniform(11.0, 13.0)
+    oncoming_mps, ahead_mps = draw.uniform(20.0, 22.0), journey.speed_mps - draw.uniform(17.5, 18.0)
     vehicles = (
         drawn_vehicle(draw, drawn_kind(draw, COUNTRY), steady(journey.start_m + 620.0, -oncoming_mps)),
-        drawn_vehicle(draw, drawn_kind(draw, COUNTRY), steady(journey.start_m + 30.0, ahead_mps), lane="own"),
+        drawn_vehicle(draw, drawn_kind(draw, COUNTRY), steady(journey.start_m + 290.0, ahead_mps), lane="own"),
     )
     road = draw_road(draw, course, LENGTH_M, wetness)
     surroundings = draw_surroundings(draw, course.style, LENGTH_M, course.bends)

@@ -24,10 +24,12 @@ def command(
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.detection_range.page import summary_lines, write_report
     from foreglow.lab.studies.detection_range.run import run_experiment
+    from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
     roots = list(dict.fromkeys(split_in(path, cast("SplitName", split)) for path in data))
     with StepProgress() as progress:
         views = run_experiment(roots, pipeline.configuration(), progress)
     report = write_report(views, roots, out)
-    typer.echo("\n".join([*summary_lines(views), f"look in {report}"]))
+    beside = beside_paper("detection-range", out / "results.json")
+    typer.echo("\n".join([*summary_lines(views), *beside, f"look in {report}"]))

@@ -33,6 +33,7 @@ YoloOption = Annotated[
 def command(
     data: Annotated[Path, argument("DATA", "A data set with train, val and test.")],
     out: Annotated[Path, folder("Folder for the report; an interrupted experiment in it is continued.")],
+    baseline_small_model: TrainedOption = None,
     baseline_model: TrainedOption = None,
     paper_model: TrainedOption = None,
     published: Annotated[Path | None, file("Published weights, converted by `import-weights`.")] = None,
@@ -62,11 +63,12 @@ def command(
     from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.models import model_path
 
-    paths = (baseline_model, paper_model, published, compact_model, our_model, yolo_small, yolo_large)
+    models = (baseline_small_model, baseline_model, paper_model, published, compact_model, our_model)
+    given = dict(zip(ROWS, (*models, yolo_small, yolo_large), strict=True))
     epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
     plan = DetectorPlan(
         rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
-        given={name: model_path(path) for name, path in zip(ROWS, paths, strict=True) if path is not None},
+        given={name: model_path(path) for name, path in given.items() if path is not None},
         split=cast("SplitName", split),
         may_train=not no_training,
         with_yolo=not no_yolo,

@@ -38,6 +38,7 @@ class RowSpec:
         recipe: How the classifier is trained here, a name of `learning.recipes`; empty where it is only ever given.
         size: The YOLO's.
         option: The option of the command that gives a trained model.
+        reduction: Frame pixels per working pixel; 0 for the preset's.
     """
 
     title: str
@@ -46,9 +47,25 @@ class RowSpec:
     option: str
     recipe: str = ""
     size: Literal["", "s", "x"] = ""
+    reduction: int = 0
+
+    @property
+    def configuration(self) -> PipelineConfig:
+        """The preset, at the row's size of the image."""
+        configured = preset(self.preset)
+        return configured.changed("proposals", reduction=self.reduction) if self.reduction else configured
 
 
 ROWS: dict[str, RowSpec] = {
+    # The paper prints 345 x 240, which does not keep the camera's 4:3.
+    "baseline-small": RowSpec(
+        "Baseline's preset at 320 x 240, paper's network",
+        "classifier",
+        "baseline",
+        "--baseline-small-model",
+        "paper",
+        reduction=4,
+    ),
     "baseline": RowSpec("Baseline's preset, paper's network", "classifier", "baseline", "--baseline-model", "paper"),
     "paper": RowSpec("Paper's preset and network", "classifier", "paper", "--paper-model", "paper"),
     # The weights are older than the paper: they were learnt on the baseline's boxes.
@@ -158,7 +175,7 @@ def row_key(name: str, workspace: Workspace) -> str:
     """Digest of what decides the figures of row `name`: a row with the same key need not be made again."""
     spec, plan = ROWS[name], workspace.plan
     parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
-    parts.append(preset(spec.preset).proposals.model_dump(mode="json"))
+    parts.append(spec.configuration.proposals.model_dump(mode="json"))
     if name in plan.given:
         parts.append(file_digest(_model_file(plan.given[name], spec.kind)))
     else:
@@ -181,7 +198,7 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
         ModuleNotFoundError: If training needs an extra that is not installed.
     """
     spec, plan = ROWS[name], workspace.plan
-    configured = preset(spec.preset)
+    configured = spec.configuration
     given = plan.given.get(name)
     if given is None:
         folder = workspace.out / "models" / name
@@ -193,7 +210,7 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
         return _with_model(configured, given), note
     used = read_config(folder / "config.toml", configured)
     if used.proposals.model_dump() != configured.proposals.model_dump():
-        raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of the preset {spec.preset}")
+        raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of {spec.title}")
     return _with_model(used, folder / "model.onnx"), _note(folder)
 
 
@@ -255,7 +272,7 @@ def _train(name: str, workspace: Workspace, folder: Path) -> None:
     train_model(
         [workspace.data],
         _recipe(spec.recipe, plan),
-        preset(spec.preset),
+        spec.configuration,
         folder,
         device=plan.device,
         cache=workspace.out / "samples",

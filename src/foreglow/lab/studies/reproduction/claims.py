@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
 from foreglow.files import read_plain_json, read_toml
@@ -41,6 +42,7 @@ class Claim:
 
     Attributes:
         image: The study's file that is shown instead of a value; empty for none.
+        network: The row of the paper's table whose network our value is of; empty for none.
         row: Of a table of the paper, the row that it is in; empty outside of them.
         column: Of that table.
     """
@@ -60,6 +62,7 @@ class Claim:
     only_pvdn: bool = False
     is_timed: bool = False
     is_figure: bool = False
+    network: str = ""
     row: str = ""
     column: str = ""
 
@@ -93,7 +96,13 @@ class Answer:
 
 
 def answer(
-    claim: Claim, results: Mapping[str, Any] | None, *, is_pvdn: bool, is_busy: bool = False, reason: str = ""
+    claim: Claim,
+    results: Mapping[str, Any] | None,
+    *,
+    is_pvdn: bool,
+    is_busy: bool = False,
+    reason: str = "",
+    untrained: Mapping[str, str] = MappingProxyType({}),
 ) -> Answer:
     """What a study's `results` say to a claim.
 
@@ -103,6 +112,7 @@ def answer(
         is_pvdn: Whether they are of PVDN.
         is_busy: Whether other programs kept the machine busy, so that times say little.
         reason: Why the study was not run.
+        untrained: What networks lack to be compared with the paper's, by their rows of its table.
     """
     if results is None:
         told = []
@@ -110,6 +120,8 @@ def answer(
         told = ["below"]
     else:
         told = [text for text in claim.ours if filled(text, results)]
+    if not told and results is not None and claim.network in untrained:
+        return Answer(claim, NO_VALUE, NEEDS, untrained[claim.network])
     if not told:
         verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
         because = claim.reason.removeprefix(f"{NEEDS} ")
@@ -119,6 +131,8 @@ def answer(
         return Answer(claim, ours, NEEDS, claim.reason.removeprefix(f"{NEEDS} "))
     if claim.is_timed and is_busy:
         return Answer(claim, ours, NEEDS, "an idle machine: this one was busy with other programs")
+    if claim.network in untrained:
+        return Answer(claim, ours, NEEDS, untrained[claim.network])
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
     if holds(claim, [_numbers(text, results) for text in told]):
@@ -169,8 +183,12 @@ def _numbers(text: str, results: Any) -> list[float]:
 def filled(text: str, results: Any) -> str:
     """`text` with its fields filled in; empty if one has no value.
 
+    Formats are Python's, and `p` for percentage points.
+
     >>> filled("{num} of {of.num:.1f}", {"num": 1, "of": {"num": 2}}), filled("{num}", {})
     ('1 of 2.0', '')
+    >>> filled("{f - paper.f:+.1p}", {"f": 0.9, "paper": {"f": 0.82}})
+    '+8.0 points'
     """
     if any(_computed(expression, results) is None for expression, _ in _FIELD.findall(text)):
         return ""
@@ -182,6 +200,8 @@ def _shown(value: Any, form: str) -> str:
         return "; ".join(value)
     if isinstance(value, list):
         return " x ".join(map(str, value))
+    if form.endswith("p"):
+        return f"{format(100 * value, form[:-1] + 'f')} points"
     return format(value, form)
 
 
@@ -227,18 +247,21 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
         number = re.match(r"[\d.]+", paper)
         is_compared = "rule" in column or "tolerance" in column
         compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
-        row = table["says"] + (LABELLED if name.startswith("most_") else "")
+        is_label = name.startswith("most_")
+        row = table["says"] + (LABELLED if is_label else "")
+        found = table.get("labels", table["row"]) if is_label else table["row"]
         yield _claim(
             {
-                **{key: table[key] for key in ("place", "study", "reason")},
+                **{key: table[key] for key in ("place", "study", "reason", "why") if key in table},
                 **compared,
-                **{key: value for key, value in column.items() if key != "says"},
+                **{key: value for key, value in column.items() if key not in ("says", "is_scored")},
+                "network": table.get("network", "") if column.get("is_scored") else "",
                 "row": row,
                 "column": column["says"],
                 "id": f"{table['id']}-{name.replace('_', '-')}",
                 "says": f"{row}: {column['says']}",
                 "paper": paper,
-                "ours": [text.replace("{row}", table["row"]) for text in column["ours"]],
+                "ours": [text.replace("{row}", found) for text in column["ours"]],
             }
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,12 +12,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foreglow.beam.policy import brightness
 from foreglow.config import PipelineConfig, preset
-from foreglow.datasets import SPLIT_NAMES, CategoryConfig, ImageCategory, SplitName, open_labelled, split_folder
+from foreglow.datasets import (
+    SPLIT_NAMES,
+    CategoryConfig,
+    ImageCategory,
+    SplitName,
+    open_labelled,
+    split_folder,
+    split_in,
+)
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.simulated import has_truth
 from foreglow.display.summary_lines import counted as counted_words
 from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.evaluation.ratios import share
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.models import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
@@ -25,12 +37,19 @@ from foreglow.lab.studies.time_benefit.metrics import HUMAN_AFTER_PRODUCTION_S
 from foreglow.models import model_path
 from foreglow.parallel import Workers
 from foreglow.provenance import provenance
+from foreglow.runtime.ros2 import STAGE_NODES
+from foreglow.types import Frame, Tracks
 
 if TYPE_CHECKING:
+    from foreglow.geometry import Floats
     from foreglow.lab.learning.training_progress import Epoch
 
-MODELS = ("baseline", "paper", "published", "yolo-small", "yolo-large")
+MODELS = ("baseline-small", "baseline", "paper", "published", "yolo-small", "yolo-large")
 """Rows of the table of detectors whose model can be given."""
+
+
+TRAINED = MODELS[:3]
+"""Those whose network is trained here where it is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +65,7 @@ class ReproductionPlan:
         trials: Of the search for parameters.
         images: On so many images of train.
         scenes: How many simulated scenes are driven in closed loop.
+        straight: Simulated drives on a straight level road, for detection by range; those of `data` without any.
         device: To train on.
         production_category: PVDN's image category for the production system's detection.
     """
@@ -58,6 +78,7 @@ class ReproductionPlan:
     trials: int = 200
     images: int = 600
     scenes: int = 8
+    straight: tuple[Path, ...] = ()
     device: str = "auto"
     production_category: int = 6
 
@@ -83,9 +104,19 @@ class ReproductionPlan:
         return split_folder(self.root, name)
 
     @property
+    def may_train(self) -> bool:
+        """Whether there is something to train networks on."""
+        return self.has("train") and self.has("val")
+
+    @property
     def is_simulated(self) -> bool:
         """Whether the test drives are simulated: the simulator's truth is beside them."""
         return has_truth(self.split("test"))
+
+    @property
+    def straight_splits(self) -> list[Path]:
+        """The test drives for detection by range."""
+        return [split_in(path, "test") for path in self.straight] or [self.split("test")]
 
     def paper_model(self, out: Path) -> Path | None:
         """The paper's network: the given one, or that of the table of detectors; None where there is neither."""
@@ -138,6 +169,7 @@ def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
         "epochs": plan.epochs or paper.epochs,
         "production": ProductionConfig(),
         "headlamps": {"num_leds": read_headlamps(None).num_leds},
+        "ros2": {"num_nodes": len(STAGE_NODES) + 1, "nodes": ", ".join(STAGE_NODES)},
         "human_s": HUMAN_DELAY_S,
         "human_after_production_s": HUMAN_AFTER_PRODUCTION_S,
     }
@@ -189,7 +221,7 @@ def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
     asked = DetectorPlan(
         rows=tuple(_detector_rows(plan)),
         given={name: model_path(path) for name, path in _detector_models(plan).items()},
-        may_train=_may_train(plan),
+        may_train=plan.may_train,
         epochs={} if plan.epochs is None else {"paper": plan.epochs},
         device=plan.device,
     )
@@ -215,7 +247,7 @@ class _Training:
 
 def _detector_rows(plan: ReproductionPlan) -> list[str]:
     """Of the YOLOs those that are given: on a processor none can be trained that is worth its row."""
-    trained = ("baseline", "paper") if _may_train(plan) else ()
+    trained = TRAINED if plan.may_train else ()
     return [name for name in ROWS if name in trained or name in _detector_models(plan)]
 
 
@@ -225,10 +257,6 @@ def _detector_models(plan: ReproductionPlan) -> dict[str, Path]:
     if own is not None and plan.config.proposals == preset(ROWS["ours"].preset).proposals:
         models["ours"] = own
     return models
-
-
-def _may_train(plan: ReproductionPlan) -> bool:
-    return plan.has("train") and plan.has("val")
 
 
 def _distance(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
@@ -265,30 +293,35 @@ def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
 
 
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
-    """The drive with the longest lead, of those in which everything happens that the paper's scene shows."""
-    from foreglow.lab.evaluation import Predictions
+    """The drive with the longest lead, of those in which all happens that the paper's scene shows, if there are any."""
+    from foreglow.lab.evaluation import Predictions, read_split_labels
     from foreglow.lab.reports.stage_picture import stage_picture
     from foreglow.lab.studies.demo.figures import write_moments
     from foreglow.lab.studies.demo.metrics import best_story, tell_stories
     from foreglow.pipeline import Pipeline
 
     dataset = open_labelled(plan.split("test"))
-    pipeline = Pipeline(plan.config)
-    boxes, scores, tracks = {}, {}, {}
+    pipeline = Pipeline(plan.config.commanding())
+    boxes, scores, tracks, gaps_rad = {}, {}, {}, {}
+    lights, on_lamps = read_split_labels(dataset).lights, []
     sequence = None
     for frame in counted(dataset, "images", len(dataset), progress):
         if frame.sequence != sequence:
             pipeline.reset()
             sequence = frame.sequence
         result = pipeline.step(frame)
-        if result.detections is None or result.tracks is None:
-            raise ValueError("reproduce: classifier.model and tracker: expected both, the configuration lacks one")
+        assert result.detections is not None  # commands are made from tracks
+        assert result.tracks is not None
+        assert result.beam is not None
         boxes[frame.frame] = result.detections.boxes_xyxy_px.astype(np.float64)
         scores[frame.frame] = result.detections.scores.astype(np.float64)
-        tracks[frame.frame] = result.tracks
+        tracks[frame.frame], gaps_rad[frame.frame] = result.tracks, result.beam.gaps_rad
+        lamps_px = np.array([light.position_px for light in lights[frame.frame] if light.is_direct])
+        if len(lamps_px) and result.tracks.is_plausible.any():
+            on_lamps.append(_brightest_holds(frame, result.tracks, lamps_px))
     predictions, threshold = Predictions(boxes, scores), plan.config.classifier.score_threshold
-    stories = tell_stories(dataset, predictions, threshold, tracks)
-    whole = [story for story in stories if story.confirmed_s < story.production_s and story.sight is not None]
+    stories = tell_stories(dataset, predictions, threshold, tracks, gaps_rad)
+    whole = [story for story in stories if story.confirmed_s < story.production_s and story.gaps_rad]
     story = best_story(whole or stories)
     if story is None:
         raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
@@ -299,15 +332,26 @@ def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
     light_s = story.times.light_s
     times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
-    record = {"sequence": story.sequence, **{name: time_s - light_s for name, time_s in times.items()}}
+    record = {
+        "sequence": story.sequence,
+        **{name: time_s - light_s for name, time_s in times.items()},
+        "brightest": {"num": len(on_lamps), "share": share(on_lamps)},
+    }
     write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+
+
+def _brightest_holds(frame: Frame, tracks: Tracks, points_px: Floats) -> bool:
+    """Whether the brightest plausible track, which alone the paper acts on, holds one of the points."""
+    boxes_xyxy_px = tracks.boxes_xyxy_px[tracks.is_plausible]
+    brightest = max(boxes_xyxy_px, key=lambda box: brightness(frame.image, box))
+    return bool(lies_in(points_px, brightest).any())
 
 
 def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
     from foreglow.lab.studies.detection_range.page import write_report
     from foreglow.lab.studies.detection_range.run import run_experiment
 
-    roots = [plan.split("test")]
+    roots = plan.straight_splits
     write_report(run_experiment(roots, plan.config, progress), roots, folder)
 
 
@@ -318,9 +362,33 @@ def _glare(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Pro
     def show(number: int, num_done: int, num_all: int) -> None:
         progress(f"frames of scene {number}", num_done, num_all)
 
+    scenes = write_oncoming_scenes(plan.split("test"), folder)
     asked = GlarePlan(num_scenes=plan.scenes, paper_model=plan.paper_model(folder.parent))
     config = plan.config.commanding()
-    write_experiment(run_experiment(plan.split("test"), config, asked, folder, workers=workers, progress=show))
+    write_experiment(run_experiment(scenes, config, asked, folder, workers=workers, progress=show))
+
+
+def write_oncoming_scenes(split: Path, folder: Path) -> Path:
+    """A file of those scenes of `split` in which a vehicle comes towards us: only there anybody can be dazzled.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    from foreglow.lab.simulation.writing.scene_files import read_scenes
+
+    scenes = [
+        {"sequence": number, "scene": scene.model_dump(mode="json")}
+        for number, scene in read_scenes(split / "scenes.jsonl")
+        if any(vehicle.lane == "oncoming" for vehicle in scene.vehicles)
+    ]
+    if not scenes:
+        raise ValueError(f"{split}: expected a scene with an oncoming vehicle, found none")
+    write_atomic(folder / SCENES, "".join(f"{json.dumps(scene)}\n" for scene in scenes).encode())
+    return folder / SCENES
+
+
+SCENES = "scenes.jsonl"
+"""What the experiment on glare drives, in its folder."""
 
 
 def _runtime(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
@@ -399,8 +467,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "detection-range": Experiment(
         "results.json",
-        lambda plan, folder: ("experiment", "detection-range", plan.root, "--out", folder, *plan.pipeline),
+        lambda plan, folder: (
+            *("experiment", "detection-range", *(plan.straight or (plan.root,)), "--out", folder),
+            *plan.pipeline,
+        ),
         _detection_range,
+        "drives with an oncoming vehicle in sight: {groups.oncoming.all[name=all].num_drives}, with one ahead: "
+        "{groups.ahead.all[name=all].num_drives}",
         is_simulated=True,
         runs_pipeline=True,
     ),
@@ -419,7 +492,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "glare": Experiment(
         "results.json",
         lambda plan, folder: (
-            *("experiment", "glare", plan.split("test"), "--out", folder, "--scenes", plan.scenes),
+            *("experiment", "glare", folder / SCENES, "--out", folder, "--scenes", plan.scenes),
             *plan.pipeline,
             *_chain_words(plan, folder),
         ),

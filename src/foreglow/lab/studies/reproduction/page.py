@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,10 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from foreglow.display.summary_lines import counted
 from foreglow.files import write_atomic
 from foreglow.lab.reports.figures import jpeg
-from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
+from foreglow.lab.reports.page import DASH, Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import (
     DIFFERS,
     NEEDS,
@@ -22,11 +23,13 @@ from foreglow.lab.studies.reproduction.claims import (
     TOLD,
     UNMEASURED,
     Answer,
+    Claim,
     answer,
     filled,
+    paper_value,
     read_claims,
 )
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, ReproductionPlan
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, TRAINED, ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome
 
 TITLE = "The paper, and what is here"
@@ -45,6 +48,11 @@ ON_PVDN = (
 BUSY = 2.0
 """More programs for each core than this make a machine busy: our own workers are at most one each."""
 
+OURS = "preset foreglow"
+"""What the claims call our pipeline, which may be another one."""
+
+HERE = "measured here"
+
 FIGURES = "images"
 """The folder of the figures, beside the page."""
 
@@ -53,22 +61,40 @@ MAX_PNG_BYTES = 200_000
 """Plots have less, pictures of a camera more."""
 
 VERDICTS = {
-    REPRODUCED: "our value agrees with the paper's by the rule of its claim",
+    REPRODUCED: "the value measured here agrees with the paper's by the rule of its claim",
     DIFFERS: "it does not, and why",
     TOLD: "both are told; there is nothing to compare, such as words, or a constant of the paper's",
-    NEEDS: "what it takes to have a value of ours",
+    NEEDS: "what it takes to have a value that can be compared",
     UNMEASURED: "quoted by the paper from others, or no matter of measuring",
 }
 
 
 def answers(plan: ReproductionPlan, outcomes: Mapping[str, Outcome]) -> tuple[Answer, ...]:
     """What our results say to every claim of the paper, in its order."""
-    is_pvdn, nothing = not plan.is_simulated, Outcome("", 0.0)
-    asked = ((claim, outcomes.get(claim.study, nothing)) for claim in read_claims())
-    return tuple(
-        answer(claim, found.results, is_pvdn=is_pvdn, is_busy=found.load > BUSY, reason=found.reason)
-        for claim, found in asked
-    )
+    nothing, untrained = Outcome("", 0.0), _untrained(plan)
+
+    def answered(claim: Claim) -> Answer:
+        found = outcomes.get(claim.study, nothing)
+        told = answer(
+            claim,
+            found.results,
+            is_pvdn=not plan.is_simulated,
+            is_busy=found.load > BUSY,
+            reason=found.reason,
+            untrained=untrained,
+        )
+        return dataclasses.replace(told, ours=told.ours.replace(OURS, shlex.join(plan.pipeline) or OURS))
+
+    return tuple(map(answered, read_claims()))
+
+
+def _untrained(plan: ReproductionPlan) -> dict[str, str]:
+    """What the networks that were trained here lack to be compared with the paper's, by their rows of its table."""
+    num_paper = int(paper_value("epochs"))
+    if plan.epochs is None or plan.epochs >= num_paper or not plan.may_train:
+        return {}
+    reason = f"{num_paper} epochs of training; the network had {plan.epochs}"
+    return {name: reason for name in TRAINED if name not in plan.models}
 
 
 def summary_lines(found: Sequence[Answer]) -> list[str]:
@@ -117,18 +143,11 @@ def _page(
     data = outcomes["data"].results
     if data is not None:
         page.text(f"DATA: {data['splits']}; {data['width_px']} x {data['height_px']} pixels.")
-    if plan.epochs is not None:
-        page.text(
-            f"Where they are not given, the networks of the baseline and of the paper were trained for "
-            f"{counted(plan.epochs, 'epoch')} here, and for 300 in the paper. Their P, R, F and q show that the chain "
-            "works; they do not test the paper."
-        )
     page.section("Experiments", "What was run; each folder has its own report.")
     columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
         "experiment": lambda item: item[0],
         "command": lambda item: f"`{item[1].command}`",
         "measured on": lambda item: filled(EXPERIMENTS[item[0]].measured_on, item[1].results) or DASH,
-        "seconds": lambda item: f"{item[1].seconds:.0f}",
         "without results, since": lambda item: item[1].reason or DASH,
     }
     page.table(Table.of(columns, outcomes.items(), is_wordy=True))
@@ -137,8 +156,9 @@ def _page(
         page.section(heading)
         in_rows = [result for result in results if result.claim.row]
         if in_rows:
-            page.table(_paper_table(in_rows))
-            page.items(_differences(in_rows))
+            notes = _notes(in_rows)
+            page.table(_paper_table(in_rows, notes))
+            page.items(f"({number}) {reason}" for reason, number in notes.items())
         page.table(Table.of(COLUMNS, [result for result in results if not result.claim.row], is_wordy=True))
         for result in results:
             if result.claim.id in figures:
@@ -147,32 +167,35 @@ def _page(
     return page
 
 
-def _paper_table(results: Sequence[Answer]) -> Table:
-    """The paper's table: for each of its rows the paper's values, ours, and the verdicts."""
+NO_NETWORK = "no network"
+"""What the labelled boxes have in the columns of a network."""
+
+
+def _paper_table(results: Sequence[Answer], notes: Mapping[str, int]) -> Table:
+    """The paper's table: for each of its rows the paper's values, those measured here, and the verdicts."""
     columns = list(dict.fromkeys(result.claim.column for result in results))
     rows: list[list[object]] = []
     for row, group in itertools.groupby(results, key=lambda result: result.claim.row):
         by_column = {result.claim.column: result for result in group}
 
         def cells(of: Callable[[Answer], str], known: Mapping[str, Answer] = by_column) -> list[str]:
-            return [of(known[column]) if column in known else DASH for column in columns]
+            return [of(known[column]) if column in known else NO_NETWORK for column in columns]
 
         rows.append([f"{row}: paper", *cells(lambda result: result.claim.paper)])
-        reasons = dict.fromkeys(result.because for result in by_column.values() if result.ours == NO_VALUE)
-        if len(reasons) == 1 and all(result.ours == NO_VALUE for result in by_column.values()):
-            rows.append(["ours", Missing(f"{NEEDS}: {next(iter(reasons))}")])
-        else:
-            rows.append(["ours", *cells(lambda result: result.ours)])
-            rows.append(["verdict", *cells(lambda result: result.verdict)])
+        rows.append([HERE, *cells(lambda result: result.ours)])
+        rows.append(["verdict", *cells(lambda result: _noted(result, notes))])
     return Table(["detector", *columns], rows)
 
 
-def _differences(results: Sequence[Answer]) -> Iterator[str]:
-    """Why values of a table differ, or do not count: a line for each reason."""
-    told = (result for result in results if result.verdict in (DIFFERS, NEEDS) and result.ours != NO_VALUE)
-    for (verdict, because), num in Counter((result.verdict, result.because) for result in told).items():
-        yield f"{verdict}: {because} ({counted(num, 'value')})"
-    yield "no value: nothing is found that it could be of"
+def _noted(result: Answer, notes: Mapping[str, int]) -> str:
+    """The verdict, and the number of its note."""
+    return f"{result.verdict} ({notes[result.because]})" if result.because else result.verdict
+
+
+def _notes(results: Sequence[Answer]) -> dict[str, int]:
+    """The reasons behind the verdicts of a table, numbered."""
+    reasons = dict.fromkeys(result.because for result in results if result.because)
+    return {reason: number for number, reason in enumerate(reasons, start=1)}
 
 
 def _section(place: str) -> str:
@@ -196,21 +219,24 @@ def _says(result: Answer) -> str:
 COLUMNS: Mapping[str, Callable[[Answer], str]] = {
     "the paper says": _says,
     "paper": lambda result: result.claim.paper,
-    "ours": lambda result: result.ours,
+    HERE: lambda result: result.ours,
     "verdict": lambda result: ": ".join(filter(None, (result.verdict, result.because))),
     "experiment": lambda result: result.claim.study or DASH,
 }
 
 
 def _figures(found: Sequence[Answer], out: Path) -> Iterator[tuple[str, Figure]]:
-    """Our figures that are there, by their claim, reduced to the page's width."""
+    """Our figures that are there, by their claim, reduced to the page's width; one that shows two is one file."""
+    known: dict[Path, Figure] = {}
     for result in found:
         claim = result.claim
         file = out / claim.study / claim.image
         if claim.image and result.ours != NO_VALUE and file.is_file():
-            data, suffix = _reduced(file)
-            name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
-            yield claim.id, Figure(data, f"Ours for {claim.place}", f"{FIGURES}/{name}")
+            if file not in known:
+                data, suffix = _reduced(file)
+                name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
+                known[file] = Figure(data, f"{claim.place}, made here", f"{FIGURES}/{name}")
+            yield claim.id, known[file]
 
 
 def _reduced(file: Path) -> tuple[bytes, str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foreglow.datasets import SPLIT_NAMES
+from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
@@ -120,7 +120,9 @@ def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
     """Digest of what decides an experiment's results: data, options, models; not the folder, which may be moved."""
     words = EXPERIMENTS[name].command(plan, out / name)
     parts = [data_digest, *(str(word).replace(str(out), "") for word in words)]
-    models = [model_path(word) for word in words if isinstance(word, Path)]
+    parts += [split_digest(split_in(word, "test")) for word in words if word in plan.straight]
+    given = [word for word in words if isinstance(word, Path) and not word.is_relative_to(out / name)]
+    models = [model_path(path) for path in given]
     if EXPERIMENTS[name].runs_pipeline:
         parts.append(plan.config.model_dump_json())
         models += [] if plan.config.classifier.model is None else [model_path(plan.config.classifier.model)]
