@@ -85,6 +85,7 @@ def test_without_additions_it_is_the_exact_lens_within_a_bound() -> None:
             GhostSpec(strength=0.01, shift_deg=(0.0, 3.0), radius_deg=(0.3, 0.3)),
             (200.0, 200.0 + np.tan(np.radians(3)) * 656),
         ),
+        (GhostSpec(strength=0.01, scale=-1.0, radius_deg=(3.0, 2.5), softness=1.0), (440.0, 280.0)),
     ],
 )
 def test_a_ghost_is_where_it_belongs_and_as_strong(ghost: GhostSpec, expected: tuple[float, float]) -> None:

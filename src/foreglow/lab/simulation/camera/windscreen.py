@@ -31,6 +31,9 @@ NEAR_PX, JOINED_PX = 24.0, 56.0
 """Up to the first distance from a lamp, in pixels of 1280 columns, a veil is drawn in full; from the second one on it
 is that of the coarse grid."""
 
+COARSE_EDGE = 4.0
+"""Cells of the coarse grid from which on a ghost's edge is wide."""
+
 STREAK_LENGTHS = 4.0
 """A streak is drawn up to so many of its lengths."""
 
@@ -105,14 +108,13 @@ class Windscreen(Optics):
             image *= self._direct_share
         fluxes = points.illuminances_lx / self._pixel_solid_angles_sr(points.positions_px)
         lamps = [(float(x), float(y), float(flux)) for (x, y), flux in zip(points.positions_px, fluxes, strict=True)]
-        if self._far_kernel is not None and lamps:
-            image += self._enlarged(self._far(lamps))
-        for x, y, flux in lamps:
-            if self._near_picture is not None:
-                _add_shifted(image, self._near_picture, x, y, flux)
+        coarse = np.zeros(self._coarse, np.float32) if self._far_kernel is None else self._far(lamps)
         for lamp, radius_px in zip(lamps, points.radii_px, strict=True):
+            if self._near_picture is not None:
+                _add_shifted(image, self._near_picture, *lamp)
             for number in range(len(self._ghosts)):
-                self._add_ghost(image, number, lamp, float(radius_px))
+                self._add_ghost((image, coarse), number, lamp, float(radius_px))
+        image += self._enlarged(coarse)
         return image
 
     def _is_free(self, x: float, y: float) -> bool:
@@ -140,14 +142,23 @@ class Windscreen(Optics):
             far += veil * np.float32(flux)
         return far
 
-    def _add_ghost(self, image: Image, number: int, lamp: tuple[float, float, float], radius_px: float) -> None:
-        """Adds the second image called `number` of a lamp, given with its position and flux."""
+    def _add_ghost(
+        self, images: tuple[Image, Image], number: int, lamp: tuple[float, float, float], radius_px: float
+    ) -> None:
+        """Adds the second image called `number` of a lamp, given with its position and flux.
+
+        A ghost with a wide edge goes into the second image, which is coarse, any other into the first.
+        """
         ghost = self._ghosts[number]
         focal = np.array(self.camera.focal_px)
         centre = np.array(self.camera.centre_px)
         shift = np.tan(np.radians(ghost.shift_deg)) * focal
         x, y = centre + ghost.scale * (np.array(lamp[:2]) - centre) + shift
         radii = np.hypot(np.radians(ghost.radius_deg) * focal, abs(ghost.scale) * radius_px) + 0.7
+        strength = lamp[2] * ghost.strength / (np.pi * float(radii.prod()))
+        image, edge_px = images[0], ghost.softness * float(radii.min())
+        if edge_px > COARSE_EDGE * self._step:
+            image, x, y, radii = images[1], x / self._step, y / self._step, radii / self._step
         reach = radii * (1.0 + ghost.softness + 2.5 * ghost.roughness) + 1.0
         window = _window(image, x, y, reach)
         if window is None:
@@ -161,8 +172,8 @@ class Windscreen(Optics):
             turns = np.arctan2(down, across) / (2.0 * np.pi)
             outline = self._outlines[number][(turns * OUTLINE_POINTS).astype(np.intp)]  # negative ones from the end
         disc = np.clip((outline - np.sqrt(across**2 + down**2)) / edge + 0.5, 0.0, 1.0)
-        area = np.pi * float(radii.prod())
-        image[y0:y1, x0:x1] += (lamp[2] * ghost.strength / area * disc).astype(np.float32)
+        # The integral of a disc with a linear edge.
+        image[y0:y1, x0:x1] += (strength / (1.0 + edge**2 / 12.0) * disc).astype(np.float32)
 
     @cached_property
     def _kernels(self) -> tuple[tuple[Floats, Floats], ...]:
