@@ -117,7 +117,7 @@ class ProfileLamps:
         imager = profile.imager.model_copy(update={"bits": FINE_BITS})
         profile = profile.model_copy(update={"lens": lens, "imager": imager})
         self.camera = View(profile, camera_of(CameraSpec())).camera
-        sensor = SensorSpec(exposure=profile.cycle)
+        sensor = profile.scene_sensor(SensorSpec())
         self._optics = Windscreen(profile, sensor, self.camera)
         is_scene = profile.imager.model == "scene"
         self._imager = (

@@ -147,9 +147,8 @@ def _imager(scene: Scene, camera: Camera, profile: CameraProfile | None, variant
     if variant.veil != 1.0:
         profile = _veiled(profile, variant.veil)
     if profile.imager.model == "scene":
-        sensor = sensor.model_copy(update={"exposure": profile.cycle})
-        adds = profile.lens.adds_light or profile.car.bonnet_share > 0 or profile.car.num_reflections > 0
-        return Sensor(sensor, camera, scene.seed, Windscreen(profile, sensor, camera, scene.seed) if adds else None)
+        sensor = profile.scene_sensor(sensor)
+        return Sensor(sensor, camera, scene.seed, Windscreen(profile, sensor, camera, scene.seed))
     return ElectronImager(profile, Windscreen(profile, sensor, camera, scene.seed), scene.seed, 1.0 / scene.rate_hz)
 
 

@@ -8,12 +8,14 @@ import pytest
 from foreglow.lab.simulation.camera.profile import (
     PROFILES,
     CameraProfile,
+    ImagerSpec,
     ViewSpec,
     profile_to_toml,
     read_profile,
     read_profiles,
 )
 from foreglow.lab.simulation.camera.view import View
+from foreglow.lab.simulation.scenes.scene import SensorSpec
 from tests.lab.simulation.cameras import camera
 
 
@@ -32,15 +34,10 @@ def test_a_profile_that_ships_is_read_back_from_what_is_printed(name: str, tmp_p
     assert read_profile(str(path)) == profile
 
 
-def test_pvdn_day_adds_nothing_to_the_scenes_own_camera() -> None:
-    profile = read_profile("pvdn_day")
-    assert profile == CameraProfile(
-        name="pvdn_day",
-        about=profile.about,
-        cycle="day",
-        imager=profile.imager,
-    )
-    assert profile.imager.model == "scene"
+def test_a_profile_of_the_scenes_own_sensor_scales_what_the_scene_draws() -> None:
+    profile = CameraProfile(name="own", cycle="day", imager=ImagerSpec(model="scene", sensitivity=0.5))
+    drawn = SensorSpec(exposure="night", grey_per_cd_m2=60.0)
+    assert profile.scene_sensor(drawn) == SensorSpec(exposure="day", grey_per_cd_m2=30.0)
 
 
 @pytest.mark.parametrize(

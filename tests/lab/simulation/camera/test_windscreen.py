@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -57,12 +58,23 @@ def test_an_extended_source_has_the_veil_of_a_lamp() -> None:
         assert spread[240, 320 + shift] == pytest.approx(drawn[240, 320 + shift], rel=0.05)
 
 
-def test_nothing_but_the_core_without_additions() -> None:
-    profile = CameraProfile(name="own", imager=ImagerSpec(model="scene"))
-    optics, plain = Windscreen(profile, SensorSpec(), CAMERA), Optics(SensorSpec(), CAMERA)
-    light = np.random.default_rng(2).random((480, 640), np.float32)
-    assert np.array_equal(optics.spread(light), plain.spread(light))
-    assert np.array_equal(optics.draw_points(lamp(100.2, 50.7)), plain.draw_points(lamp(100.2, 50.7)))
+def test_without_additions_it_is_the_exact_lens_within_a_bound() -> None:
+    """For surfaces over four decades, a reflector, and lamps near and far."""
+    rng = np.random.default_rng(2)
+    light = cv2.GaussianBlur(np.exp(3.0 * rng.standard_normal((480, 640))).astype(np.float32), (0, 0), 3.0)
+    light[:240] *= np.float32(1e-3)
+    light[300:303, 400:403] = 100.0
+    lamps = LampPoints(np.array([[100.2, 50.7], [500.5, 250.1]]), np.array([1.0, 1e-3]), np.array([2.0, 0.2]))
+    spec = SensorSpec(middle_px=1.0)
+    quick = Windscreen(CameraProfile(name="own", imager=ImagerSpec(model="scene")), spec, CAMERA)
+    for found, exact in zip(
+        (quick.spread(light), quick.draw_points(lamps)),
+        (Optics(spec, CAMERA).spread(light), Optics(spec, CAMERA).draw_points(lamps)),
+        strict=True,
+    ):
+        errors = np.abs(found / exact - 1.0)
+        assert float(errors.max()) < 0.08
+        assert float(np.percentile(errors, 98)) < 0.02
 
 
 @pytest.mark.parametrize(
@@ -73,6 +85,7 @@ def test_nothing_but_the_core_without_additions() -> None:
             GhostSpec(strength=0.01, shift_deg=(0.0, 3.0), radius_deg=(0.3, 0.3)),
             (200.0, 200.0 + np.tan(np.radians(3)) * 656),
         ),
+        (GhostSpec(strength=0.01, scale=-1.0, radius_deg=(3.0, 2.5), softness=1.0), (440.0, 280.0)),
     ],
 )
 def test_a_ghost_is_where_it_belongs_and_as_strong(ghost: GhostSpec, expected: tuple[float, float]) -> None:

@@ -230,6 +230,18 @@ def test_no_lamps_and_no_layers(plain: Renderer) -> None:
     assert nothing.surface_cd_m2.shape == nothing.haze_cd_m2.shape == (0, 120, 160)
 
 
+def test_the_sky_glows_above_the_horizon() -> None:
+    weather = WeatherSpec(sky_cd_m2=1e-3, glow_cd_m2=1e-2, scattering_per_m=0.0)
+    level = small.looking([0, 0, 1.5])
+    sky = small.renderer(joined([])).render(level, [], 1, [], weather).ambient_cd_m2
+    assert sky[60, 80] == pytest.approx(1.1e-2, rel=0.05)
+    assert (np.diff(sky[:60, 80]) > 0).all()
+    dark = weather.model_copy(update={"sky_cd_m2": 0.0})
+    np.testing.assert_allclose(
+        sky - small.renderer(joined([])).render(level, [], 1, [], dark).ambient_cd_m2, 1e-3, rtol=1e-3
+    )
+
+
 def test_an_empty_world_is_all_sky() -> None:
     seen = small.renderer(joined([])).render(ABOVE, [small.bulb([5, 0, 1])], 1, [], small.NO_AIR)
     assert np.isnan(seen.depth_m).all()

@@ -28,6 +28,15 @@ def drawn(name: str, seed: int) -> Scene:
         return scenario(name, seed)
 
 
+def test_many_drives_have_places_in_the_distance_and_their_glow() -> None:
+    scenes = [drawn("motorway", seed) for seed in range(12)]
+    num = sum(bool(scene.surroundings.settlements) for scene in scenes)
+    assert 4 <= num < 12
+    for scene in scenes:
+        assert (scene.weather.glow_cd_m2 > 0) == bool(scene.surroundings.settlements)
+        assert all(place.s_m + place.offset_m > 100.0 for place in scene.surroundings.settlements)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRAFFIC)
 def test_nobody_drives_through_anybody(name: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene
-from foreglow.lab.simulation.scenes.surroundings import House, Panel, Signal, StreetLamp
+from foreglow.lab.simulation.scenes.surroundings import House, Panel, Settlement, Signal, StreetLamp
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.road import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.world import World, build_world
@@ -121,3 +121,19 @@ def test_high_lamps_reach_further() -> None:
 
 def test_the_world_of_a_scene_without_any_of_these_has_none() -> None:
     assert not is_of(build_world(Scene(duration_s=1, road=STRAIGHT)).mesh, "screen", "concrete").any()
+
+
+def test_a_settlement_is_lamps_in_the_distance_and_nothing_else() -> None:
+    place = Settlement(side="left", s_m=900.0, offset_m=100.0, size_m=(200.0, 120.0), height_m=30.0, num_lamps=40)
+    road = RoadSpec(length_m=100, curvature_per_m=((0, 0.0), (50, 0.01), (100, 0.01)))
+    world = world_of(road, settlements=[place])
+    assert len(world.lights) == 40
+    assert len(world.mesh.faces) == len(world_of(road).mesh.faces)
+    heading = float(world.road.heading_rad(road.length_m))
+    away = np.array([light.pose.position_m for light in world.lights]) - world.road.points(road.length_m)
+    ahead = away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading)
+    to_left = away[:, 1] * np.cos(heading) - away[:, 0] * np.sin(heading)
+    assert 700.0 < ahead.min() < ahead.max() < 900.0
+    assert 40.0 < to_left.min() < to_left.max() < 170.0
+    assert 4.0 < away[:, 2].min() < away[:, 2].max() < 40.0
+    assert {light.kind for light in world.lights} == {"far_lamp"}

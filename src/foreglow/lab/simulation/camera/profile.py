@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from foreglow.config import read_toml, validated
 from foreglow.datasets.pvdn.schema import Name
+from foreglow.lab.simulation.scenes.scene import SensorSpec
 from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, Share, SpecModel
 
 Angle = Annotated[float, Field(gt=0, le=60)]
@@ -122,11 +123,6 @@ class LensSpec(SpecModel):
         """Share of the light in all veils and streaks."""
         return sum(veil.share for veil in self.veils) + sum(streak.share for streak in self.streaks)
 
-    @property
-    def adds_light(self) -> bool:
-        """Whether there is a veil, a ghost or a streak at all."""
-        return bool(self.veils or self.ghosts or self.streaks)
-
     @model_validator(mode="after")
     def _check(self) -> LensSpec:
         if self.scattered_share > MAX_SCATTERED:
@@ -157,7 +153,8 @@ class ImagerSpec(SpecModel):
     """The imager: light to numbers.
 
     Attributes:
-        model: `scene` is the scene's own sensor, PVDN's; `electrons` has the fields that follow.
+        model: `scene` is the scene's own sensor, PVDN's; `electrons` has the fields that follow `sensitivity`.
+        sensitivity: Of the scene's own sensor, times what the scene draws.
         colour: `bayer` weighs red light as colour filters and luma do, and correlates noise; `mono` sees all alike.
         response_e: Electrons of a pixel for 1 cd/m² and one second.
         full_well_e: Electrons at which a pixel is full.
@@ -170,6 +167,7 @@ class ImagerSpec(SpecModel):
     """
 
     model: Literal["scene", "electrons"] = "electrons"
+    sensitivity: Positive = 1.0
     colour: Literal["mono", "bayer"] = "bayer"
     response_e: Positive = 8000.0
     full_well_e: Positive = 9000.0
@@ -300,6 +298,11 @@ class CameraProfile(SpecModel):
     tone: ToneSpec = ToneSpec()
     encoder: EncoderSpec | None = None
 
+    def scene_sensor(self, sensor: SensorSpec) -> SensorSpec:
+        """A scene's own `sensor` in the exposure of this profile."""
+        grey_per_cd_m2 = sensor.grey_per_cd_m2 * self.imager.sensitivity
+        return sensor.model_copy(update={"exposure": self.cycle, "grey_per_cd_m2": grey_per_cd_m2})
+
 
 PROFILES = tuple(
     sorted(file.name.removesuffix(".toml") for file in (files(__package__) / "profiles").iterdir() if file.is_file())
@@ -344,5 +347,5 @@ def profile_to_toml(profile: CameraProfile) -> str:
     """`profile` as TOML text with all its fields, which `read_profile` reads back equal; None is left out."""
     fields: dict[str, Any] = profile.model_dump(mode="json", exclude_none=True)
     if profile.imager.model == "scene":  # its other fields mean nothing
-        fields["imager"] = {"model": "scene"}
+        fields["imager"] = {"model": "scene", "sensitivity": profile.imager.sensitivity}
     return tomli_w.dumps(fields)

@@ -1,12 +1,15 @@
 """A lens behind a windscreen: veil, ghosts and streaks around the point spread, and our own car in the image.
 
 Veils are smooth beyond a degree or so: they are computed on a coarse grid, and lamps get the rest from a small picture
-of the veil's core and of the streaks, which is shifted to each of them.
+of the veil's core and of the streaks, which is shifted to each of them. The tail of the lens is one of the veils here,
+and faint parts of its kernels are left out: the light is within 8 % of that of `Optics`, the exact lens, everywhere,
+and within 2 % on nearly all pixels, at a quarter of the cost.
 """
 
 from __future__ import annotations
 
 import zlib
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -28,6 +31,9 @@ NEAR_PX, JOINED_PX = 24.0, 56.0
 """Up to the first distance from a lamp, in pixels of 1280 columns, a veil is drawn in full; from the second one on it
 is that of the coarse grid."""
 
+COARSE_EDGE = 4.0
+"""Cells of the coarse grid from which on a ghost's edge is wide."""
+
 STREAK_LENGTHS = 4.0
 """A streak is drawn up to so many of its lengths."""
 
@@ -38,6 +44,9 @@ HARMONICS = np.arange(1, 7)
 """Waves around a rough ghost's outline."""
 
 OUTLINE_POINTS = 720
+
+FAINT_KERNEL, FAINT_END = 1e-3, 1e-4
+"""What a separable kernel and the ends of one have to exceed, relative to the strongest one and to its middle."""
 
 MAX_DIRT_SHARE = 0.6
 """Largest share of scattered light in any drive."""
@@ -60,11 +69,12 @@ class Windscreen(Optics):
         self._outlines = [_outline(ghost.roughness, rng) for ghost in lens.ghosts]
         super().__init__(sensor if profile.imager.model == "scene" else _plain(lens, camera), camera)
         self._direct_share = np.float32(1.0 - lens.scattered_share)
-        self._ghosts = lens.ghosts
+        self._veil_tail, self._tail = self._tail * float(self._direct_share), 0.0
+        self._veils, self._ghosts = lens.veils, lens.ghosts
         self._step = max(1, round(camera.width_px / COARSE_COLUMNS))
         self._coarse = (-(-camera.height_px // self._step), -(-camera.width_px // self._step))
-        self._veil_spectrum, self._spectrum_shape = self._veil_of_surfaces(lens.veils)
-        self._far_kernel = self._veil_of_lamps(lens.veils)
+        self._veil_spectrum, self._spectrum_shape = self._veil_of_surfaces()
+        self._far_kernel = self._veil_of_lamps()
         self._near_picture = self._picture(lens)
         self.transmission, self.static_cd_m2 = _own_car(profile.car, profile.name, camera)
 
@@ -98,14 +108,13 @@ class Windscreen(Optics):
             image *= self._direct_share
         fluxes = points.illuminances_lx / self._pixel_solid_angles_sr(points.positions_px)
         lamps = [(float(x), float(y), float(flux)) for (x, y), flux in zip(points.positions_px, fluxes, strict=True)]
-        if self._far_kernel is not None and lamps:
-            image += self._enlarged(self._far(lamps))
-        for x, y, flux in lamps:
-            if self._near_picture is not None:
-                _add_shifted(image, self._near_picture, x, y, flux)
+        coarse = np.zeros(self._coarse, np.float32) if self._far_kernel is None else self._far(lamps)
         for lamp, radius_px in zip(lamps, points.radii_px, strict=True):
+            if self._near_picture is not None:
+                _add_shifted(image, self._near_picture, *lamp)
             for number in range(len(self._ghosts)):
-                self._add_ghost(image, number, lamp, float(radius_px))
+                self._add_ghost((image, coarse), number, lamp, float(radius_px))
+        image += self._enlarged(coarse)
         return image
 
     def _is_free(self, x: float, y: float) -> bool:
@@ -133,14 +142,23 @@ class Windscreen(Optics):
             far += veil * np.float32(flux)
         return far
 
-    def _add_ghost(self, image: Image, number: int, lamp: tuple[float, float, float], radius_px: float) -> None:
-        """Adds the second image called `number` of a lamp, given with its position and flux."""
+    def _add_ghost(
+        self, images: tuple[Image, Image], number: int, lamp: tuple[float, float, float], radius_px: float
+    ) -> None:
+        """Adds the second image called `number` of a lamp, given with its position and flux.
+
+        A ghost with a wide edge goes into the second image, which is coarse, any other into the first.
+        """
         ghost = self._ghosts[number]
         focal = np.array(self.camera.focal_px)
         centre = np.array(self.camera.centre_px)
         shift = np.tan(np.radians(ghost.shift_deg)) * focal
         x, y = centre + ghost.scale * (np.array(lamp[:2]) - centre) + shift
         radii = np.hypot(np.radians(ghost.radius_deg) * focal, abs(ghost.scale) * radius_px) + 0.7
+        strength = lamp[2] * ghost.strength / (np.pi * float(radii.prod()))
+        image, edge_px = images[0], ghost.softness * float(radii.min())
+        if edge_px > COARSE_EDGE * self._step:
+            image, x, y, radii = images[1], x / self._step, y / self._step, radii / self._step
         reach = radii * (1.0 + ghost.softness + 2.5 * ghost.roughness) + 1.0
         window = _window(image, x, y, reach)
         if window is None:
@@ -154,14 +172,26 @@ class Windscreen(Optics):
             turns = np.arctan2(down, across) / (2.0 * np.pi)
             outline = self._outlines[number][(turns * OUTLINE_POINTS).astype(np.intp)]  # negative ones from the end
         disc = np.clip((outline - np.sqrt(across**2 + down**2)) / edge + 0.5, 0.0, 1.0)
-        area = np.pi * float(radii.prod())
-        image[y0:y1, x0:x1] += (lamp[2] * ghost.strength / area * disc).astype(np.float32)
+        # The integral of a disc with a linear edge.
+        image[y0:y1, x0:x1] += (strength / (1.0 + edge**2 / 12.0) * disc).astype(np.float32)
 
-    def _veil_of_surfaces(self, veils: tuple[VeilSpec, ...]) -> tuple[NDArray[np.complex64] | None, tuple[int, int]]:
+    @cached_property
+    def _kernels(self) -> tuple[tuple[Floats, Floats], ...]:
+        """Those of `Optics` that matter, symmetric to the last bit, which OpenCV filters in half the time."""
+        kernels = super()._kernels
+        strengths = [np.abs(across).max() * np.abs(down).max() for across, down in kernels]
+        num = int(np.searchsorted(-np.array(strengths), -FAINT_KERNEL * strengths[0]))
+        return tuple((_trimmed(across), _trimmed(down)) for across, down in kernels[:num])
+
+    @property
+    def _is_veiled(self) -> bool:
+        return bool(self._veils) or self._veil_tail > 0
+
+    def _veil_of_surfaces(self) -> tuple[NDArray[np.complex64] | None, tuple[int, int]]:
         """Spectrum of the veil of extended sources, whose elements are means over a cell times its solid angle."""
         rows, columns = self._coarse
         shape = (next_fast_len(2 * rows, True), next_fast_len(2 * columns, True))
-        if not veils:
+        if not self._is_veiled:
             return None, shape
         down, across = (np.fft.fftfreq(num, 1 / num) * self._step for num in shape)
         kernel = np.zeros(shape)
@@ -169,20 +199,20 @@ class Windscreen(Optics):
         for dy in offsets:
             for dx in offsets:
                 distances = np.hypot(down[:, np.newaxis] + dy, across + dx)
-                kernel += self._veil(veils, distances) / 16
+                kernel += self._veil(distances) / 16
         return rfft2(kernel * self._step**2).astype(np.complex64), shape
 
-    def _veil_of_lamps(self, veils: tuple[VeilSpec, ...]) -> Image | None:
+    def _veil_of_lamps(self) -> Image | None:
         """The veil of a lamp of unit flux on the coarse grid, without its core, for lamps at its middle."""
-        if not veils:
+        if not self._is_veiled:
             return None
         down, across = (np.arange(-2 * num, 2 * num + 1) * self._step for num in self._coarse)
         distances = np.hypot(down[:, np.newaxis], across)
-        return np.asarray(self._veil(veils, distances) * (1.0 - self._near_weight(distances)), np.float32)
+        return np.asarray(self._veil(distances) * (1.0 - self._near_weight(distances)), np.float32)
 
     def _picture(self, lens: LensSpec) -> Image | None:
         """The veil's core and the streaks of a lamp of unit flux, for a lamp at its middle."""
-        if not lens.veils and not lens.streaks:
+        if not self._is_veiled and not lens.streaks:
             return None
         deg_px = np.radians(1.0) * self.camera.focal_px[0]
         reach = JOINED_PX * self._scale + 2
@@ -190,7 +220,7 @@ class Windscreen(Optics):
             reach = max(reach, STREAK_LENGTHS * streak.length_deg * deg_px)
         along = np.arange(-int(reach) - 1, int(reach) + 2, dtype=np.float64)
         distances = np.hypot(along[:, np.newaxis], along)
-        picture = self._veil(lens.veils, distances) * self._near_weight(distances)
+        picture = self._veil(distances) * self._near_weight(distances)
         for streak in lens.streaks:
             picture += _streaks(streak, along, deg_px) * np.clip(4.0 * (1.0 - distances / reach), 0.0, 1.0)
         return np.asarray(picture, np.float32)
@@ -200,13 +230,20 @@ class Windscreen(Optics):
         share = np.clip((joined - distances_px) / (joined - near), 0.0, 1.0)
         return np.asarray(share * share * (3.0 - 2.0 * share))
 
-    def _veil(self, veils: tuple[VeilSpec, ...], distances_px: Floats) -> Floats:
+    def _veil(self, distances_px: Floats) -> Floats:
         """Luminance at distances from a source of unit flux, 1 cd/m² on one pixel."""
         angles = np.degrees(np.arctan(distances_px / self.camera.focal_px[0]))
-        total = np.zeros_like(angles)
-        for veil in veils:
-            total += veil.share * _scattering_per_sr(veil, angles)
-        return total * self.camera.pixel_solid_angle_sr
+        total = self._veil_tail / (distances_px**2 + self._softening_px**2)
+        for veil in self._veils:
+            total += veil.share * _scattering_per_sr(veil, angles) * self.camera.pixel_solid_angle_sr
+        return np.asarray(total)
+
+
+def _trimmed(kernel: Floats) -> Floats:
+    """A kernel that is symmetric but for rounding, exactly so, and without its faint ends."""
+    cut = int(np.argmax(np.abs(kernel) > FAINT_END * np.abs(kernel).max()))
+    kept = kernel[cut : len(kernel) - cut]
+    return np.asarray(0.5 * (kept + kept[::-1]))
 
 
 def _scattering_per_sr(veil: VeilSpec, angles_deg: Floats) -> Floats:

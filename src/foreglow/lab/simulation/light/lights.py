@@ -14,6 +14,9 @@ from foreglow.lab.simulation.light.raycast import Number, Solids
 from foreglow.lab.simulation.scenes.scene import WeatherSpec
 from foreglow.photometry import IntensityTable
 
+GLOW_HEIGHT = 0.12
+"""Sine of the elevation over which the glow above the horizon falls to a third: 7 degrees."""
+
 
 @dataclass
 class Light:
@@ -163,11 +166,17 @@ class Air:
         scattering_per_m: Scattering coefficient.
         asymmetry: Henyey-Greenstein's parameter.
         sky_cd_m2: Luminance of the sky.
+        glow_cd_m2: What its horizon has more.
     """
 
     scattering_per_m: Number
     asymmetry: Number
     sky_cd_m2: Number
+    glow_cd_m2: Number
+
+    def sky_towards(self, direction: Number) -> Number:
+        """Luminance of the sky in a direction of the world."""
+        return self.sky_cd_m2 + self.glow_cd_m2 * dr.exp(-dr.abs(direction.z) / GLOW_HEIGHT)
 
 
 def space_of(world: Solids, lights: Lights, world_from_camera: Pose, darkest_cd_m2: float) -> Space:
@@ -179,7 +188,8 @@ def space_of(world: Solids, lights: Lights, world_from_camera: Pose, darkest_cd_
 
 def air_of(weather: WeatherSpec) -> Air:
     """The air of one frame."""
-    return Air(*(_parameter(value) for value in (weather.scattering_per_m, weather.asymmetry, weather.sky_cd_m2)))
+    values = (weather.scattering_per_m, weather.asymmetry, weather.sky_cd_m2, weather.glow_cd_m2)
+    return Air(*(_parameter(value) for value in values))
 
 
 def _parameter(value: float | np.floating) -> Number:

@@ -1,4 +1,4 @@
-"""Random numbers as scenarios need them, and what every drive draws with them: weather, camera and sensor."""
+"""Random numbers as scenarios need them, and what drives draw with them: weather, camera, sensor, what is far away."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from foreglow.lab.simulation.scenes.scene import CameraSpec, SensorSpec, WeatherSpec
+from foreglow.lab.simulation.scenes.surroundings import Settlement
 
 Value = TypeVar("Value")
 
@@ -71,6 +72,36 @@ def draw_weather(draw: Draw, *, is_even: bool = False) -> tuple[WeatherSpec, flo
     )
     wetness = {"dry": 0.0, "wet": draw.uniform(0.3, 1.0), "rain": draw.uniform(0.6, 1.0)}
     return weather, wetness.get(kind, draw.uniform(0.0, 0.4))
+
+
+def draw_settlements(draw: Draw, length_m: float) -> tuple[tuple[Settlement, ...], float]:
+    """Places in the distance, ahead of us and beside a road of this length, and the glow that they make above it."""
+    if draw.chance(0.35):
+        return (), 0.0
+    settlements = [
+        Settlement(
+            side=draw.choice(["left", "right"]),
+            s_m=round(length_m + draw.log_uniform(100.0, 2500.0), 1),
+            offset_m=draw.uniform(0.0, 200.0),
+            size_m=(draw.uniform(300.0, 1500.0), draw.log_uniform(150.0, 1200.0)),
+            height_m=draw.log_uniform(10.0, 90.0),
+            num_lamps=draw.integer(15, 90),
+            intensity_cd=draw.log_uniform(150.0, 900.0),
+        )
+    ]
+    settlements += [
+        Settlement(  # beside the road, nearer and smaller
+            side=draw.choice(["left", "right"]),
+            s_m=round(draw.uniform(0.4, 1.0) * length_m, 1),
+            offset_m=draw.uniform(120.0, 400.0),
+            size_m=(draw.uniform(80.0, 300.0), draw.uniform(60.0, 200.0)),
+            height_m=draw.log_uniform(6.0, 20.0),
+            num_lamps=draw.integer(4, 25),
+            intensity_cd=draw.log_uniform(50.0, 400.0),
+        )
+        for _ in range(draw.integer(0, 2))
+    ]
+    return tuple(settlements), draw.log_uniform(2e-3, 4e-2)
 
 
 def draw_camera(draw: Draw) -> CameraSpec:

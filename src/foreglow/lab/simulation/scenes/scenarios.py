@@ -10,7 +10,7 @@ from foreglow.lab.simulation.scenes import courses
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
 from foreglow.lab.simulation.scenes.country import cyclists, following, queue
 from foreglow.lab.simulation.scenes.courses import Course, Layout
-from foreglow.lab.simulation.scenes.draw import Draw, draw_weather
+from foreglow.lab.simulation.scenes.draw import Draw, draw_settlements, draw_weather
 from foreglow.lab.simulation.scenes.motorway import motorway
 from foreglow.lab.simulation.scenes.planning import draw_road, planned_scene
 from foreglow.lab.simulation.scenes.roadside import draw_surroundings
@@ -65,7 +65,7 @@ def _road(road: RoadSpec) -> RoadSpec:
 
 def _surroundings(spec: SurroundingsSpec) -> SurroundingsSpec:
     changed: dict[str, Any] = {"left": spec.right, "right": spec.left}
-    for name in ("rails", "walls", "signs", "woods", "houses", "street_lamps", "panels", "signals"):
+    for name in ("rails", "walls", "signs", "woods", "houses", "street_lamps", "panels", "signals", "settlements"):
         changed[name] = tuple(_thing(thing) for thing in getattr(spec, name))
     return spec.model_copy(update=changed)
 
@@ -137,6 +137,9 @@ def level_road(draw: Draw, name: str, seed: int) -> Scene:
 Split: TypeAlias = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
+DISTANCE_STREAM = 48
+"""Number of the random stream of what is in the distance: all else is drawn as without it."""
+
 DrawScene: TypeAlias = Callable[[Draw, str, int], Scene]
 """Draws a scene with a name and a seed."""
 
@@ -144,6 +147,19 @@ DrawScene: TypeAlias = Callable[[Draw, str, int], Scene]
 def _encounter(layout: Layout) -> DrawScene:
     """Scenes with the one encounter that PVDN's drives show, on a road of this layout."""
     return lambda draw, name, seed: planned_scene(draw, name, layout, seed)
+
+
+def _with_settlements(draw_scene: DrawScene) -> DrawScene:
+    """The same scenes with places in the distance, from a random stream of their own."""
+
+    def draw_both(draw: Draw, name: str, seed: int) -> Scene:
+        scene = draw_scene(draw, name, seed)
+        settlements, glow_cd_m2 = draw_settlements(Draw(seed, DISTANCE_STREAM), scene.road.length_m)
+        surroundings = scene.surroundings.model_copy(update={"settlements": settlements})
+        weather = scene.weather.model_copy(update={"glow_cd_m2": glow_cd_m2})
+        return scene.model_copy(update={"surroundings": surroundings, "weather": weather})
+
+    return draw_both
 
 
 def _left(draw_scene: DrawScene) -> DrawScene:
@@ -160,14 +176,14 @@ SCENARIOS: dict[str, DrawScene] = {
     "junction": _encounter(courses.junction),
     "village": _encounter(courses.village),
     "forest": _encounter(courses.forest),
-    "motorway": motorway,
-    "queue": queue,
-    "following": following,
-    "cyclists": cyclists,
-    "town": town,
-    "left_motorway": _left(motorway),
-    "left_queue": _left(queue),
-    "left_town": _left(town),
+    "motorway": _with_settlements(motorway),
+    "queue": _with_settlements(queue),
+    "following": _with_settlements(following),
+    "cyclists": _with_settlements(cyclists),
+    "town": _with_settlements(town),
+    "left_motorway": _left(_with_settlements(motorway)),
+    "left_queue": _left(_with_settlements(queue)),
+    "left_town": _left(_with_settlements(town)),
     "r48": level_road,
 }
 """Every scenario by name."""

@@ -209,6 +209,7 @@ class WeatherSpec(SpecModel):
         rain_mm_h: Rate of rain.
         snow_mm_h: Rate of snow, as water.
         sky_cd_m2: Luminance of the sky; 2e-4 is a cloudy night far from towns, 5e-3 is near a town.
+        glow_cd_m2: What the horizon has more than the sky above, the glow of towns.
     """
 
     scattering_per_m: NonNegative = 4e-4
@@ -216,6 +217,7 @@ class WeatherSpec(SpecModel):
     rain_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
     snow_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
     sky_cd_m2: NonNegative = 3e-4
+    glow_cd_m2: NonNegative = 0.0
 
 
 class CameraSpec(SpecModel):

@@ -34,6 +34,7 @@ MAX_THINGS = 1000
 
 Spacing: TypeAlias = Annotated[float, Field(ge=MIN_SPACING_M)]
 Size: TypeAlias = Annotated[float, Field(gt=0, le=500)]
+Distance: TypeAlias = Annotated[float, Field(gt=0, le=5000)]
 Listed: TypeAlias = Annotated[T, Field(max_length=MAX_THINGS)]
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
@@ -209,6 +210,28 @@ class Panel(SpecModel):
     yaw_deg: float = 0.0
 
 
+class Settlement(SpecModel):
+    """The lamps of a place in the distance: points of light, without posts or houses.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Position of its middle along the road, which is straight beyond its end.
+        offset_m: From the road to its middle.
+        size_m: Length along the road and width across.
+        height_m: Height of its highest lamps above the road.
+        num_lamps: Number of its lamps.
+        intensity_cd: Median intensity of a lamp towards us.
+    """
+
+    side: Side
+    s_m: float
+    offset_m: NonNegative = 0.0
+    size_m: tuple[Distance, Distance] = (600.0, 800.0)
+    height_m: Positive = 15.0
+    num_lamps: Annotated[int, Field(ge=1, le=500)] = 40
+    intensity_cd: Positive = 150.0
+
+
 class Signal(SpecModel):
     """A traffic light on a mast, or on an arm above the road.
 
@@ -269,6 +292,7 @@ class SurroundingsSpec(SpecModel):
         street_lamps: Lamps on poles.
         panels: Lit billboards.
         signals: Traffic lights.
+        settlements: Lamps of places in the distance.
         delineator_spacing_m: Distance between posts with reflectors on both sides; 0 for none.
         num_bushes: Number of single bushes.
     """
@@ -283,6 +307,7 @@ class SurroundingsSpec(SpecModel):
     street_lamps: Listed[tuple[StreetLamp, ...]] = ()
     panels: Listed[tuple[Panel, ...]] = ()
     signals: Listed[tuple[Signal, ...]] = ()
+    settlements: Annotated[tuple[Settlement, ...], Field(max_length=20)] = ()
     delineator_spacing_m: NonNegative = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
 

@@ -229,7 +229,7 @@ class Eyes:
 
 
 FARTHEST_DRAWN_M = 600.0
-"""Lights further away are not drawn."""
+"""Lights further away are not drawn, but for those of places in the distance."""
 
 PANE = np.array([(y, z) for z in (-1 / 3, 0.0, 1 / 3) for y in (-0.25, 0.25)])
 """Points that draw a light's face, in its width and height."""
@@ -256,25 +256,30 @@ class FixedLights:
 
     def points(self, sightings: Sightings) -> LampPoints:
         """The faces of the lights as the camera sees them, a few points each; screens are surfaces of the world."""
-        positions, illuminances, radii = [], [], []
+        faces, illuminances, radii = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
         camera_m = sightings.camera_m
         for light, position_m in zip(self._lights, self._positions_m, strict=True):
             distance = float(np.linalg.norm(camera_m - position_m))
-            if distance > FARTHEST_DRAWN_M or light.kind == "screen":
+            if light.kind == "screen" or (distance > FARTHEST_DRAWN_M and light.kind != "far_lamp"):
                 continue
             towards = light.pose.to_body(camera_m)
             intensity = float(_table(light).towards(towards)) * light.intensity_cd
+            if intensity <= 0:
+                continue
             is_small = sightings.radius_px(max(light.size_m), distance) < SMALL_PX
             pane = PANE[:1] * 0.0 if is_small else PANE
             # Slightly in front of the face, which otherwise would hide its own points.
-            points = light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m]))
-            seen = sightings.visible_points(points) if intensity > 0 else np.zeros(len(pane), bool)
+            faces.append(light.pose.to_outer(np.column_stack([np.full(len(pane), 0.03), pane * light.size_m])))
             cell_m = np.sqrt(light.size_m[0] * light.size_m[1] / len(pane) / np.pi)
-            for point in points[seen]:
-                positions.append(sightings.project(point))
-                illuminances.append(intensity / len(pane) / distance**2 * sightings.attenuation(distance))
-                radii.append(sightings.radius_px(float(cell_m), distance))
-        return LampPoints(np.array(positions).reshape(-1, 2), np.array(illuminances), np.array(radii))
+            illuminance = intensity / len(pane) / distance**2 * sightings.attenuation(distance)
+            illuminances.append(np.full(len(pane), illuminance))
+            radii.append(np.full(len(pane), sightings.radius_px(float(cell_m), distance)))
+        points = np.concatenate(faces)
+        seen = sightings.visible_points(points)
+        positions = [sightings.project(point) for point in points[seen]]
+        return LampPoints(
+            np.array(positions).reshape(-1, 2), np.concatenate(illuminances)[seen], np.concatenate(radii)[seen]
+        )
 
 
 def _table(light: FixedLight) -> IntensityTable:

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.lab.simulation.scenes.surroundings import Panel, Rail, Side, Signal, Span, SurroundingsSpec, Wall
+from foreglow.lab.simulation.scenes.surroundings import (
+    Panel,
+    Rail,
+    Settlement,
+    Side,
+    Signal,
+    Span,
+    SurroundingsSpec,
+    Wall,
+)
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.mesh import (
     Mesh,
@@ -40,7 +49,7 @@ class FixedLight:
     """
 
     pose: Pose
-    kind: Literal["street_lamp", "window", "screen", "signal"]
+    kind: Literal["street_lamp", "window", "screen", "signal", "far_lamp"]
     intensity_cd: float
     size_m: tuple[float, float]
     reach_m: float = 120.0
@@ -67,6 +76,9 @@ HOUSING_M = (0.22, 0.32, 0.94)
 LENS_M = 0.2
 LENS_HEIGHTS_M = {"red": 0.77, "amber": 0.47, "green": 0.17}
 """Heights of the lenses above the lower edge of the housing."""
+
+FAR_LAMP_M, FAR_LAMP_SIZE_M = 4.0, (0.6, 0.3)
+"""Least height above the road, width and height of lamps in the distance."""
 
 
 def build_panels(panels: tuple[Panel, ...], terrain: Terrain) -> tuple[list[Mesh], list[FixedLight]]:
@@ -111,6 +123,25 @@ def build_signals(signals: tuple[Signal, ...], terrain: Terrain) -> tuple[list[M
             pose = foot @ Pose(lens, rotation())
             lights.append(FixedLight(pose, "signal", signal.intensity_cd, (LENS_M, LENS_M)))
     return meshes, lights
+
+
+def build_settlements(
+    settlements: tuple[Settlement, ...], terrain: Terrain, rng: np.random.Generator
+) -> list[FixedLight]:
+    """The lamps of places in the distance, which face us; most are low, and a few are much brighter than the others."""
+    road = terrain.road
+    lights = []
+    for settlement in settlements:
+        middle = np.array([settlement.s_m, SIDE_SIGNS[settlement.side] * (road.half_width_m + settlement.offset_m)])
+        for s_m, t_m in middle + rng.uniform(-0.5, 0.5, (settlement.num_lamps, 2)) * settlement.size_m:
+            known_m = min(float(s_m), road.length_m)
+            heading = float(road.heading_rad(known_m))
+            foot = road.points(known_m, t_m) + (s_m - known_m) * np.array([np.cos(heading), np.sin(heading), 0.0])
+            height = FAR_LAMP_M + settlement.height_m * rng.beta(1.0, 3.0)
+            intensity_cd = settlement.intensity_cd * float(np.exp(rng.normal()))
+            pose = Pose(foot + np.array([0.0, 0.0, height]), rotation(heading + np.pi))
+            lights.append(FixedLight(pose, "far_lamp", intensity_cd, FAR_LAMP_SIZE_M, reach_m=0.0))
+    return lights
 
 
 def _print(size_m: tuple[float, float]) -> list[Mesh]:

@@ -16,6 +16,7 @@ from foreglow.lab.simulation.world.furniture import (
     build_furniture,
     build_median,
     build_panels,
+    build_settlements,
     build_signals,
 )
 from foreglow.lab.simulation.world.mesh import Mesh, joined
@@ -26,13 +27,14 @@ from foreglow.lab.simulation.world.terrain import Terrain
 
 __all__ = ["FixedLight", "World", "build_world"]
 
-TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM, MEDIAN_STREAM = (
+TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM, MEDIAN_STREAM, FAR_STREAM = (
     101,
     102,
     103,
     104,
     105,
     106,
+    107,
 )
 """Random streams, one for each part, so that an additional sign does not move a tree."""
 
@@ -55,7 +57,7 @@ class World:
             its own, with the offset shifted by (n + 1) * `terrain.BRANCH_T_M`.
         road: The main road.
         branches: The side roads, in the order of `Scene.road.branches`.
-        lights: Street lamps that are on, lit windows, screens and traffic lights.
+        lights: Street lamps that are on, lit windows, screens, traffic lights, and lamps in the distance.
         terrain: The ground.
     """
 
@@ -87,6 +89,7 @@ def build_world(scene: Scene) -> World:
     posts, lamps = build_street_lamps(spec.street_lamps, terrain)
     panels, screens = build_panels(spec.panels, terrain)
     masts, signals = build_signals(spec.signals, terrain)
+    far = build_settlements(spec.settlements, terrain, stream(FAR_STREAM))
     meshes = [
         terrain.mesh(),
         *build_furniture(spec, terrain, stream(FURNITURE_STREAM)),
@@ -104,7 +107,7 @@ def build_world(scene: Scene) -> World:
         *panels,
         *masts,
     ]
-    return World(joined(meshes), road, branches, (*windows, *lamps, *screens, *signals), terrain)
+    return World(joined(meshes), road, branches, (*windows, *lamps, *screens, *signals, *far), terrain)
 
 
 def _driven_m(scene: Scene) -> Span:
