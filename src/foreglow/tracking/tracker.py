@@ -32,7 +32,8 @@ from foreglow.tracking.track_range import (
     median_of,
     remembered,
 )
-from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
+from foreglow.tracking.vehicles import VehicleGroups
+from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState, Vehicles
 
 MIN_SIZE_PX = 1.0
 """Predicted boxes never become smaller than this."""
@@ -60,6 +61,7 @@ class AlphaBetaTracker:
         self._gains = (alphas, steady_betas(alphas))
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
+        self._vehicles = None if config.vehicle_gate is None else VehicleGroups(config)
         self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
         # Half a frame of tolerance, since frames come somewhat early or late.
         self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz
@@ -75,7 +77,9 @@ class AlphaBetaTracker:
         self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
         self._next_id = 0
         self._states = self._born(0)
-        self._tracks = self._as_tracks(self._states)
+        if self._vehicles is not None:
+            self._vehicles.reset()
+        self._tracks = self._as_tracks(self._states, None)
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
@@ -85,6 +89,8 @@ class AlphaBetaTracker:
         size_px = frame.width_px, frame.height_px
         if not 0.0 < step_s <= self._config.max_gap_s or size_px != (self._size_px or size_px):
             self._states = self._born(0)
+            if self._vehicles is not None:
+                self._vehicles.forget()
             step_s = 1.0 / self._config.rate_hz
         step_s = max(step_s, MIN_STEP_S)
         self._now_s += step_s
@@ -102,7 +108,11 @@ class AlphaBetaTracker:
             assigned = np.concatenate([assigned, beginning])
         self._correct(self._with_looming(found.taken(assigned), frame), step_s)
         self._end(frame)
-        self._tracks = self._as_tracks(self._states)
+        vehicles = None
+        if self._vehicles is not None:
+            scores = np.append(detections.scores, np.nan)[self._states.detections].astype(np.float64)
+            self._states.is_plausible, vehicles = self._vehicles.update(self._now_s, self._states, scores)
+        self._tracks = self._as_tracks(self._states, vehicles)
         return self._tracks
 
     def _is_again(self, frame: Frame, detections: Detections) -> bool:
@@ -178,6 +188,8 @@ class AlphaBetaTracker:
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
         states.detections = taken.detections
         self._correct_sigmas(taken, step_s)
+        if self._vehicles is not None:
+            return
         observed = Observations(
             scores=taken.scores,
             num_hits=states.num_hits,
@@ -215,7 +227,7 @@ class AlphaBetaTracker:
         if is_over.any():
             self._states = states.where(~is_over)
 
-    def _as_tracks(self, states: TrackStates) -> Tracks:
+    def _as_tracks(self, states: TrackStates, vehicles: Vehicles | None) -> Tracks:
         seen = np.where(states.num_misses > 0, TrackState.COASTING, TrackState.CONFIRMED)
         ranges_m, sigmas_m = states.values[:, RANGE], states.sigmas_m
         if self._num_ranges:
@@ -235,6 +247,7 @@ class AlphaBetaTracker:
             sigmas_m=np.where(is_known, sigmas_m, np.inf),
             detections=states.detections,
             light_kinds=states.light_kinds,
+            vehicles=vehicles,
         )
 
 
