@@ -232,6 +232,7 @@ def vehicles(**changed: NDArray[Any]) -> Vehicles:
         "confidences": np.array([0.5, 0.25]),
         "is_in_sight": np.array([True, False]),
         "of_tracks": np.array([5, 2]),
+        "leading": np.array([1, 0]),
     }
     return Vehicles(**(fields | changed))
 
@@ -243,6 +244,8 @@ def vehicles(**changed: NDArray[Any]) -> Vehicles:
         ({"states": np.zeros(2)}, "Vehicles.states: expected int64"),
         ({"is_in_sight": np.zeros(3, np.bool_)}, r"Vehicles.is_in_sight: .* got bool of shape \(3,\)"),
         ({"of_tracks": np.array([5, 3])}, r"Vehicles.of_tracks: expected ids of vehicles, got \[5, 3\]"),
+        ({"leading": np.array([0, 1])}, r"Vehicles.leading: expected a track of each vehicle, got \[0, 1\]"),
+        ({"leading": np.array([1, 2])}, r"Vehicles.leading: expected a track of each vehicle, got \[1, 2\]"),
     ],
 )
 def test_vehicles_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
@@ -252,5 +255,5 @@ def test_vehicles_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complain
 
 def test_vehicles_are_those_of_as_many_tracks() -> None:
     assert tracks(vehicles=vehicles()).vehicles is not None
-    with pytest.raises(ValueError, match=r"Tracks.vehicles: expected those of 2 tracks, got 1"):
-        tracks(vehicles=vehicles(of_tracks=np.array([5])))
+    with pytest.raises(ValueError, match=r"Tracks.vehicles: expected those of 2 tracks, got 3"):
+        tracks(vehicles=vehicles(of_tracks=np.array([2, 5, 5]), leading=np.array([0, 1])))

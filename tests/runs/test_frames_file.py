@@ -88,8 +88,14 @@ def test_kinds_come_back_and_are_left_out_where_a_model_does_not_tell_them(tmp_p
 
 def with_vehicles(tracks: Tracks) -> Tracks:
     """The same tracks, all of them of vehicle 5."""
-    in_sight, of_tracks = np.array([True]), np.full(len(tracks), 5)
-    vehicles = Vehicles(np.array([5]), np.array([int(TrackState.COASTING)]), np.array([0.25]), in_sight, of_tracks)
+    vehicles = Vehicles(
+        ids=np.array([5]),
+        states=np.array([int(TrackState.COASTING)]),
+        confidences=np.array([0.25]),
+        is_in_sight=np.array([True]),
+        of_tracks=np.full(len(tracks), 5),
+        leading=np.array([1]),
+    )
     return dataclasses.replace(tracks, vehicles=vehicles)
 
 
@@ -103,10 +109,19 @@ def test_vehicles_come_back_and_are_left_out_without_any(tmp_path: Path) -> None
     assert [line.count('"vehicles"') for line in path.read_text().splitlines()] == [1, 0]
 
 
-def test_a_track_without_a_vehicle_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("[3,8]", "[3]", "vehicles: expected one that has track 8, found none"),
+        ('"leading":8', '"leading":7', r"Vehicles\.leading: expected a track of each vehicle, got \[-1\]"),
+    ],
+)
+def test_vehicles_that_contradict_the_tracks(tmp_path: Path, old: str, new: str, complaint: str) -> None:
     path = write_run(tmp_path / "frames.jsonl", with_vehicles(tracks_of(BOXES, ids=[3, 8])))
-    path.write_text(path.read_text().replace("[3,8]", "[3]", 1))
-    with pytest.raises(ValueError, match=r"line 1: vehicles: expected one that has track 8, found none"):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"line 1: {complaint}"):
         read_tracks(path)
 
 

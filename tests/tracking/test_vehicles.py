@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from foreglow.config import OUR_TRACKER, TrackerConfig
 from foreglow.tracking.tracker import MAX_TRACKS, AlphaBetaTracker
 from foreglow.tracking.vehicles import KEEP_S, MAX_LIGHTS, gaps_between
 from foreglow.types import Tracks, TrackState, Vehicles
-from tests.tracking.made_up import FRAME_S, detections_of, frame_at
+from tests.tracking.made_up import FRAME_S, detections_of, frame_at, ranges_of
 
 GATE = 1.0
 OURS = OUR_TRACKER.model_copy(update={"vehicle_gate": GATE})
@@ -86,6 +87,30 @@ def test_a_vehicle_without_a_detection_coasts() -> None:
     tracks = followed([LAMP], [LAMP], [])[-1]
     assert vehicles_of(tracks).states.tolist() == [TrackState.COASTING]
     assert tracks.states.tolist() == [TrackState.COASTING]
+
+
+LIGHT, LAMP_ITSELF = (0.1, 0.1, 0.6, 0.2), (0.6, 0.2, 0.1, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("ranges_m", "kinds", "leading"),
+    [
+        ((40.0, 90.0, 60.0), (LIGHT, LIGHT, LIGHT), 1),
+        ((40.0, 90.0, 60.0), (LIGHT, LAMP_ITSELF, LAMP_ITSELF), 2),
+        ((np.nan, 40.0, np.nan), (LIGHT, LIGHT, LIGHT), 1),
+        ((np.nan, 40.0, np.nan), (LIGHT, LIGHT, LAMP_ITSELF), 2),
+    ],
+)
+def test_the_nearest_lamp_or_the_farthest_light_says_where_it_is(
+    ranges_m: tuple[float, ...], kinds: tuple[tuple[float, ...], ...], leading: int
+) -> None:
+    rows = [(100 + 30 * place, 400, 120 + 30 * place, 416, 0.9) for place in range(3)]
+    found = detections_of(*rows)
+    found = dataclasses.replace(found, light_kinds=np.array(kinds, np.float32))
+    sigmas_m = np.where(np.isnan(ranges_m), np.inf, 5.0)
+    tracks = AlphaBetaTracker(OURS).update(frame_at(0.0), found, ranges_of(found, ranges_m, sigmas_m.tolist()))
+    assert vehicles_of(tracks).leading.tolist() == [leading]
+    assert vehicles_of(tracks).is_in_sight.tolist() == [LAMP_ITSELF in kinds]
 
 
 @pytest.mark.parametrize("config", [TrackerConfig(), OUR_TRACKER])

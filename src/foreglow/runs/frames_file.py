@@ -73,13 +73,14 @@ class TrackEntry(TypedDict):
 
 @checked
 class VehicleEntry(TypedDict):
-    """A vehicle in a line, with the fields of `Vehicles`; `tracks` are the ids of its tracks."""
+    """A vehicle in a line, with the fields of `Vehicles`; `tracks` has the ids of its tracks, `leading` one of them."""
 
     id: int
     state: StateName
     confidence: Probability
     is_in_sight: bool
     tracks: Annotated[list[int], Field(min_length=1)]
+    leading: int
 
 
 @checked
@@ -241,7 +242,8 @@ def _track_entries(tracks: Tracks) -> list[TrackEntry]:
 
 
 def _vehicle_entries(vehicles: Vehicles, track_ids: NDArray[np.int64]) -> list[VehicleEntry]:
-    columns = (vehicles.ids, vehicles.states, vehicles.confidences, vehicles.is_in_sight)
+    leading_ids = track_ids[vehicles.leading]
+    columns = (vehicles.ids, vehicles.states, vehicles.confidences, vehicles.is_in_sight, leading_ids)
     return [
         {
             "id": number,
@@ -249,8 +251,11 @@ def _vehicle_entries(vehicles: Vehicles, track_ids: NDArray[np.int64]) -> list[V
             "confidence": confidence,
             "is_in_sight": is_in_sight,
             "tracks": track_ids[vehicles.of_tracks == number].tolist(),
+            "leading": leading,
         }
-        for number, state, confidence, is_in_sight in zip(*(column.tolist() for column in columns), strict=True)
+        for number, state, confidence, is_in_sight, leading in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
     ]
 
 
@@ -258,10 +263,11 @@ def _vehicles(entries: list[VehicleEntry], track_ids: NDArray[np.int64]) -> Vehi
     """The vehicles of tracks with these ids.
 
     Raises:
-        ValueError: If a track belongs to none of them.
+        ValueError: If a track belongs to none of them, or there is no leading one.
     """
     of_tracks = {track_id: entry["id"] for entry in entries for track_id in entry["tracks"]}
-    missing = next((track_id for track_id in track_ids.tolist() if track_id not in of_tracks), None)
+    indices = {track_id: index for index, track_id in enumerate(track_ids.tolist())}
+    missing = next(iter(indices.keys() - of_tracks.keys()), None)
     if missing is not None:
         raise ValueError(f"vehicles: expected one that has track {missing}, found none")
     return Vehicles(
@@ -269,7 +275,8 @@ def _vehicles(entries: list[VehicleEntry], track_ids: NDArray[np.int64]) -> Vehi
         states=np.array([TrackState[entry["state"].upper()] for entry in entries], np.int64),
         confidences=np.array([entry["confidence"] for entry in entries], np.float64),
         is_in_sight=np.array([entry["is_in_sight"] for entry in entries], np.bool_),
-        of_tracks=np.array([of_tracks[track_id] for track_id in track_ids.tolist()], np.int64),
+        of_tracks=np.array([of_tracks[track_id] for track_id in indices], np.int64),
+        leading=np.array([indices.get(entry["leading"], -1) for entry in entries], np.int64),
     )
 
 

@@ -27,7 +27,7 @@ from foreglow.geometry import Floats
 from foreglow.tracking.alpha_beta import moving_mean
 from foreglow.tracking.association import corners
 from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
-from foreglow.tracking.states import TrackStates
+from foreglow.tracking.states import RANGE, TrackStates
 from foreglow.types import TrackState, Vehicles
 from foreglow.types.kinds import direct_of_kinds
 
@@ -137,6 +137,7 @@ class VehicleGroups:
             confidences=states.confidences[shown],
             is_in_sight=np.isin(shown, vehicles[is_lamp]),
             of_tracks=vehicle_ids,
+            leading=_leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp),
         )
 
     def _vehicles_of(self, now_s: float, track_ids: NDArray[np.int64], boxes_xyxy_px: Floats) -> NDArray[np.int64]:
@@ -170,6 +171,15 @@ class VehicleGroups:
             vehicle_ids[alone] = self._next_id + groups
             self._next_id += count
         return vehicle_ids
+
+
+def _leading(
+    vehicles: NDArray[np.int64], ranges_m: Floats, is_light: NDArray[np.bool_], is_lamp: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """The index of each vehicle's leading track, shape (V,), in the order of `vehicles`, shape (M,); see `Vehicles`."""
+    nearness = np.where(is_lamp, -ranges_m, ranges_m)
+    order = np.lexsort((nearness, ~np.isnan(ranges_m), is_lamp, is_light, vehicles))[::-1]
+    return order[np.unique(vehicles[order], return_index=True)[1]]
 
 
 def gaps_between(boxes_xyxy: Floats, others_xyxy: Floats) -> Floats:

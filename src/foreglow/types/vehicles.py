@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import frozen_view
 
-_DTYPES = {"ids": np.int64, "states": np.int64, "confidences": np.float64, "is_in_sight": np.bool_}
+_DTYPES = {"ids": np.int64, "states": np.int64, "confidences": np.float64, "is_in_sight": np.bool_, "leading": np.int64}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +23,8 @@ class Vehicles:
         is_in_sight: Shape (V,), bool, whether one of its tracks that may be acted on is a lamp, front or rear, more
             likely than not.
         of_tracks: Shape (M,), int64, for each of the frame's `Tracks` the id of its vehicle.
+        leading: Shape (V,), int64, the index of the track that says where it is: of its nearest lamp in sight, or else
+            of its farthest light, which is the nearest to it on its road. Its range and bearing are the vehicle's.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, ids do not ascend, or a track's vehicle is none of them.
@@ -33,6 +35,7 @@ class Vehicles:
     confidences: NDArray[np.float64]
     is_in_sight: NDArray[np.bool_]
     of_tracks: NDArray[np.int64]
+    leading: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -48,6 +51,9 @@ class Vehicles:
             raise ValueError(f"Vehicles.ids: expected ascending numbers, got {self.ids.tolist()}")
         if self.of_tracks.ndim != 1 or not np.isin(self.of_tracks, self.ids).all():
             raise ValueError(f"Vehicles.of_tracks: expected ids of vehicles, got {self.of_tracks.tolist()}")
+        is_index = (self.leading >= 0) & (self.leading < len(self.of_tracks))
+        if not is_index.all() or (self.of_tracks[self.leading] != self.ids).any():
+            raise ValueError(f"Vehicles.leading: expected a track of each vehicle, got {self.leading.tolist()}")
         object.__setattr__(self, "of_tracks", frozen_view(self.of_tracks))
 
     def __len__(self) -> int:
