@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -161,3 +162,20 @@ def test_gaps_are_symmetric_and_do_not_depend_on_the_scale() -> None:
     np.testing.assert_allclose(gaps_between(3 * boxes, 3 * boxes), gaps)
     assert (np.diag(gaps) == 0).all()
     assert gaps.max() > 0
+
+
+@pytest.mark.parametrize("gate", [None, GATE])
+@pytest.mark.parametrize(("range_m", "num_frames"), [(100.0, 1), (nan, 2), (25.0, inf)])
+def test_near_light_needs_more_evidence(gate: float | None, range_m: float, num_frames: float) -> None:
+    config = OUR_TRACKER.model_copy(update={"vehicle_gate": gate, "range_evidence": 2.0})
+    tracker, found = AlphaBetaTracker(config), detections_of((600, 400, 620, 416, 0.5))
+    sigma_m = inf if np.isnan(range_m) else 5.0
+    needed = next(
+        (
+            index
+            for index in range(1, 20)
+            if tracker.update(frame_at(index * FRAME_S), found, ranges_of(found, [range_m], [sigma_m])).is_plausible[0]
+        ),
+        inf,
+    )
+    assert needed == num_frames

@@ -20,7 +20,7 @@ from foreglow.tracking.association import (
     is_range_apart,
     overlaps,
 )
-from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
+from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_with_ranges
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
@@ -107,11 +107,14 @@ class AlphaBetaTracker:
             self._states = self._states.joined(self._born(len(beginning)))
             assigned = np.concatenate([assigned, beginning])
         self._correct(self._with_looming(found.taken(assigned), frame), step_s)
+        scores = self._scores(detections, ranges)
+        if self._vehicles is None:
+            self._confirm(scores)
         self._end(frame)
         vehicles = None
         if self._vehicles is not None:
-            scores = np.append(detections.scores, np.nan)[self._states.detections].astype(np.float64)
-            self._states.is_plausible, vehicles = self._vehicles.update(self._now_s, self._states, scores)
+            states = self._states
+            states.is_plausible, vehicles = self._vehicles.update(self._now_s, states, scores[states.detections])
         self._tracks = self._as_tracks(self._states, vehicles)
         return self._tracks
 
@@ -173,7 +176,7 @@ class AlphaBetaTracker:
         return dataclasses.replace(taken, values=values, sigmas_m=np.where(is_taken, sigmas_m, taken.sigmas_m))
 
     def _correct(self, taken: Measurements, step_s: float) -> None:
-        """Corrects each track by its measurement, and updates which tracks are plausible."""
+        """Corrects each track by its measurement."""
         states = self._states
         is_hit = taken.detections != UNASSIGNED
         since_s = self._now_s - states.measured_s
@@ -188,10 +191,19 @@ class AlphaBetaTracker:
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
         states.detections = taken.detections
         self._correct_sigmas(taken, step_s)
-        if self._vehicles is not None:
-            return
+
+    def _scores(self, detections: Detections, ranges: Ranges | None) -> Floats:
+        """The scores of all detections as evidence, and NaN at the end: for the index -1, a track without one."""
+        scores = detections.scores.astype(np.float64)
+        if ranges is not None and self._config.range_evidence:
+            scores = scores_with_ranges(scores, ranges.ranges_m, self._config.range_evidence)
+        return np.append(scores, np.nan)
+
+    def _confirm(self, scores: Floats) -> None:
+        """Updates which tracks are plausible, each by itself."""
+        states = self._states
         observed = Observations(
-            scores=taken.scores,
+            scores=scores[states.detections],
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,

@@ -106,7 +106,7 @@ class VehicleGroups:
         Args:
             now_s: The time of the frame; ascending.
             tracks: Those of the frame.
-            scores: Shape (M,), of their detections; NaN where a track was missed.
+            scores: Shape (M,), of their detections, as evidence; NaN where a track was missed.
         """
         vehicle_ids = self._vehicles_of(now_s, tracks.ids, corners(tracks.values))
         states = self._states = self._states.of(np.unique(self._lights.vehicle_ids), self._rule.memory_size)
