@@ -66,6 +66,8 @@ class _States:
 
     def of(self, ids: NDArray[np.int64], memory_size: int) -> _States:
         """The states of the vehicles with these ids, ascending; those that are new begin."""
+        if np.array_equal(ids, self.ids):
+            return self
         is_left, born = np.isin(self.ids, ids), _unseen(ids[~np.isin(ids, self.ids)], memory_size)
         return _States(
             *(np.concatenate([getattr(self, name)[is_left], getattr(born, name)]) for name in self.__slots__)
@@ -128,7 +130,8 @@ class VehicleGroups:
         is_light = tracks.confidences > self._neutral_score
         is_plausible = states.is_plausible[vehicles] & is_light
         is_lamp = is_plausible & (direct_of_kinds(tracks.light_kinds) > 0.5)
-        shown = np.unique(vehicles)
+        leading = _leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp)
+        shown = vehicles[leading]
         is_hit = ~np.isnan(best[shown])
         seen = np.where(is_hit, TrackState.CONFIRMED, TrackState.COASTING)
         return is_plausible, Vehicles(
@@ -137,7 +140,7 @@ class VehicleGroups:
             confidences=states.confidences[shown],
             is_in_sight=np.isin(shown, vehicles[is_lamp]),
             of_tracks=vehicle_ids,
-            leading=_leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp),
+            leading=leading,
         )
 
     def _vehicles_of(self, now_s: float, track_ids: NDArray[np.int64], boxes_xyxy_px: Floats) -> NDArray[np.int64]:
@@ -148,7 +151,8 @@ class VehicleGroups:
         lights.boxes_xyxy_px[rows], lights.seen_s[rows] = boxes_xyxy_px[:num_old], now_s
         is_kept = now_s - lights.seen_s <= KEEP_S
         is_kept[:-MAX_LIGHTS] &= lights.seen_s[:-MAX_LIGHTS] == now_s
-        lights = lights.where(is_kept)
+        if not is_kept.all():
+            lights = lights.where(is_kept)
         if num_old < len(track_ids):
             new = boxes_xyxy_px[num_old:]
             begun = self._joining(lights, new)
