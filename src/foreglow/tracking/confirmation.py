@@ -45,8 +45,7 @@ MAX_SCORE_EVIDENCE = 7.0
 
 
 NEUTRAL_RANGE_M, RANGES_M = 70.0, (16.0, 100.0)
-"""Range in (5) that speaks neither for nor against a vehicle, and its limits. On validation drives half of the boxes
-with a score above 0.3 are within 31 m where no vehicle is, and beyond 100 m where one is still hidden (decision 18)."""
+"""Range in (5) that speaks neither for nor against a vehicle, and its limits: chosen in decision 18."""
 
 
 def scores_with_ranges(scores: Floats, ranges_m: Floats, weight: float) -> Floats:
