@@ -20,6 +20,7 @@ from foreglow.types import (
     RoadAhead,
     Tracks,
     TrackState,
+    Vehicles,
 )
 
 BOXES = np.array([[0, 0, 4, 4], [2, 3, 9, 8]], np.int32)
@@ -188,7 +189,7 @@ def test_a_range_may_be_unknown() -> None:
         ranges.ranges_m[0] = 1.0
 
 
-def tracks(**changed: NDArray[Any]) -> Tracks:
+def tracks(**changed: Any) -> Tracks:
     fields: dict[str, NDArray[Any]] = {
         "ids": np.array([3, 7]),
         "states": np.array([TrackState.TENTATIVE, TrackState.COASTING], np.int64),
@@ -222,3 +223,37 @@ def test_tracks_say_which_are_plausible() -> None:
 def test_tracks_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         tracks(**changed)
+
+
+def vehicles(**changed: NDArray[Any]) -> Vehicles:
+    fields: dict[str, NDArray[Any]] = {
+        "ids": np.array([2, 5]),
+        "states": np.array([int(TrackState.CONFIRMED), int(TrackState.TENTATIVE)]),
+        "confidences": np.array([0.5, 0.25]),
+        "is_in_sight": np.array([True, False]),
+        "of_tracks": np.array([5, 2]),
+        "leading": np.array([1, 0]),
+    }
+    return Vehicles(**(fields | changed))
+
+
+@pytest.mark.parametrize(
+    ("changed", "complaint"),
+    [
+        ({"ids": np.array([5, 2])}, r"Vehicles.ids: expected ascending numbers, got \[5, 2\]"),
+        ({"states": np.zeros(2)}, "Vehicles.states: expected int64"),
+        ({"is_in_sight": np.zeros(3, np.bool_)}, r"Vehicles.is_in_sight: .* got bool of shape \(3,\)"),
+        ({"of_tracks": np.array([5, 3])}, r"Vehicles.of_tracks: expected ids of vehicles, got \[5, 3\]"),
+        ({"leading": np.array([0, 1])}, r"Vehicles.leading: expected a track of each vehicle, got \[0, 1\]"),
+        ({"leading": np.array([1, 2])}, r"Vehicles.leading: expected a track of each vehicle, got \[1, 2\]"),
+    ],
+)
+def test_vehicles_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        vehicles(**changed)
+
+
+def test_vehicles_are_those_of_as_many_tracks() -> None:
+    assert tracks(vehicles=vehicles()).vehicles is not None
+    with pytest.raises(ValueError, match=r"Tracks.vehicles: expected those of 2 tracks, got 3"):
+        tracks(vehicles=vehicles(of_tracks=np.array([2, 5, 5]), leading=np.array([0, 1])))

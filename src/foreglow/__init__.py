@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         RoadAhead,
         Tracks,
         TrackState,
+        Vehicles,
     )
 
     __version__: str
@@ -67,6 +68,7 @@ __all__ = [
     "TrackState",
     "Tracker",
     "Tracks",
+    "Vehicles",
     "__version__",
     "evaluate_boxes",
     "evaluate_split",
@@ -92,7 +94,10 @@ _NAMES = {
     "pipeline": "Pipeline",
     "runs.recorded_run": "RecordedRun read_run",
     "tracking": "Tracker",
-    "types": "BeamCommand BeamMode Detections EgoMotion Frame FrameResult Proposals Ranges RoadAhead Tracks TrackState",
+    "types": (
+        "BeamCommand BeamMode Detections EgoMotion Frame FrameResult Proposals Ranges RoadAhead Tracks TrackState "
+        "Vehicles"
+    ),
 }
 """The public names by the module that they are imported from."""
 

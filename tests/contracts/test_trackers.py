@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, TrackerConfig
 from foreglow.tracking import TRACKERS, Tracker, make_tracker
-from foreglow.types import Detections, Ranges, Tracks, TrackState
+from foreglow.types import Detections, Ranges, Tracks, TrackState, Vehicles
 from tests.tracking.made_up import FRAME_S, detections_of, frame_at
 
-FIELDS = tuple(Tracks.__dataclass_fields__)
+FIELDS = tuple(Tracks.__dataclass_fields__.keys() - {"vehicles"})
+VEHICLE_FIELDS = tuple(Vehicles.__dataclass_fields__)
 CONFIGS = {
     **{name: TrackerConfig.model_validate({"method": name}) for name in TRACKERS},
     "ours": OUR_TRACKER,
+    "vehicles": OUR_TRACKER.model_copy(update={"vehicle_gate": 1.0}),
     "m_of_n": TrackerConfig(confirmation="m_of_n", range_filter="median", range_gate=3.0, clock="time"),
 }
 pytestmark = pytest.mark.parametrize("name", CONFIGS)
@@ -45,9 +50,18 @@ def followed(tracker: Tracker, scene: Scene) -> list[Tracks]:
     ]
 
 
-def assert_same(tracks: Tracks, other: Tracks) -> None:
-    for name in FIELDS:
-        np.testing.assert_array_equal(getattr(tracks, name), getattr(other, name), err_msg=name)
+def arrays_of(tracks: Tracks) -> dict[str, NDArray[Any]]:
+    """All arrays by name, those of the vehicles with them."""
+    arrays = {name: getattr(tracks, name) for name in FIELDS}
+    if tracks.vehicles is not None:
+        arrays |= {f"vehicles.{name}": getattr(tracks.vehicles, name) for name in VEHICLE_FIELDS}
+    return arrays
+
+
+def assert_same(arrays: dict[str, NDArray[Any]], others: dict[str, NDArray[Any]]) -> None:
+    assert arrays.keys() == others.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(array, others[name], err_msg=name)
 
 
 def test_ids_are_never_given_twice(name: str) -> None:
@@ -94,19 +108,18 @@ def test_the_same_frames_give_the_same_tracks_also_after_a_reset(name: str) -> N
     followed(tracker, crowd(5))
     tracker.reset()
     for tracks, other in zip(first, followed(tracker, crowd(4)), strict=True):
-        assert_same(tracks, other)
+        assert_same(arrays_of(tracks), arrays_of(other))
 
 
 def test_earlier_results_stay_as_they_are(name: str) -> None:
     tracker = make_tracker(CONFIGS[name])
     scene = crowd(6)
     kept = followed(tracker, scene[:20])
-    copies = [{field: getattr(tracks, field).copy() for field in FIELDS} for tracks in kept]
+    copies = [{name: array.copy() for name, array in arrays_of(tracks).items()} for tracks in kept]
     for index, (found, ranges) in enumerate(scene[20:], start=20):
         tracker.update(frame_at(index * FRAME_S), found, ranges)
     for tracks, copy in zip(kept, copies, strict=True):
-        for field in FIELDS:
-            np.testing.assert_array_equal(getattr(tracks, field), copy[field])
+        assert_same(arrays_of(tracks), copy)
 
 
 def test_nothing_gives_nothing(name: str) -> None:

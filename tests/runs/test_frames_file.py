@@ -26,7 +26,18 @@ from foreglow.runs.frames_file import (
 )
 from foreglow.runs.json_lines import LineSink, read_lines
 from foreglow.runs.predictions import read_predictions
-from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
+from foreglow.types import (
+    BeamCommand,
+    BeamMode,
+    Detections,
+    Frame,
+    FrameResult,
+    Proposals,
+    Ranges,
+    Tracks,
+    TrackState,
+    Vehicles,
+)
 from foreglow.types.kinds import kinds_of_direct
 from tests.stand_ins import night_frames, night_image, result_of, tracks_of
 
@@ -73,6 +84,45 @@ def test_kinds_come_back_and_are_left_out_where_a_model_does_not_tell_them(tmp_p
         np.testing.assert_array_equal(read_tracks(path)[0].light_kinds, kinds)
     assert found.tracks is not None
     assert found.tracks.kind_names == (None, None)
+
+
+def with_vehicles(tracks: Tracks) -> Tracks:
+    """The same tracks, all of them of vehicle 5."""
+    vehicles = Vehicles(
+        ids=np.array([5]),
+        states=np.array([int(TrackState.COASTING)]),
+        confidences=np.array([0.25]),
+        is_in_sight=np.array([True]),
+        of_tracks=np.full(len(tracks), 5),
+        leading=np.array([1]),
+    )
+    return dataclasses.replace(tracks, vehicles=vehicles)
+
+
+def test_vehicles_come_back_and_are_left_out_without_any(tmp_path: Path) -> None:
+    written = with_vehicles(tracks_of(BOXES, ids=[3, 8]))
+    path = write_run(tmp_path / "frames.jsonl", written, tracks_of(BOXES))
+    found = read_tracks(path)
+    assert [tracks.vehicles is None for tracks in found.values()] == [False, True]
+    for field in dataclasses.fields(Vehicles):
+        np.testing.assert_array_equal(getattr(found[0].vehicles, field.name), getattr(written.vehicles, field.name))
+    assert [line.count('"vehicles"') for line in path.read_text().splitlines()] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("[3,8]", "[3]", "vehicles: expected one that has track 8, found none"),
+        ('"leading":8', '"leading":7', r"Vehicles\.leading: expected a track of each vehicle, got \[-1\]"),
+    ],
+)
+def test_vehicles_that_contradict_the_tracks(tmp_path: Path, old: str, new: str, complaint: str) -> None:
+    path = write_run(tmp_path / "frames.jsonl", with_vehicles(tracks_of(BOXES, ids=[3, 8])))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"line 1: {complaint}"):
+        read_tracks(path)
 
 
 def test_a_run_without_a_tracker(tmp_path: Path) -> None:

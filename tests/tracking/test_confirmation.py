@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from foreglow.config import TrackerConfig
 from foreglow.tracking.alpha_beta import moving_mean
-from foreglow.tracking.confirmation import CONFIRMATIONS, MAX_EVIDENCE, MAX_SCORE_EVIDENCE, Observations
+from foreglow.tracking.confirmation import (
+    CONFIRMATIONS,
+    MAX_EVIDENCE,
+    MAX_SCORE_EVIDENCE,
+    NEUTRAL_RANGE_M,
+    RANGES_M,
+    Observations,
+    scores_with_ranges,
+)
 
 
 def history(config: TrackerConfig, scores: Sequence[float]) -> list[bool]:
@@ -168,3 +176,20 @@ def test_no_tracks(rule: str) -> None:
     memory, plausible = made.update(np.zeros((0, made.memory_size)), observed)
     assert memory.shape == (0, made.memory_size)
     assert plausible.shape == (0,)
+
+
+class TestRanges:
+    @given(st.floats(0, 1), st.floats(0.1, 1000), st.floats(0, 10))
+    def test_a_score_stays_one_and_far_light_has_the_greater(self, score: float, range_m: float, weight: float) -> None:
+        near, far = scores_with_ranges(np.full(2, score), np.array([range_m, 1.5 * range_m]), weight)
+        assert 0.0 <= near <= far + 1e-12 <= 1.0 + 1e-12
+
+    @given(st.floats(0, 1), st.floats(0, 10))
+    def test_without_a_range_or_at_the_neutral_one_nothing_changes(self, score: float, weight: float) -> None:
+        changed = scores_with_ranges(np.full(2, score), np.array([nan, NEUTRAL_RANGE_M]), weight)
+        np.testing.assert_allclose(changed, score, atol=1e-12)
+
+    def test_ranges_beyond_the_limits_count_as_these(self) -> None:
+        at_limits = scores_with_ranges(np.full(2, 0.4), np.array(RANGES_M), 2.0)
+        np.testing.assert_array_equal(scores_with_ranges(np.full(2, 0.4), np.array([1.0, 1e6]), 2.0), at_limits)
+        assert at_limits[0] < 0.4 < at_limits[1]

@@ -13,8 +13,12 @@ from foreglow.types import Detections, EgoMotion, Frame, TrackState
 from tests.tracking.made_up import FRAME_S, detections_of, frame_at
 
 LAMP = (600, 400, 620, 416, 0.9)
-CONFIGS = {"paper": TrackerConfig(), "ours": OUR_TRACKER}
-both = pytest.mark.parametrize("name", CONFIGS)
+CONFIGS = {
+    "paper": TrackerConfig(),
+    "ours": OUR_TRACKER,
+    "vehicles": OUR_TRACKER.model_copy(update={"vehicle_gate": 1.0}),
+}
+each = pytest.mark.parametrize("name", CONFIGS)
 
 
 def anywhere(rng: np.random.Generator, count: int) -> Detections:
@@ -46,7 +50,7 @@ def test_a_clock_that_hardly_moves(step_ns: int) -> None:
 
 
 @pytest.mark.parametrize("times_s", [[5.0] * 40, [5.0 - 0.05 * n for n in range(40)], [5.0, 1.0] * 20])
-@both
+@each
 def test_time_that_stands_or_runs_back(name: str, times_s: list[float]) -> None:
     tracker, rng, ids = AlphaBetaTracker(CONFIGS[name]), np.random.default_rng(4), -1
     for time_s in times_s:
@@ -58,7 +62,7 @@ def test_time_that_stands_or_runs_back(name: str, times_s: list[float]) -> None:
     assert_follows(tracker, 9.0)
 
 
-@both
+@each
 def test_another_camera_begins_anew(name: str) -> None:
     """A box of the large image is another place in the small one, and ids are not reused."""
     tracker = AlphaBetaTracker(CONFIGS[name])
@@ -71,7 +75,7 @@ def test_another_camera_begins_anew(name: str) -> None:
     assert_follows(tracker, 8 * FRAME_S)
 
 
-@both
+@each
 def test_hundreds_of_boxes_in_each_frame(name: str) -> None:
     """A lamp that was there before is still followed, and no more tracks are kept than the limit."""
     tracker, rng = AlphaBetaTracker(CONFIGS[name]), np.random.default_rng(5)

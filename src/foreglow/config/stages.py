@@ -205,6 +205,9 @@ class TrackerConfig(FrozenModel):
         reject_evidence: Log-likelihood ratio down to which it stays plausible (`evidence`).
         company_evidence: Additional ratio that a second track needs near a plausible one (`evidence`).
         company_s: A track that was plausible so recently counts as a plausible one there (`evidence`).
+        range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
+        vehicle_gate: Tracks whose boxes are at most so far apart, in units of their size, belong to one vehicle, and
+            vehicles are confirmed instead of tracks; None for tracks alone.
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
@@ -238,6 +241,8 @@ class TrackerConfig(FrozenModel):
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
     company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
     company_s: Annotated[float, Field(ge=0, le=60)] = 2.0
+    range_evidence: Annotated[float, Field(ge=0, le=10)] = 0.0
+    vehicle_gate: Annotated[float, Field(ge=0, le=100)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> TrackerConfig:

@@ -21,7 +21,18 @@ from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
 from foreglow.files import bounded_lines
 from foreglow.geometry import Floats
 from foreglow.runs.json_lines import checked, read_lines
-from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Proposals, Ranges, Tracks, TrackState
+from foreglow.types import (
+    BeamCommand,
+    BeamMode,
+    Detections,
+    Frame,
+    FrameResult,
+    Proposals,
+    Ranges,
+    Tracks,
+    TrackState,
+    Vehicles,
+)
 from foreglow.types.kinds import kinds_of_direct, tells_rear
 
 Box: TypeAlias = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -58,6 +69,18 @@ class TrackEntry(TypedDict):
     detection: Annotated[int, Field(ge=-1)]
     direct: NotRequired[Probability | None]
     light_kinds: NotRequired[LightKinds | None]
+
+
+@checked
+class VehicleEntry(TypedDict):
+    """A vehicle in a line, with the fields of `Vehicles`; `tracks` has the ids of its tracks, `leading` one of them."""
+
+    id: int
+    state: StateName
+    confidence: Probability
+    is_in_sight: bool
+    tracks: Annotated[list[int], Field(min_length=1)]
+    leading: int
 
 
 @checked
@@ -99,6 +122,7 @@ class FrameLine(TypedDict):
         ranges_m: Range of each box from the camera along the viewing ray, rounded to a millimetre; None where unknown.
         range_sigmas_m: Standard deviations of the ranges; None for infinity.
         tracks: In the order of ids.
+        vehicles: In the order of ids; left out where the tracker confirms tracks alone.
         beam: The beam command.
     """
 
@@ -113,6 +137,7 @@ class FrameLine(TypedDict):
     ranges_m: NotRequired[list[float | None] | None]
     range_sigmas_m: NotRequired[list[float | None] | None]
     tracks: NotRequired[list[TrackEntry] | None]
+    vehicles: NotRequired[list[VehicleEntry]]
     beam: NotRequired[BeamEntry | None]
 
 
@@ -140,6 +165,8 @@ def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
     }
     if detections is not None and tells_rear(detections.light_kinds):
         line["light_kinds"] = _rows_without_nan(detections.light_kinds)
+    if tracks is not None and tracks.vehicles is not None:
+        line["vehicles"] = _vehicle_entries(tracks.vehicles, tracks.ids)
     return line
 
 
@@ -171,7 +198,7 @@ def line_to_result(line: FrameLine, score_threshold: float) -> FrameResult:
         proposals,
         detections,
         ranges=ranges,
-        tracks=None if tracks is None else _tracks(tracks),
+        tracks=None if tracks is None else _tracks(tracks, line.get("vehicles")),
         beam=None if beam is None else _beam_command(beam, line["timestamp_ns"]),
     )
 
@@ -214,14 +241,54 @@ def _track_entries(tracks: Tracks) -> list[TrackEntry]:
     return entries
 
 
-def _tracks(entries: list[TrackEntry]) -> Tracks:
+def _vehicle_entries(vehicles: Vehicles, track_ids: NDArray[np.int64]) -> list[VehicleEntry]:
+    leading_ids = track_ids[vehicles.leading]
+    columns = (vehicles.ids, vehicles.states, vehicles.confidences, vehicles.is_in_sight, leading_ids)
+    return [
+        {
+            "id": number,
+            "state": _STATE_NAMES[TrackState(state)],
+            "confidence": confidence,
+            "is_in_sight": is_in_sight,
+            "tracks": track_ids[vehicles.of_tracks == number].tolist(),
+            "leading": leading,
+        }
+        for number, state, confidence, is_in_sight, leading in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
+    ]
+
+
+def _vehicles(entries: list[VehicleEntry], track_ids: NDArray[np.int64]) -> Vehicles:
+    """The vehicles of tracks with these ids.
+
+    Raises:
+        ValueError: If a track belongs to none of them, or there is no leading one.
+    """
+    of_tracks = {track_id: entry["id"] for entry in entries for track_id in entry["tracks"]}
+    indices = {track_id: index for index, track_id in enumerate(track_ids.tolist())}
+    missing = next(iter(indices.keys() - of_tracks.keys()), None)
+    if missing is not None:
+        raise ValueError(f"vehicles: expected one that has track {missing}, found none")
+    return Vehicles(
+        ids=np.array([entry["id"] for entry in entries], np.int64),
+        states=np.array([TrackState[entry["state"].upper()] for entry in entries], np.int64),
+        confidences=np.array([entry["confidence"] for entry in entries], np.float64),
+        is_in_sight=np.array([entry["is_in_sight"] for entry in entries], np.bool_),
+        of_tracks=np.array([of_tracks[track_id] for track_id in indices], np.int64),
+        leading=np.array([indices.get(entry["leading"], -1) for entry in entries], np.int64),
+    )
+
+
+def _tracks(entries: list[TrackEntry], vehicles: list[VehicleEntry] | None) -> Tracks:
     def column(name: str, dtype: type) -> NDArray[Any]:
         return np.array([entry.get(name) for entry in entries], dtype)
 
     direct = [entry.get("direct") for entry in entries]
     rows = [entry.get("light_kinds") for entry in entries] if any("light_kinds" in entry for entry in entries) else None
+    ids = column("id", np.int64)
     return Tracks(
-        ids=column("id", np.int64),
+        ids=ids,
         states=np.array([TrackState[entry["state"].upper()] for entry in entries], np.int64),
         boxes_xyxy_px=column("box_xyxy_px", np.float64).reshape(-1, 4),
         confidences=column("confidence", np.float64),
@@ -232,6 +299,7 @@ def _tracks(entries: list[TrackEntry]) -> Tracks:
         sigmas_m=_numbers([entry["range_sigma_m"] for entry in entries], unknown=math.inf),
         detections=column("detection", np.int64),
         light_kinds=_light_kinds(rows, direct, np.float64),
+        vehicles=None if vehicles is None else _vehicles(vehicles, ids),
     )
 
 
@@ -327,7 +395,7 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
     """
-    return read_lines(Path(path), FrameLineModel, lambda line: _tracks(_entries_of(line)))
+    return read_lines(Path(path), FrameLineModel, lambda line: _tracks(_entries_of(line), line.get("vehicles")))
 
 
 def read_results(path: Path | str, score_threshold: float) -> Mapping[int, FrameResult]:

@@ -16,6 +16,11 @@ to `reject`; while another track is plausible, or was so a moment ago, it needs 
 
     E > confirm (+ company), or E > reject for a plausible track                                                (4)
 
+Where the range r of a light is known, it is evidence, too. What our own lamps light is near, and the light of a vehicle
+that is still hidden is first seen far away. So the score s of a detection is replaced by s' with
+
+    logit(s') = logit(s) + w log(r / R),   r limited to `RANGES_M`,   R = `NEUTRAL_RANGE_M`                     (5)
+
 Sources: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multiple-target tracking, 1986.
 """
 
@@ -39,12 +44,26 @@ MAX_SCORE_EVIDENCE = 7.0
 """A single score counts for odds of at most 1100 to 1, either way: the calibration knows nothing of rarer cases."""
 
 
+NEUTRAL_RANGE_M, RANGES_M = 70.0, (16.0, 100.0)
+"""Range in (5) that speaks neither for nor against a vehicle, and its limits: chosen in decision 18."""
+
+
+def scores_with_ranges(scores: Floats, ranges_m: Floats, weight: float) -> Floats:
+    """The scores of (5), shape (N,): each unchanged where the range is NaN.
+
+    >>> scores_with_ranges(np.array([0.5, 0.5, 0.5, 1.0]), np.array([35.0, 70.0, np.nan, 35.0]), 1.0).round(3).tolist()
+    [0.333, 0.5, 0.5, 1.0]
+    """
+    factors = (np.where(np.isnan(ranges_m), NEUTRAL_RANGE_M, np.clip(ranges_m, *RANGES_M)) / NEUTRAL_RANGE_M) ** weight
+    return np.asarray(scores * factors / (scores * factors + 1.0 - scores))  # (5)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
     """What this frame shows of M tracks.
 
     Attributes:
-        scores: Shape (M,), of each track's detection; NaN where the track was missed.
+        scores: Shape (M,), of each track's detection, by (5); NaN where the track was missed.
         num_hits: Shape (M,), detections so far, this one included.
         confidences: Shape (M,), the filtered score.
         was_plausible: Shape (M,), before this frame.

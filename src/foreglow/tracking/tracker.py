@@ -20,7 +20,7 @@ from foreglow.tracking.association import (
     is_range_apart,
     overlaps,
 )
-from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
+from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_with_ranges
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
@@ -32,7 +32,8 @@ from foreglow.tracking.track_range import (
     median_of,
     remembered,
 )
-from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState
+from foreglow.tracking.vehicles import VehicleGroups
+from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState, Vehicles
 
 MIN_SIZE_PX = 1.0
 """Predicted boxes never become smaller than this."""
@@ -57,6 +58,7 @@ class AlphaBetaTracker:
         self._gains = (alphas, steady_betas(alphas))
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
+        self._vehicles = None if config.vehicle_gate is None else VehicleGroups(config)
         self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
         # Half a frame of tolerance, since frames come somewhat early or late.
         self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz
@@ -72,7 +74,9 @@ class AlphaBetaTracker:
         self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
         self._next_id = 0
         self._states = self._born(0)
-        self._tracks = self._as_tracks(self._states)
+        if self._vehicles is not None:
+            self._vehicles.reset()
+        self._tracks = self._as_tracks(self._states, None)
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
@@ -82,6 +86,8 @@ class AlphaBetaTracker:
         size_px = frame.width_px, frame.height_px
         if not 0.0 < step_s <= self._config.max_gap_s or size_px != (self._size_px or size_px):
             self._states = self._born(0)
+            if self._vehicles is not None:
+                self._vehicles.forget()
             step_s = 1.0 / self._config.rate_hz
         step_s = max(step_s, MIN_STEP_S)  # rates divide by it
         self._now_s += step_s
@@ -98,8 +104,15 @@ class AlphaBetaTracker:
             self._states = self._states.joined(self._born(len(beginning)))
             assigned = np.concatenate([assigned, beginning])
         self._correct(self._with_looming(found.taken(assigned), frame), step_s)
+        scores = self._scores(detections, ranges)
+        if self._vehicles is None:
+            self._confirm(scores)
         self._end(frame)
-        self._tracks = self._as_tracks(self._states)
+        vehicles = None
+        if self._vehicles is not None:
+            states = self._states
+            states.is_plausible, vehicles = self._vehicles.update(self._now_s, states, scores[states.detections])
+        self._tracks = self._as_tracks(self._states, vehicles)
         return self._tracks
 
     def _is_again(self, frame: Frame, detections: Detections) -> bool:
@@ -160,7 +173,7 @@ class AlphaBetaTracker:
         return dataclasses.replace(taken, values=values, sigmas_m=np.where(is_taken, sigmas_m, taken.sigmas_m))
 
     def _correct(self, taken: Measurements, step_s: float) -> None:
-        """Corrects each track by its measurement, and updates which tracks are plausible."""
+        """Corrects each track by its measurement."""
         states = self._states
         is_hit = taken.detections != UNASSIGNED
         since_s = self._now_s - states.measured_s
@@ -175,8 +188,19 @@ class AlphaBetaTracker:
         states.missing_s = np.where(is_hit, 0.0, states.missing_s + min(step_s, self._max_miss_s))
         states.detections = taken.detections
         self._correct_sigmas(taken, step_s)
+
+    def _scores(self, detections: Detections, ranges: Ranges | None) -> Floats:
+        """The scores of all detections as evidence, and NaN at the end: for the index -1, a track without one."""
+        scores = detections.scores.astype(np.float64)
+        if ranges is not None and self._config.range_evidence:
+            scores = scores_with_ranges(scores, ranges.ranges_m, self._config.range_evidence)
+        return np.append(scores, np.nan)
+
+    def _confirm(self, scores: Floats) -> None:
+        """Updates which tracks are plausible, each by itself."""
+        states = self._states
         observed = Observations(
-            scores=taken.scores,
+            scores=scores[states.detections],
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,
@@ -212,7 +236,7 @@ class AlphaBetaTracker:
         if is_over.any():
             self._states = states.where(~is_over)
 
-    def _as_tracks(self, states: TrackStates) -> Tracks:
+    def _as_tracks(self, states: TrackStates, vehicles: Vehicles | None) -> Tracks:
         seen = np.where(states.num_misses > 0, TrackState.COASTING, TrackState.CONFIRMED)
         ranges_m, sigmas_m = states.values[:, RANGE], states.sigmas_m
         if self._num_ranges:
@@ -232,6 +256,7 @@ class AlphaBetaTracker:
             sigmas_m=np.where(is_known, sigmas_m, np.inf),
             detections=states.detections,
             light_kinds=states.light_kinds,
+            vehicles=vehicles,
         )
 
 

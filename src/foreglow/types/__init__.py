@@ -12,6 +12,7 @@ from foreglow.types.frame import MIN_STEP_S, EgoMotion, Frame, RoadAhead
 from foreglow.types.kinds import KINDS, LIGHT_KINDS
 from foreglow.types.result import FrameResult
 from foreglow.types.tracks import Tracks, TrackState
+from foreglow.types.vehicles import Vehicles
 
 __all__ = [
     "KINDS",
@@ -30,4 +31,5 @@ __all__ = [
     "RoadAhead",
     "TrackState",
     "Tracks",
+    "Vehicles",
 ]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import frozen_view
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
+from foreglow.types.vehicles import Vehicles
 
 
 class TrackState(IntEnum):
@@ -42,6 +43,7 @@ class Tracks:
         detections: Shape (M,), int64, index of the box in this frame's `Detections`; -1 without one.
         light_kinds: Shape (M, 4), float64, the filtered probabilities of the kinds of `LIGHT_KINDS`, which sum to 1;
             NaN where unknown. An empty array becomes NaNs.
+        vehicles: The vehicles that they belong to; None without them.
 
     Raises:
         ValueError: If a shape or a dtype is wrong, ids do not ascend, a box is not in order or not finite, or kinds do
@@ -59,6 +61,7 @@ class Tracks:
     sigmas_m: NDArray[np.float64]
     detections: NDArray[np.int64]
     light_kinds: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, len(LIGHT_KINDS))))
+    vehicles: Vehicles | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -73,6 +76,8 @@ class Tracks:
             object.__setattr__(self, name, frozen_view(array))
         light_kinds = checked_kinds("Tracks.light_kinds", self.light_kinds, count, np.float64)
         object.__setattr__(self, "light_kinds", light_kinds)
+        if self.vehicles is not None and len(self.vehicles.of_tracks) != count:
+            raise ValueError(f"Tracks.vehicles: expected those of {count} tracks, got {len(self.vehicles.of_tracks)}")
         boxes = self.boxes_xyxy_px
         if not (self.ids[1:] > self.ids[:-1]).all():
             raise ValueError(f"Tracks.ids: expected ascending numbers, got {self.ids.tolist()}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from foreglow.lab.evaluation.boxes.lights import Light
 from foreglow.lab.evaluation.vehicles import SequenceTracks, match_tracks
-from foreglow.types import Tracks, TrackState
+from foreglow.types import Tracks, TrackState, Vehicles
 from tests.lab.evaluation.scored_boxes import light, split_labels
 
 TENTATIVE, CONFIRMED, COASTING = TrackState.TENTATIVE, TrackState.CONFIRMED, TrackState.COASTING
@@ -107,3 +108,15 @@ def test_false_tracks_where_nobody_is() -> None:
         empty=[0, 2],
     )
     assert (only.num_false, only.num_false_empty, only.empty_s) == (2, 1, 1.0)
+
+
+def test_vehicles_are_judged_instead_of_tracks() -> None:
+    """Vehicle 4 is both tracks: it holds light by one, and is found by the other one's box, whatever its own state."""
+    tracks = tracks_of((0, TENTATIVE, 0), (1, CONFIRMED, 1))
+    states, of_tracks = np.array([int(CONFIRMED)]), np.array([4, 4])
+    vehicles = Vehicles(np.array([4]), states, np.zeros(1), np.array([False]), of_tracks, np.array([1]))
+    lights = {0: [light(0, 5, 5)]}
+    (alone,) = matched(lights, {0: tracks})
+    (only,) = matched(lights, {0: dataclasses.replace(tracks, vehicles=vehicles)})
+    assert (alone.num_plausible, alone.num_false, math.isnan(alone.vehicles[0].found_s)) == (1, 1, True)
+    assert (only.num_plausible, only.num_false, only.vehicles[0].found_s) == (1, 0, 0.0)

@@ -17,7 +17,7 @@ from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.evaluation.ratios import share
-from foreglow.types import Tracks
+from foreglow.types import Tracks, TrackState
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,8 @@ def vehicle_facts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceTracks:
-    """What the tracks of one sequence are worth.
+    """What the tracks of one sequence are worth, or its vehicles where the tracker confirms these: then each vehicle
+    counts as one track, with all boxes of its tracks.
 
     A track *has held* a light once one of its detections, so far, had the light in its box, edges included.
 
@@ -237,9 +238,10 @@ def _match_sequence(
     firsts: dict[int, dict[str, float]] = {}  # by vehicle, times and indices of images
     for index, image_id in enumerate(image_ids):
         in_image, now_s = tracks[image_id], labels.time_s[image_id]
-        plausible = dict.fromkeys(in_image.ids[in_image.is_plausible].tolist(), image_id) | plausible
+        unit_ids, is_plausible = _units(in_image)
+        plausible = dict.fromkeys(unit_ids[is_plausible].tolist(), image_id) | plausible
         is_detected = in_image.detections >= 0
-        ids = in_image.ids[is_detected].tolist()
+        ids = unit_ids[is_detected].tolist()
         boxes = boxes_xyxy_px[image_id][in_image.detections[is_detected]]
         lit |= {ids[box] for _, box in _held(labels.doubtful_px[image_id], boxes)}
         lights = labels.lights[image_id]
@@ -250,7 +252,7 @@ def _match_sequence(
                 if light.is_direct:
                     first.setdefault("lamp", now_s)
         lit |= {ids[box] for _, box in _held(points_px, boxes)}
-        for point, _ in _held(points_px, in_image.boxes_xyxy_px[in_image.is_plausible]):
+        for point, _ in _held(points_px, in_image.boxes_xyxy_px[is_plausible]):
             if not lights[point].is_rear:
                 first = firsts[lights[point].vehicle_id]
                 first.setdefault("found", now_s)
@@ -276,6 +278,15 @@ def _match_sequence(
             for vehicle_id, first in sorted(firsts.items())
         ),
     )
+
+
+def _units(tracks: Tracks) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """What is confirmed, tracks or vehicles: for each track the id of its unit, and whether that is plausible."""
+    vehicles = tracks.vehicles
+    if vehicles is None:
+        return tracks.ids, tracks.is_plausible
+    plausible_ids = vehicles.ids[vehicles.states != TrackState.TENTATIVE]
+    return vehicles.of_tracks, np.isin(vehicles.of_tracks, plausible_ids)
 
 
 def _held(points_px: NDArray[np.float64], boxes_xyxy_px: NDArray[np.floating]) -> list[tuple[int, int]]:
