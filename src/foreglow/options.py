@@ -232,9 +232,7 @@ PatienceOption = Annotated[int | None, option("N", "Stop when N epochs in a row 
 class PipelineOptions:
     """Pipeline."""
 
-    preset: Annotated[
-        str | None, option("foreglow|paper|baseline", "Preset to start from (default: foreglow).")
-    ] = None
+    preset: Annotated[str | None, option("foreglow|paper|baseline", "Preset to start from (default: foreglow).")] = None
     model: ModelOption = None
     config: ConfigOption = None
 
