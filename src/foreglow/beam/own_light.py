@@ -5,7 +5,7 @@ to a knee, and from there on by slope levels for each factor e,
 
     L = g - g0 up to the knee K,   else K + slope (exp((g - g0 - K) / slope) - 1)                               (1)
 
-The brightest quarter of a box has the mean light c. By photometry our lamps give its place the share q of what they
+The brightest pixels of a box have the mean light c. By photometry our lamps give its place the share q of what they
 give it with all LEDs at full. As we come nearer, light grows or fades at a rate b, so that
 
     log c(t) = a + b t + k log q(t),   k = 1 for what is ours, k = 0 for what is others'                        (2)
@@ -55,6 +55,9 @@ OURS = 0.8
 
 MIN_GREY = 8.0
 """Above black, in 255ths of white; fainter lights are noise, and no answer."""
+
+NUM_BRIGHTEST = 9
+"""So many pixels, or a quarter of a small box: fewer are noise, and more change as the box breathes."""
 
 MAX_BRIGHTNESS = 0.97
 """Of white; what is brighter may be brighter than the image shows."""
@@ -170,7 +173,7 @@ def brightest(image: Image, box_xyxy_px: Floats, white: int, response: tuple[flo
     if x1 < 0 or y1 < 0 or x2 > width or y2 > height or x1 >= x2 or y1 >= y2:
         return math.nan
     inside = image[y1:y2, x1:x2].ravel()
-    num = -(-inside.size // 4)
+    num = min(-(-inside.size // 4), NUM_BRIGHTEST)
     grey = float(np.partition(inside, inside.size - num)[-num:].mean()) * 255.0 / white
     if grey - response[0] < MIN_GREY or grey > MAX_BRIGHTNESS * 255.0:
         return math.nan
