@@ -25,7 +25,7 @@ ASK_S, NUM_IMAGES = 0.16, 1.5
 AGAIN_S = 2.0
 """A light is asked again, or believed again, no sooner than so."""
 
-MIN_WORTH = 2.0
+MIN_WORTH = 1.0
 """Least worth of an answer, as a log-likelihood ratio: below it, nothing is asked and nothing is refused."""
 
 

@@ -16,7 +16,7 @@ from foreglow.config import BeamConfig, PipelineConfig, preset
 from foreglow.files import to_json
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
-from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without_traffic
+from foreglow.lab.simulation import Drive, DriveFrame, Scene, long_drives, with_beam, without_traffic
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
@@ -160,6 +160,7 @@ def config() -> PipelineConfig:
 
 
 def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
+    folder.mkdir(exist_ok=True)
     from foreglow.lab.simulation.writing.lidar import LidarConfig
     from foreglow.lab.simulation.writing.scene_files import Making
     from foreglow.lab.simulation.writing.street_data import StreetDataError
@@ -291,6 +292,15 @@ def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
     file.write_text("")
     with pytest.raises(ValueError, match="expected at least one scene"):
         named_scenes(file, plan)
+
+
+def test_a_split_without_a_data_set_stands_for_long_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = named_scenes(Path("val"), GlarePlan(num_scenes=1, num_empty=1))
+    assert [each.name for each in named] == ["S00001", "S00001-empty"]
+    assert named[0].scene == long_drives(1, run.LONG_SEED, "val")[0]
+    write_scenes_of((tmp_path / "val").resolve(), scene())
+    assert named_scenes(Path("val"), GlarePlan())[0].scene == scene()  # a folder of this name is what is meant
 
 
 def test_lead_scores_leave_out_what_was_not_told() -> None:
