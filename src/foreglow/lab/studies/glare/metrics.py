@@ -426,7 +426,7 @@ def wrong_dimming(drive: GlareDrive, run: PolicyRun, is_free: NDArray[np.bool_])
     return Dimming(
         seconds=float(is_free.sum() / drive.rate_hz),
         num_events=int(is_event.sum()),
-        num_questions=sum(_is_question(drive, run, is_full, first) for first in np.flatnonzero(is_event) + 1),
+        num_questions=sum(_is_question(drive, run, is_full, first + 1) for first in np.flatnonzero(is_event).tolist()),
         dimmed_s=float(is_dimmed.sum() / drive.rate_hz),
         leds_off_s=float(leds_off[is_dimmed].sum() / drive.rate_hz),
         road_lost_s=float(road_lost[is_dimmed].sum() / drive.rate_hz),
