@@ -304,8 +304,9 @@ class BeamConfig(FrozenModel):
     hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     restore_s: Annotated[float, Field(gt=0, le=10)] = 0.5
     ask: bool = False
-    response: tuple[
-        Annotated[float, Field(ge=0, lt=255)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]
+    response: Annotated[
+        tuple[Annotated[float, Field(ge=0, lt=255)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]],
+        Field(strict=False),
     ] = (7.6, 38.0, 14.0)
 
 
