@@ -44,9 +44,16 @@ NEAR_DEG = 2.0
 """An LED that shines only further than this, and half the box, from the box has nothing to do with it."""
 
 
+DIPPED = 0.7
+"""Level of some neighbouring LEDs of either lamp, while the others are at full."""
+
+
 @dataclass(frozen=True)
 class Grid:
-    """What is combined. Speeds are after frames at 20 m/s, and None is unknown."""
+    """What is combined. Speeds are after frames at 20 m/s, and None is unknown.
+
+    Levels are those of all LEDs. NaN stands for random ones, and `DIPPED` for full beam with a question in it.
+    """
 
     azimuths_deg: Sequence[float] = (-22, -12, -7, -3, -1, 0, 0.5, 2, 5, 9, 16)
     elevations_deg: Sequence[float] = (-2.0, -0.5, 0.5, 2.0)
@@ -54,8 +61,8 @@ class Grid:
     ranges_m: Sequence[float] = (math.nan, 12.0, 45.0, 80.0, 130.0, 400.0)
     relative_sigmas: Sequence[float] = (0.02, 0.3)
     are_plausible: Sequence[bool] = (True, False)
-    wanted: Sequence[float] = (0.02, 0.5, 1.0, math.nan)
-    before: Sequence[float] = (0.0, 0.4, 1.0)
+    wanted: Sequence[float] = (0.02, 0.5, 1.0, math.nan, DIPPED)
+    before: Sequence[float] = (0.0, 0.4, 1.0, DIPPED)
     speeds_mps: Sequence[float | None] = (20.0, 9.0, 8.8, 0.0, None)
     ages_s: Sequence[float] = (0.0, 0.3, 0.301, -0.001)
     faults: Sequence[str] = ("", "pipeline")
@@ -67,7 +74,7 @@ QUICK = Grid(
     widths_deg=(0.1, 3.0),
     ranges_m=(math.nan, 45.0, 130.0),
     relative_sigmas=(0.1,),
-    wanted=(0.5, 1.0, math.nan),
+    wanted=(0.5, 1.0, math.nan, DIPPED),
     speeds_mps=(20.0, 8.8, None),
     ages_s=(0.0, 0.301),
 )
@@ -180,13 +187,9 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
     """Tries all states."""
     guard, outcome = Guard(GuardConfig(), lamps), Outcome()
     num_leds = lamps.intensities_cd(np.eye(3)[:1])[1].shape[-1]
-    random = np.random.default_rng(0).random((2, num_leds))
-    prepared = {level: _prepared(guard, np.full((2, num_leds), level)) for level in grid.before}
+    prepared = {level: _prepared(guard, levels_of(level, num_leds)) for level in grid.before}
     frame_ns = NUM_BEFORE * FRAME_NS
-    wanted = [
-        BeamCommand(frame_ns, BeamMode.FULL, random if math.isnan(level) else np.full((2, num_leds), level))
-        for level in grid.wanted
-    ]
+    wanted = [BeamCommand(frame_ns, BeamMode.FULL, levels_of(level, num_leds)) for level in grid.wanted]
     motions = [None if speed_mps is None else EgoMotion(speed_mps, 0.0) for speed_mps in grid.speeds_mps]
     frames = [[Frame(image, frame_ns, camera=CAMERA, motion=motion) for image in IMAGES] for motion in motions]
     conditions = list(itertools.product(grid.before, wanted, frames, grid.ages_s, grid.faults))
@@ -203,7 +206,7 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
             )
             outcome.num_states += 1
             speed = None if frame.motion is None else frame.motion.speed_mps
-            state = (where, before, float(command.levels[0, 0]), speed, age_s, fault)
+            state = (where, before, float(command.levels.mean()), speed, age_s, fault)
             must_be_low = bool(fault) or speed is None or speed < 32 / 3.6 or not 0 <= age_s <= 0.3
             if checked.mode != mode_of(checked):
                 outcome.broken("the mode says what shines", state)
@@ -218,6 +221,16 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
         if lit:
             _check_light(outcome, place, lit, states)
     return outcome
+
+
+def levels_of(level: float, num_leds: int) -> Floats:
+    """Shape (2, num_leds), as `Grid` calls them."""
+    if math.isnan(level):
+        return np.random.default_rng(0).random((2, num_leds))
+    levels = np.full((2, num_leds), 1.0 if level == DIPPED else level)
+    if level == DIPPED:
+        levels[:, num_leds // 3 : num_leds // 2] = DIPPED
+    return levels
 
 
 def mode_of(command: BeamCommand) -> BeamMode:
@@ -248,7 +261,7 @@ def _check_light(
     outcome: Outcome, place: Place, lit: Sequence[tuple[float, Floats, BeamCommand]], states: Sequence[Any]
 ) -> None:
     """Holds the states with light at one place to the invariants."""
-    before = np.array([level for level, _, _ in lit])[:, np.newaxis, np.newaxis]
+    before = np.stack([levels_of(level, levels.shape[1]) for level, levels, _ in lit])
     wanted = np.stack([levels for _, levels, _ in lit])
     levels = np.stack([checked.levels for _, _, checked in lit])
     slow = np.minimum(wanted, before + FRAME_S / BRIGHTENING_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,8 +12,9 @@ import pytest
 
 from foreglow.beam.guard import Guard
 from foreglow.beam.messages import CanFrame, CommandEncoder
+from foreglow.beam.questions import DIP
 from foreglow.beam.receiver import LampReceiver
-from foreglow.types import BeamCommand, Frame, Tracks
+from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 from tests.beam.made_up import FRAME_NS, IMAGES, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
 
 LAMPS = FakeLamps(num_rows=3, num_columns=28)
@@ -38,10 +40,19 @@ class Moment:
     on_the_bus: Callable[[tuple[CanFrame, ...]], tuple[CanFrame, ...]] = lambda frames: frames
 
 
+dipped_frames = range(0)
+"""Those in which the policy asks; tests replace it."""
+
+
 def moment_at(number: int, frame: Frame | None = None) -> Moment:
     frame = frame_at(number) if frame is None else frame
     tracks = tracks_of([CAR], [120.0], sigmas_m=[5.0], ages_s=number / 18)
-    return Moment(frame, tracks, full(frame, LAMPS.num_leds))
+    wanted = full(frame, LAMPS.num_leds)
+    if number in dipped_frames:
+        levels = wanted.levels.copy()
+        levels[:, 10:40] = 1 - DIP
+        wanted = replace(wanted, mode=BeamMode.GLARE_FREE, levels=levels)
+    return Moment(frame, tracks, wanted)
 
 
 def with_arrays(tracks: Tracks, **arrays: Any) -> Tracks:
@@ -112,7 +123,14 @@ class Car:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_fault_ends_in_low_beam(name: str) -> None:
+@pytest.mark.parametrize(
+    "dipped",
+    [range(0), range(FIRST_BAD - 1, FIRST_BAD + 2), range(FIRST_BAD - 4, FIRST_BAD - 1)],
+    ids=["steady", "dipped", "returning"],
+)
+def test_fault_ends_in_low_beam(monkeypatch: pytest.MonkeyPatch, name: str, dipped: range) -> None:
+    """Also while a question is put, and while light returns from one."""
+    monkeypatch.setattr(sys.modules[__name__], "dipped_frames", dipped)
     car = Car()
     for number in range(FIRST_BAD):
         car.take(moment_at(number))

@@ -13,6 +13,7 @@ from foreglow.beam.bearings import Bearing, Bearings
 from foreglow.beam.dimming import Dimmer, Ramp
 from foreglow.beam.gaps import Gap, merged
 from foreglow.beam.occurrence import Occurrence, occurrence
+from foreglow.beam.questions import DIP, Questions
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
@@ -57,19 +58,20 @@ class BeamPolicy(Protocol):
         """The command that follows from `frame` and its tracks."""
         ...
 
+    def shone(self, command: BeamCommand) -> None:  # noqa: ARG002
+        """Told what the guard let pass of the command for the latest frame."""
+        return
+
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
         return
 
 
-class SteadyBeam:
+class SteadyBeam(BeamPolicy):
     """What the beams that never change have in common: they need to know how many LEDs a lamp has, and nothing else."""
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
         self._num_leds = headlamps.num_leds
-
-    def reset(self) -> None:
-        """As `BeamPolicy.reset`."""
 
 
 class LowBeam(SteadyBeam):
@@ -99,17 +101,19 @@ class GapWriter:
         """Forgets earlier levels."""
         self._ramp.reset()
 
-    def command(self, timestamp_ns: int, gaps: Sequence[Gap]) -> BeamCommand:
-        """High beam with `gaps`."""
+    def command(self, timestamp_ns: int, gaps: Sequence[Gap], dips: Sequence[Gap] = ()) -> BeamCommand:
+        """High beam with `gaps`, and with shallow `dips`, which end at once."""
         apart = merged(list(gaps))
         levels = self._ramp.step(self._dimmer.levels(apart), timestamp_ns)
+        if dips:
+            levels = np.minimum(levels, np.maximum(self._dimmer.levels(dips), 1.0 - DIP))
         mode = BeamMode.FULL if not apart and levels.min() >= 1.0 else BeamMode.GLARE_FREE
         borders = np.array([gap[:2] for gap in apart], np.float64).reshape(-1, 2)
         ranges_m = np.array([gap.near_m if math.isfinite(gap.near_m) else math.nan for gap in apart], np.float64)
         return BeamCommand(timestamp_ns, mode, levels, borders, ranges_m)
 
 
-class PaperPolicy:
+class PaperPolicy(BeamPolicy):
     """The paper's policy: a gap with a margin for the brightest plausible track, and for nothing else.
 
     It is silent while the car's production system reports a vehicle (`Frame.is_reported`), as in the paper's car, where
@@ -142,7 +146,7 @@ class PaperPolicy:
         return [_around(bearing, bearing.half_width_rad + self._margin_rad)]
 
 
-class ForeglowPolicy:
+class ForeglowPolicy(BeamPolicy):
     """Our policy: a gap for every tracked lamp, and one where a vehicle is expected that shows only by its light.
 
     * The gap of a lamp leads it by the latency, and covers the whole vehicle. Rear lamps count as front lamps: mirrors
@@ -155,6 +159,7 @@ class ForeglowPolicy:
       is not taken for another vehicle's for `EXPLAINED_S`.
     * While a gap is open, lamps get gaps before their tracks are confirmed. A vehicle that comes into sight needs a
       few frames to be confirmed, and its gap must not close in the meantime.
+    * With `ask`, light without a lamp in sight is asked whose it is before it opens a gap (`questions`).
 
     Attributes:
         expected: Where and when a hidden vehicle was expected in the latest frame; None without one, or without a road.
@@ -166,12 +171,16 @@ class ForeglowPolicy:
         self._hold_ns = round(config.hold_s * 1e9)
         self._bearings = Bearings()
         self._writer = GapWriter(config, headlamps)
+        self._questions = Questions(config, headlamps) if config.ask else None
         self.reset()
 
     def reset(self) -> None:
         """As `BeamPolicy.reset`."""
         self._bearings.reset()
         self._writer.reset()
+        if self._questions is not None:
+            self._questions.reset()
+        self._dips: list[Gap] = []
         self._held: dict[int, tuple[int, Gap]] = {}
         self._lamps: dict[int, Bearing] = {}
         self._lights: frozenset[int] = frozenset()
@@ -180,11 +189,17 @@ class ForeglowPolicy:
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
-        return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
+        gaps = self.gaps(frame, tracks)
+        return self._writer.command(frame.timestamp_ns, gaps, self._dips)
+
+    def shone(self, command: BeamCommand) -> None:
+        """As `BeamPolicy.shone`."""
+        if self._questions is not None:
+            self._questions.shone(command)
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
         """The gaps for the tracks of this frame, and those for tracks of a moment ago."""
-        self.expected = None
+        self.expected, self._dips = None, []
         if frame.camera is None:
             return []
         now_ns, held = frame.timestamp_ns, self._held
@@ -201,9 +216,16 @@ class ForeglowPolicy:
         passed = {track_id for track_id, bearing in self._lamps.items() if bearing.is_leaving and track_id not in lamps}
         self._explain(now_ns, lamps, passed, bearings)
         self._held = {track_id: (now_ns, self._lamp_gap(bearing)) for track_id, bearing in lamps.items()}
-        unexplained = [bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns]
+        unexplained = {track_id: bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns}
+        if self._questions is not None:
+            self._questions.look(frame, tracks, bearings)
+            if not lamps:
+                is_open = any(track_id <= HIDDEN for track_id in held)
+                believed = self._questions.believed(now_ns, unexplained, is_open=is_open)
+                self._dips = [self._light_gap(bearing) for bearing in self._questions.dipped(now_ns, bearings)]
+                unexplained = believed
         self._held |= {
-            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, unexplained))
+            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, unexplained.values()))
         }
         for track_id, (since_ns, gap) in held.items():
             if track_id not in self._held and track_id not in passed and 0 <= now_ns - since_ns <= self._hold_ns:
@@ -264,7 +286,10 @@ class ForeglowPolicy:
                 near_m = expected.nearest_m(tail)
                 half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
                 return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
-        return [_around(bearing, bearing.half_width_rad + self._margin_rad) for bearing in acted]
+        return [self._light_gap(bearing) for bearing in acted]
+
+    def _light_gap(self, bearing: Bearing) -> Gap:
+        return _around(bearing, bearing.half_width_rad + self._margin_rad)
 
 
 POLICIES: Mapping[str, type[BeamPolicy]] = MappingProxyType(

@@ -56,7 +56,11 @@ class BeamStage:
         wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
         if self._lit_street.update(frame):
             faults = (*faults, ROAD_LIT)
-        return self._guard.check(wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle)
+        passed = self._guard.check(
+            wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle
+        )
+        self._policy.shone(passed)
+        return passed
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""

@@ -292,6 +292,9 @@ class BeamConfig(FrozenModel):
         min_hidden_confidence: A gap for a hidden vehicle opens when the track of its light has this confidence.
         hold_s: A gap stays so long after its track was last seen, and an LED stays dark so long after its gap has gone.
         restore_s: Time in which an LED brightens from off to full.
+        ask: Whether a shallow, short dip asks of light without a lamp in sight if it is our own, before a gap opens.
+        response: Of the camera, for `ask`: black level, levels above it in which grey is proportional to light, and
+            levels for e times the light from there on, in 255ths of white. By default that of PVDN's camera.
     """
 
     policy: str = "none"
@@ -305,6 +308,11 @@ class BeamConfig(FrozenModel):
     min_hidden_confidence: Annotated[float, Field(ge=0, le=1)] = 0.5
     hold_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     restore_s: Annotated[float, Field(gt=0, le=10)] = 0.5
+    ask: bool = False
+    response: Annotated[
+        tuple[Annotated[float, Field(ge=0, lt=255)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]],
+        Field(strict=False),
+    ] = (7.6, 38.0, 14.0)
 
 
 class LitStreetConfig(FrozenModel):

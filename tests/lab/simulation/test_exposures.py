@@ -16,10 +16,12 @@ from foreglow.datasets.simulated.shares import read_shares
 from foreglow.files import read_bytes
 from foreglow.lab.simulation import (
     DatasetConfig,
+    Drive,
     Scene,
     Target,
     drive_exposures,
     drive_frames,
+    side_by_side,
     simulate_dataset,
     simulate_datasets,
 )
@@ -225,3 +227,29 @@ def test_a_data_set_without_profiles_has_no_word_of_them(tmp_path: Path) -> None
     root = simulate_dataset(tmp_path, [lit()], drive).root
     text = (root / "simulation" / "S00001" / "scene.json").read_text()
     assert not {word for word in ("variant", "presets", '"camera": null') if word in text}
+
+
+def test_relit_moments_are_what_would_have_been_rendered() -> None:
+    """Other levels are arithmetic on a rendering, up to where it takes its samples of edges."""
+    given = lit()
+    levels = np.ones((2, 84))
+    levels[:, 20:45] = 0.1
+    source = Drive(given, "fast")
+    source.set_led_levels(levels)
+    shone = [levels, np.zeros_like(levels), levels]
+    for known, (bright, dark, again) in zip(
+        source.frames(), side_by_side(given, lambda: [np.ones((2, 84)), *shone[1:]], "fast"), strict=True
+    ):
+        wanted, found = known.frame.image.astype(int), again.frame.image.astype(int)
+        assert np.abs(wanted - found).mean() < 0.1
+        assert np.quantile(np.abs(wanted - found), 0.999) <= 2
+        assert bright.frame.image.mean() > found.mean() > dark.frame.image.mean()
+        assert [vehicle.vehicle_id for vehicle in dark.vehicles] == [vehicle.vehicle_id for vehicle in known.vehicles]
+
+
+def test_cars_side_by_side_see_what_each_would_see_alone() -> None:
+    levels = np.full((2, 84), 0.3)
+    alone = side_by_side(lit(), lambda: [levels], "fast", profile=OWN)
+    both = side_by_side(lit(), lambda: [np.ones((2, 84)), levels], "fast", profile=OWN)
+    for (expected,), (_, found) in zip(alone, both, strict=True):
+        assert np.array_equal(expected.frame.image, found.frame.image)

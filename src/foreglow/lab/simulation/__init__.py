@@ -11,13 +11,14 @@ everything else does not.
 True
 """
 
-from foreglow.lab.simulation.drive import Drive, drive_exposures, drive_frames, simulate
+from foreglow.lab.simulation.drive import Drive, drive_exposures, drive_frames, side_by_side, simulate
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scenarios import (
     SCENARIOS,
     Split,
     adapted,
     draw_scenes,
+    long_drives,
     resized,
     scenario,
     with_beam,
@@ -48,10 +49,12 @@ __all__ = [
     "draw_scenes",
     "drive_exposures",
     "drive_frames",
+    "long_drives",
     "read_scene",
     "resized",
     "scenario",
     "scene_to_toml",
+    "side_by_side",
     "simulate",
     "simulate_dataset",
     "simulate_datasets",

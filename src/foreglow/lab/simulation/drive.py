@@ -5,7 +5,7 @@ The caller may set our lamps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,11 +66,16 @@ class DriveCamera:
         self._production = ProductionSystem()
         self.latest: Exposure | None = None
 
-    def expose(self, moments: Moments, moment: Moment) -> Exposure:
-        """The exposure of a moment; moments must come in the order of time."""
+    def expose(self, moments: Moments, moment: Moment, beside: Exposure | None = None) -> Exposure:
+        """The exposure of a moment; moments must come in the order of time. `beside` is as for `Exposure`."""
         light = moments.light(moment, self._imager.exposure_s, self._variant)
-        self.latest = Exposure(self._imager, light, self._view, moment.time_s)
+        self.latest = Exposure(self._imager, light, self._view, moment.time_s, beside)
         return self.latest
+
+    def beside(self, first: DriveCamera, known: DriveFrame, moments: Moments, moment: Moment) -> DriveFrame:
+        """`known`, which `first` made of a moment, with the image of one that differs from it only by our own light."""
+        image = self.expose(moments, moment, first.latest).captured(moment.number)
+        return replace(known, frame=replace(known.frame, image=image))
 
     def frame(self, moments: Moments, moment: Moment) -> DriveFrame:
         """Exposes and labels a moment; moments must come in the order of time."""
@@ -236,6 +241,42 @@ class Drive:
         for number in range(self.scene.num_frames):
             self.latest = camera.frame(moments, moments.at(number, self._led_levels))
             yield self.latest
+
+
+def side_by_side(
+    scene: Scene,
+    led_levels: Callable[[], Sequence[Floats]],
+    quality: str = "training",
+    headlamps: Headlamps | None = None,
+    profile: CameraProfile | None = None,
+) -> Iterator[tuple[DriveFrame, ...]]:
+    """The frames of cars that drive through `scene` in each other's place, each in the light of its own lamps.
+
+    Each moment is rendered once, so a further car costs a seventh of a drive of its own. All that is known about a
+    frame but its image is the same for all: labels are those of the first car's image.
+
+    Args:
+        scene: The drive's specification, with a matrix beam.
+        led_levels: What is shone in the next frame: an array of shape (2, L) for each car.
+        quality: Quality of the rendering.
+        headlamps: Our matrix headlamps; None for the built-in ones.
+        profile: The camera; None for the scene's own.
+
+    Raises:
+        ValueError: If the quality is unknown, or the profile does not fit the rendering.
+    """
+    source = Drive(scene, quality, headlamps)
+    moments = Moments(scene, source.camera, source.settings, source.headlamps, is_relit=True)
+    whole = np.ones((2, source.headlamps.num_leds))
+    cameras: list[DriveCamera] = []
+    for number in range(scene.num_frames):
+        levels = led_levels()
+        cameras = cameras or [DriveCamera(scene, source.camera, profile) for _ in levels]
+        moment = moments.at(number, whole)
+        seen = [moments.relit(moment, of_car) for of_car in levels]
+        known = cameras[0].frame(moments, seen[0])
+        others = zip(cameras[1:], seen[1:], strict=True)
+        yield known, *(camera.beside(cameras[0], known, moments, relit) for camera, relit in others)
 
 
 def simulate(scene: Scene, quality: str = "training") -> Drive:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+import cv2
 import numpy as np
 
 from foreglow.datasets.simulated import LampTruth
@@ -32,6 +33,12 @@ from foreglow.street import StreetMessage
 Background: TypeAlias = tuple[Image, tuple[Image, ...], Image, Image | None]
 """All light but that of vehicles; images whose sum is our own part of it, before motion blurs it; rain or snow in it;
 the motion in the image."""
+
+SKY_M = 1e4
+"""Stands for the distance of the sky."""
+
+SHARE_COLUMNS = 640
+"""In an image of more columns, it is asked for every second pixel or fewer which share of our light is left."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +77,8 @@ class Moment:
         low_layer: Layer with our low beam alone; None if our lamps are not told apart.
         rear_layers: For each vehicle, the layer with its rear lamps alone; None if not told apart, or not lit.
         own: Our headlamps.
+        own_layers: The layers of their light: one, or one for each lamp.
+        own_shares: Shape (H, W) each, the shares of these layers that shine; None for all of it.
         own_low: Their low beam alone.
         fixed: Street lamps nearby.
         fixed_points: Street lamps and windows in sight.
@@ -85,6 +94,8 @@ class Moment:
     low_layer: int | None
     rear_layers: tuple[int | None, ...]
     own: tuple[PlacedLamp, ...]
+    own_layers: tuple[int, ...]
+    own_shares: tuple[Image, ...] | None
     own_low: tuple[PlacedLamp, ...]
     fixed: tuple[PlacedLamp, ...]
     fixed_points: LampPoints
@@ -94,6 +105,7 @@ class Moment:
     _eyes_lx: dict[Variant, tuple[tuple[dict[str, float], ...], dict[str, float]]] = field(
         default_factory=dict, repr=False
     )
+    _directions: list[tuple[Image, Image, Image]] = field(default_factory=list, repr=False)
 
     def vehicles_in(self, variant: Variant) -> tuple[SeenVehicle, ...]:
         """The vehicles, without the lamps of those that are off."""
@@ -121,7 +133,14 @@ class Moments:
     """A drive in progress: the world, the renderer, and what moves in it."""
 
     def __init__(
-        self, scene: Scene, camera: Camera, settings: RenderSettings, headlamps: Headlamps, *, is_split: bool = False
+        self,
+        scene: Scene,
+        camera: Camera,
+        settings: RenderSettings,
+        headlamps: Headlamps,
+        *,
+        is_split: bool = False,
+        is_relit: bool = False,
     ) -> None:
         """Builds the world.
 
@@ -131,16 +150,18 @@ class Moments:
             settings: Quality of the rendering.
             headlamps: Our matrix headlamps.
             is_split: Whether rear lamps and our low beam get layers of their own, which costs a few more rays.
+            is_relit: Whether our lamps get a layer each, so that moments can be `relit`.
         """
         self._headlamps = headlamps
         self._scene = scene
         self._camera = camera
-        self._is_split = is_split
+        self._is_split, self._is_relit = is_split, is_relit
         self._world = build_world(scene)
         self._lights = FixedLights(self._world.lights)
         self._body_motion = BodyMotion(scene.seed, scene.ego.body_motion)
         mesh = self._world.mesh
         self._renderer = Renderer(mesh, _body_meshes(scene), camera, settings, road=scene.road, seed=scene.seed)
+        self._share_rays: Image | None = None
         self._particles = FallingParticles(scene.weather, camera, scene.seed)
         self._motion_blur = MotionBlur(camera)
         self._map = StreetMap(Road(scene.road), StreetDataError(), np.random.default_rng([scene.seed, STREET_STREAM]))
@@ -157,6 +178,11 @@ class Moments:
         fixed = self._lights.lamps_near(view.position_m)
         theirs = [lamp.placed for actor in actors for lamp in actor.lamps]
         num_layers = FIRST_VEHICLE_LAYER + len(actors)
+        own_layers: tuple[int, ...] = (EGO_LAYER,)
+        if self._is_relit:
+            own_layers = EGO_LAYER, num_layers
+            own = own[0], replace(own[1], layer=num_layers)
+            num_layers += 1
         own_low, low_layer, repeated = own, None, list[PlacedLamp]()
         rear_layers: tuple[int | None, ...] = (None,) * len(actors)
         if self._is_split:
@@ -181,12 +207,51 @@ class Moments:
             low_layer=low_layer,
             rear_layers=rear_layers,
             own=own,
+            own_layers=own_layers,
+            own_shares=None,
             own_low=own_low,
             fixed=tuple(fixed),
             fixed_points=self._lights.points(sightings),
             sightings=sightings,
             street=self._map.message(ego.s_m),
         )
+
+    def relit(self, moment: Moment, led_levels: Floats) -> Moment:
+        """A moment of these, which are `is_relit`, at levels of our LEDs below those that it was rendered at.
+
+        What a lamp lights changes as its intensity in that direction does: a factor for each lamp and pixel. Light that
+        the air scatters on the way there is taken to change as what is behind it.
+        """
+        own = self._own(moment.ego.pose, led_levels)
+        if not moment._directions:
+            moment._directions.extend(self._lamp_directions(moment, lamp) for lamp in moment.own)
+        size = (self._camera.width_px, self._camera.height_px)
+        shares = []
+        for lamp, (column, row, whole_cd) in zip(own, moment._directions, strict=True):
+            left_cd = cv2.remap(lamp.table.intensities_cd, column, row, cv2.INTER_LINEAR)
+            share = np.divide(left_cd, whole_cd, out=np.zeros_like(whole_cd), where=whole_cd > 0)
+            shares.append(np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)))
+        return replace(moment, own=own, own_shares=tuple(shares), _backgrounds={}, _eyes_lx={})
+
+    def _lamp_directions(self, moment: Moment, lamp: PlacedLamp) -> tuple[Image, Image, Image]:
+        """Where what is seen is in a lamp's table, column and row, and the intensity of the lamp towards it."""
+        if self._share_rays is None:
+            step = max(1, self._camera.width_px // SHARE_COLUMNS)
+            sizes = self._camera.width_px, self._camera.height_px
+            columns, rows = (np.arange(step / 2, size, step) for size in sizes)
+            self._share_rays = self._camera.rays(np.stack(np.meshgrid(columns, rows), -1)).astype(np.float32)
+        shape = self._share_rays.shape[:2]
+        depth_m = cv2.resize(moment.rendered.depth_m, shape[::-1], interpolation=cv2.INTER_NEAREST)
+        points = self._share_rays * np.nan_to_num(depth_m, nan=SKY_M)[..., np.newaxis]
+        view, pose = self._view(moment.ego), lamp.world_from_lamp
+        turn = (pose.rotation.T @ view.rotation).astype(np.float32)
+        x, y, z = np.moveaxis(points @ turn.T + pose.to_body(view.position_m).astype(np.float32), -1, 0)
+        azimuths, elevations = (np.degrees(np.arctan2(*sides)) for sides in ((y, x), (z, np.hypot(x, y))))
+        column, row = (
+            ((angles - grid[0]) / (grid[1] - grid[0])).astype(np.float32)
+            for angles, grid in ((azimuths, lamp.table.azimuths_deg), (elevations, lamp.table.elevations_deg))
+        )
+        return column, row, np.asarray(cv2.remap(lamp.table.intensities_cd, column, row, cv2.INTER_LINEAR))
 
     def light(self, moment: Moment, exposure_s: float, variant: Variant = AS_IT_IS) -> LinearLight:
         """The light of a moment for a camera whose shutter is open for some time around it."""
@@ -216,7 +281,10 @@ class Moments:
         streaks = self._particles.luminance(moment.time_s - half_s, 2 * half_s, (begin, end), own_lamps, depth_m)
         before_from_after = Pose(begin.to_body(end.position_m), begin.rotation.T @ end.rotation)
         flow_px = self._motion_blur.flow_px(depth_m, before_from_after)
-        own = [rendered.surface_cd_m2[EGO_LAYER], rendered.haze_cd_m2[EGO_LAYER]]
+        layers = [(rendered.surface_cd_m2[layer], rendered.haze_cd_m2[layer]) for layer in moment.own_layers]
+        own = [image for pair in layers for image in pair]
+        if moment.own_shares is not None:
+            own = [share * image for share, pair in zip(moment.own_shares, layers, strict=True) for image in pair]
         if variant.changes_own:
             low = EGO_LAYER if moment.low_layer is None else moment.low_layer
             parts = (rendered.surface_cd_m2[low], rendered.haze_cd_m2[low])

@@ -9,10 +9,12 @@ import pytest
 from foreglow.lab.simulation.scenes import planning
 from foreglow.lab.simulation.scenes.planning import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
 from foreglow.lab.simulation.scenes.scenarios import (
+    LONG_DRIVES,
     MIXTURES,
     SCENARIOS,
     SPLITS,
     draw_scenes,
+    long_drives,
     resized,
     scenario,
     with_beam,
@@ -49,6 +51,37 @@ def test_all_scenarios_come_up() -> None:
 def test_some_drives_are_empty() -> None:
     empty = [not scene.vehicles for scene in fifty()]
     assert 0 < sum(empty) < 20
+
+
+@functools.cache
+def long() -> tuple[Scene, ...]:
+    with patch.object(planning, "MAX_PLANS", 1):
+        return long_drives(7, 1, "val")
+
+
+def test_long_drives_go_by_every_kind_of_road_and_meet_somebody() -> None:
+    assert [scene.name for scene in long()] == [*LONG_DRIVES, next(iter(LONG_DRIVES))]
+    assert len(LONG_DRIVES) >= 5
+    for scene in long():
+        assert scene.duration_s >= 20.0
+        assert scene.vehicles != without_traffic(scene).vehicles
+        (first_s, first_m), (last_s, last_m) = scene.ego.timetable[0], scene.ego.timetable[-1]
+        end_m = first_m + (last_m - first_m) / (last_s - first_s) * scene.duration_s
+        assert end_m < scene.road.length_m
+
+
+def test_long_drives_have_time_before_and_after_the_meeting() -> None:
+    for scene in long():
+        if scene.name != "town":
+            (_, ego_m), (s, later_m) = scene.ego.timetable[0], scene.ego.timetable[-1]
+            (_, other_m), (t, nearer_m) = scene.vehicles[0].timetable[0], scene.vehicles[0].timetable[-1]
+            meeting_s = (other_m - ego_m) / ((later_m - ego_m) / s - (nearer_m - other_m) / t)
+            assert 8.0 < meeting_s < scene.duration_s - 4.0
+
+
+def test_other_long_drives_for_other_splits_and_more_leave_the_first_as_they_are() -> None:
+    with patch.object(planning, "MAX_PLANS", 1):
+        assert long_drives(1, 1, "val") == long()[:1] != long_drives(1, 1, "test")
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

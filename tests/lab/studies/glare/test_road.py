@@ -129,9 +129,19 @@ def test_wrong_dimming() -> None:
     found = wrong_dimming(its, run(f1=0.5, f9=0.0, f10=0.0, f11=0.0, f12=0.5, f15=0.0, f16=0.0), is_free)
     assert found.seconds == 10.0
     assert found.num_events == 2
+    assert found.num_questions == 0  # at one image a second, nothing is short
     assert found.dimmed_s == 4.0
     assert found.leds_off_s == pytest.approx(0.5 + 0.5 + 1.0 + 1.0)
     assert found.road_lost_s == pytest.approx(0.75 * 3.0)
+
+
+def test_what_is_shallow_and_short_is_a_question() -> None:
+    its = dataclasses.replace(drive(), rate_hz=18.0)
+    is_free = np.ones(NUM, np.bool_)
+    asked = dict.fromkeys(("f1", "f2", "f3", "f4", "f5"), 0.7)
+    found = wrong_dimming(its, run(**asked, f9=0.0, f11=0.69, f15=0.8), is_free)
+    assert (found.num_events, found.num_questions) == (4, 2)
+    assert wrong_dimming(its, run(**asked, f6=0.9), is_free).num_questions == 0
 
 
 def test_low_beam_has_no_event_but_is_dimmed_all_the_time() -> None:

@@ -16,14 +16,14 @@ from foreglow.config import BeamConfig, PipelineConfig, preset
 from foreglow.files import to_json
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
-from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam, without_traffic
+from foreglow.lab.simulation import Drive, DriveFrame, Scene, long_drives, with_beam, without_traffic
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loop, exact_gaps
+from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loops, exact_gaps
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
 from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
@@ -108,7 +108,8 @@ def test_road_light_is_linear_and_less_far_away() -> None:
 
 @functools.cache
 def loop(delays: Delays, num: int = 12) -> list[Shone]:
-    return list(closed_loop(scene(num / 18), Constant(np.full((2, NUM_LEDS), 0.6)), delays, "fast"))
+    car = Constant(np.full((2, NUM_LEDS), 0.6))
+    return [shone for (shone,) in closed_loops(scene(num / 18), [car], delays, "fast")]
 
 
 @pytest.mark.parametrize("lamp_s", [0.0, 0.1])
@@ -159,6 +160,7 @@ def config() -> PipelineConfig:
 
 
 def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
+    folder.mkdir(exist_ok=True)
     from foreglow.lab.simulation.writing.lidar import LidarConfig
     from foreglow.lab.simulation.writing.scene_files import Making
     from foreglow.lab.simulation.writing.street_data import StreetDataError
@@ -216,13 +218,38 @@ def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkey
     assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
 
 
+def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each shines its own light, sees the image that belongs to it, and has a row called as its file."""
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.5)
+    wide, low = tmp_path / "wide.toml", tmp_path / "dark.toml"
+    wide.write_text("[beam]\nmargin_deg = 2.0\n")
+    low.write_text('[beam]\npolicy = "low"\n')
+    plan = GlarePlan(quality="fast", also=(wide, low))
+    cars = config().commanding(policy="high")
+    last = list(plan.drives(plan.delays.known_to(cars)).frames(scene(12 / 18)))[-1]
+    ours, _, same, dark = (shone.known.frame.image for shone in last)
+    assert last[2].levels.max() == last[0].levels.max() > last[3].levels.max() == 0.0
+    assert (ours == same).all()
+    assert ours.mean() > dark.mean()
+    scenes = write_scenes_of(tmp_path, scene(0.5 + 4 / 18))
+    experiment = run_experiment(scenes, cars, plan, tmp_path / "out", progress=lambda *_: None)
+    assert [policy.name for policy in experiment.results.policies][-2:] == ["wide", "dark"]
+    again = GlarePlan(quality="fast", also=(wide,))
+    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+        run_experiment(scenes, cars, again, tmp_path / "out", progress=lambda *_: None)
+    oracle = tmp_path / "oracle.toml"
+    oracle.write_text("")
+    with pytest.raises(ValueError, match=r"oracle\.toml: expected a file that is called unlike any other row"):
+        GlarePlan(also=(oracle,)).others(cars)
+
+
 def test_the_papers_car_has_its_whole_chain(tmp_path: Path) -> None:
     """Its detector accepts above 0.5 and all of its boxes, ours above 0.24; without its model it has ours."""
     pytest.importorskip("onnx")
     model = make_model(tmp_path / "all.onnx")
     for given, threshold in ((model, 0.5), (None, 0.24)):
         plan = GlarePlan(quality="fast", paper_model=given)
-        paper, ours = next(plan.drives(plan.delays.known_to(config())).pairs(scene()))
+        ours, paper = next(plan.drives(plan.delays.known_to(config())).frames(scene()))
         assert paper.result.detections is not None
         assert ours.result.detections is not None
         assert paper.result.detections.score_threshold == threshold
@@ -265,6 +292,15 @@ def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
     file.write_text("")
     with pytest.raises(ValueError, match="expected at least one scene"):
         named_scenes(file, plan)
+
+
+def test_a_split_without_a_data_set_stands_for_long_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = named_scenes(Path("val"), GlarePlan(num_scenes=1, num_empty=1))
+    assert [each.name for each in named] == ["S00001", "S00001-empty"]
+    assert named[0].scene == long_drives(1, run.LONG_SEED, "val")[0]
+    write_scenes_of((tmp_path / "val").resolve(), scene())
+    assert named_scenes(Path("val"), GlarePlan())[0].scene == scene()  # a folder of this name is what is meant
 
 
 def test_lead_scores_leave_out_what_was_not_told() -> None:

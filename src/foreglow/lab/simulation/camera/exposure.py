@@ -107,7 +107,14 @@ class LinearLight:
 class Exposure:
     """One exposure: the image, and the light on the pixels by source."""
 
-    def __init__(self, imager: Imager, light: LinearLight, view: View | None = None, time_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        imager: Imager,
+        light: LinearLight,
+        view: View | None = None,
+        time_s: float = 0.0,
+        beside: Exposure | None = None,
+    ) -> None:
         """Passes all light through the lens.
 
         Args:
@@ -115,30 +122,37 @@ class Exposure:
             light: The light by source.
             view: The camera's part of the rendering; None for all of it.
             time_s: Time since the begin of the drive, for cameras that meter.
+            beside: An exposure of the same kind of camera, in which only our own light differs; None for none.
         """
         self._imager, self._light, self._view = imager, light, view
         self._total = imager.optics.spread(self._seen(light.background))
         if imager.optics.static_cd_m2 is not None:
             self._total += imager.optics.static_cd_m2
-        if len(light.fixed_points.illuminances_lx):
-            self._total += self._lamps(light.fixed_points)
-        self._indirect: list[Image | None] = []
-        self._direct: list[Image | None] = []
-        for layers in light.vehicles:
-            self._indirect.append(None if layers is None else self._on_pixels(layers.surface_cd_m2 + layers.haze_cd_m2))
-            self._direct.append(None if layers is None else self._points_on_pixels(layers.points))
-        for spread in (*self._indirect, *self._direct):
+        if beside is None:
+            self._spread_others(light)
+        else:
+            self._fixed, self._indirect, self._direct = beside._fixed, beside._indirect, beside._direct
+            self._rears, self._red = beside._rears, beside._red
+        for spread in (self._fixed, *self._indirect, *self._direct):
             if spread is not None:
                 self._total += spread
-        self._rears: list[tuple[Image | None, Image | None]] = [(None, None)] * len(light.vehicles)
+        imager.meter(self._total, time_s)
+
+    def _spread_others(self, light: LinearLight) -> None:
+        """Passes the light of street lamps, windows and vehicles through the lens."""
+        points, vehicles = light.fixed_points, light.vehicles
+        self._fixed = self._lamps(points) if len(points.illuminances_lx) else None
+        self._indirect: list[Image | None] = []
+        self._direct: list[Image | None] = []
+        for layers in vehicles:
+            self._indirect.append(None if layers is None else self._on_pixels(layers.surface_cd_m2 + layers.haze_cd_m2))
+            self._direct.append(None if layers is None else self._points_on_pixels(layers.points))
+        self._rears: list[tuple[Image | None, Image | None]] = [(None, None)] * len(vehicles)
         self._red: Image | None = None
-        if imager.sees_colour:
-            self._rears = [
-                (None, None) if layers is None else self._rear_on_pixels(layers) for layers in light.vehicles
-            ]
+        if self._imager.sees_colour:
+            self._rears = [(None, None) if layers is None else self._rear_on_pixels(layers) for layers in vehicles]
             for part in (part for parts in self._rears for part in parts if part is not None):
                 self._red = part.copy() if self._red is None else self._red + part
-        imager.meter(self._total, time_s)
 
     @cached_property
     def _grey(self) -> Image:

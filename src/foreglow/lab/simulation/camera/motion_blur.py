@@ -60,7 +60,8 @@ def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
     """
     if flow_px is None:
         return luminance
-    is_moving = (np.abs(flow_px) > MIN_MOTION_PX / np.sqrt(2.0)).any(-1)
+    least_px = MIN_MOTION_PX / np.sqrt(2.0)
+    is_moving = (np.abs(flow_px[..., 0]) > least_px) | (np.abs(flow_px[..., 1]) > least_px)
     rows, columns = np.flatnonzero(is_moving.any(1)), np.flatnonzero(is_moving.any(0))
     if not len(rows):
         return luminance

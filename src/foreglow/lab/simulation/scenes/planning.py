@@ -8,9 +8,11 @@ empty road, almost a second of indirect light, and then the car until it passes.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import itertools
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -62,27 +64,36 @@ def corridor(surroundings: SurroundingsSpec, half_width_m: float) -> Corridor:
 
 def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
     """Whether an oncoming car at `other_s_m` can be seen from our position at `ego_s_m`."""
-    if other_s_m <= ego_s_m + 1.0:
-        return True
-    lane = road.half_width_m / 2
-    eye, lamp = road.points([ego_s_m, other_s_m], [-lane, lane], [EYE_M, LAMP_M])
-    return _is_free(road, (ego_s_m, other_s_m), eye, lamp, free)
+    return next(are_in_sight(road, np.array([ego_s_m]), np.array([other_s_m]), free))
 
 
 def is_light_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
     """Whether a surface straight ahead of an oncoming car at `other_s_m`, lit by it, can be seen from `ego_s_m`."""
-    if other_s_m <= ego_s_m + 1.0:
-        return True
+    return next(are_lights_in_sight(road, np.array([ego_s_m]), np.array([other_s_m]), free))
+
+
+def are_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor) -> Iterator[bool]:
+    """`is_in_sight` for one pair of positions after the other."""
     lane = road.half_width_m / 2
-    eye, lamp, behind = road.points([ego_s_m, other_s_m, other_s_m + 1.0], [-lane, lane, lane], [EYE_M, LAMP_M, LAMP_M])
-    for ahead_m in LIT_AHEAD_M:
-        if _is_free(road, (ego_s_m, other_s_m), eye, lamp + ahead_m * (lamp - behind), free):
-            return True
-    return False
+    eyes, lamps = road.points(ego_s_m, -lane, EYE_M), road.points(other_s_m, lane, LAMP_M)
+    for ego, other, eye, lamp in zip(ego_s_m.tolist(), other_s_m.tolist(), eyes, lamps, strict=True):
+        yield other <= ego + 1.0 or _is_free(road, (ego, other), eye, lamp, free)
+
+
+def are_lights_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor) -> Iterator[bool]:
+    """`is_light_in_sight` for one pair of positions after the other."""
+    lane = road.half_width_m / 2
+    eyes = road.points(ego_s_m, -lane, EYE_M)
+    lamps, behind = road.points(other_s_m, lane, LAMP_M), road.points(other_s_m + 1.0, lane, LAMP_M)
+    pairs = zip(ego_s_m.tolist(), other_s_m.tolist(), eyes, lamps, lamps - behind, strict=True)
+    for ego, other, eye, lamp, ahead in pairs:
+        yield other <= ego + 1.0 or any(
+            _is_free(road, (ego, other), eye, lamp + ahead_m * ahead, free) for ahead_m in LIT_AHEAD_M
+        )
 
 
 def sight_time_s(
-    road: Road, free: Corridor, ego: Profile, other: Profile, is_seen: Callable[..., bool] = is_in_sight
+    road: Road, free: Corridor, ego: Profile, other: Profile, are_seen: Callable[..., Iterator[bool]] = are_in_sight
 ) -> float:
     """Time before the meeting, in s, during which the two see each other without a break; 0 if only at the meeting.
 
@@ -91,17 +102,16 @@ def sight_time_s(
         free: The open space along it.
         ego: Two points (time, arc length) of our time table, at constant speed.
         other: The same for the oncoming car.
-        is_seen: Whether the car, or its light, is in sight.
+        are_seen: Whether the car, or its light, is in sight, for pairs of positions.
     """
     ego_speed, other_speed = (_speed(profile) for profile in (ego, other))
     meeting = (other[0][1] - ego[0][1]) / (ego_speed - other_speed)
-    seen = 0.0
-    while seen < meeting:
-        time = meeting - seen - TIME_STEP_S
-        if not is_seen(road, ego[0][1] + ego_speed * time, other[0][1] + other_speed * time, free):
-            break
-        seen += TIME_STEP_S
-    return min(seen, meeting)
+    seen = np.cumsum(np.full(max(math.ceil(meeting / TIME_STEP_S) + 1, 1), TIME_STEP_S))  # as long as each is seen
+    before = np.concatenate([[0.0], seen[:-1]])
+    times = (meeting - before - TIME_STEP_S)[before < meeting]
+    found = are_seen(road, ego[0][1] + ego_speed * times, other[0][1] + other_speed * times, free)
+    num = sum(1 for _ in itertools.takewhile(bool, found))
+    return min(float(seen[num - 1]), meeting) if num else min(0.0, meeting)
 
 
 def _is_free(road: Road, between_m: tuple[float, float], eye: Floats, target: Floats, free: Corridor) -> bool:
@@ -131,18 +141,33 @@ def _speed(timetable: Profile) -> float:
     return (last_m - first_m) / (last_s - first_s)
 
 
-SIGHT_S = (3.6, 0.8)
-"""Mean and standard deviation of the time at which the oncoming car comes into sight; similar to PVDN's night
-validation split, whose median is 3.6 s."""
+class Timing(NamedTuple):
+    """When things happen in a drive.
+
+    Attributes:
+        sight_s: Mean and standard deviation of the time at which the oncoming car comes into sight; by default similar
+            to PVDN's night validation split, whose median is 3.6 s.
+        meeting_s: Bounds of the time of the meeting.
+        after_s: Bounds of the time from there to the end of the drive.
+        least_s: Shortest drive.
+    """
+
+    sight_s: tuple[float, float] = (3.6, 0.8)
+    meeting_s: tuple[float, float] = (6.5, 9.5)
+    after_s: tuple[float, float] = (-0.3, 1.2)
+    least_s: float = 6.0
+
+
+AS_IN_PVDN = Timing()
+
+LONG = Timing(sight_s=(8.0, 1.0), meeting_s=(11.0, 16.0), after_s=(5.0, 6.0), least_s=20.0)
+"""Drives with time before the meeting and after it, for closed loops."""
 
 LONGEST_MISS_S, LONGEST_LEAD_S = 1.5, 0.9
 """An encounter is drawn again if the car comes into sight at a time that is further from the wanted one, or if its
 light precedes it by more; in PVDN, light precedes the car by 0.6 to 1.5 s (quartiles)."""
 
 MAX_PLANS = 12
-
-SHORTEST_S, LONGEST_S = 6.5, 9.5
-"""Bounds of the time of the meeting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,18 +200,18 @@ class Plan:
         return self.miss_s <= LONGEST_MISS_S and self.lead_s <= LONGEST_LEAD_S
 
 
-def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
+def planned_scene(draw: Draw, name: str, layout: Layout, seed: int, timing: Timing = AS_IN_PVDN) -> Scene:
     """Draws everything in a scene; the encounter is drawn again until it resembles those of PVDN."""
     weather, wetness = draw_weather(draw)
     plans: list[Plan] = []
     while len(plans) < MAX_PLANS and not (plans and plans[-1].is_good):
-        plans.append(plan_encounter(draw, layout, wetness))
+        plans.append(plan_encounter(draw, layout, wetness, timing))
     plan = plans[-1] if plans[-1].is_good else min(plans, key=lambda plan: plan.miss_s + plan.lead_s)
-    duration_s = plan.meeting_s + draw.uniform(-0.3, 1.2)
+    duration_s = plan.meeting_s + draw.uniform(*timing.after_s)
     return Scene(
         name=name,
         seed=seed,
-        duration_s=round(min(max(duration_s, 6.0), LONGEST_S + 1.5), 2),
+        duration_s=round(max(duration_s, timing.least_s), 2),
         road=plan.road,
         surroundings=plan.surroundings,
         vehicles=_vehicles(draw, plan.course, plan.other, plan.ego),
@@ -203,32 +228,34 @@ def planned_scene(draw: Draw, name: str, layout: Layout, seed: int) -> Scene:
     )
 
 
-def plan_encounter(draw: Draw, layout: Layout, wetness: float) -> Plan:
+def plan_encounter(draw: Draw, layout: Layout, wetness: float, timing: Timing = AS_IN_PVDN) -> Plan:
     """Draws a road with its roadside, and times the encounter."""
-    sight_s = draw.normal(*SIGHT_S)
+    sight_s = draw.normal(*timing.sight_s)
     start_m = draw.uniform(10.0, 25.0)
     cruising_mps = draw.uniform(15.0, 25.0)
     focus_m = start_m + cruising_mps * sight_s + draw.uniform(50.0, 170.0)
     course = layout(draw, focus_m)
     ego_mps = _speed_mps(draw, course, cruising_mps)
     other_mps = _speed_mps(draw, course, draw.uniform(15.0, 27.0))
-    length_m = float(round(start_m + (ego_mps + other_mps) * LONGEST_S + 60.0))
+    length_m = float(round(start_m + (ego_mps + other_mps) * timing.meeting_s[1] + 60.0))
     spec = draw_road(draw, course, length_m, wetness)
     surroundings = draw_surroundings(draw, course.style, length_m, course.bends)
     ego = ((0.0, start_m), (10.0, round(start_m + 10.0 * ego_mps, 2)))
     road, free = Road(spec), corridor(surroundings, spec.lane_width_m)
-    other, meeting_s = _encounter(road, free, ego, other_mps, sight_s)
+    other, meeting_s = _encounter(road, free, ego, other_mps, sight_s, timing)
     seen_s = sight_time_s(road, free, ego, other)
-    light_s = sight_time_s(road, free, ego, other, is_light_in_sight)
+    light_s = sight_time_s(road, free, ego, other, are_lights_in_sight)
     miss_s = abs(meeting_s - seen_s - sight_s)
     return Plan(course, spec, surroundings, ego, other, meeting_s, miss_s, light_s - seen_s)
 
 
-def _encounter(road: Road, free: Corridor, ego: Profile, other_mps: float, sight_s: float) -> tuple[Profile, float]:
+def _encounter(
+    road: Road, free: Corridor, ego: Profile, other_mps: float, sight_s: float, timing: Timing
+) -> tuple[Profile, float]:
     """The time table with which the oncoming car comes into sight closest to `sight_s`, and the time of the meeting."""
     ego_mps = (ego[1][1] - ego[0][1]) / (ego[1][0] - ego[0][0])
     best: tuple[float, Profile, float] | None = None
-    for meeting_s in np.arange(max(sight_s + 2.0, SHORTEST_S), LONGEST_S + 0.01, 0.5):
+    for meeting_s in np.arange(max(sight_s + 2.0, timing.meeting_s[0]), timing.meeting_s[1] + 0.01, 0.5):
         meeting_m = ego[0][1] + ego_mps * meeting_s
         begin_m = round(float(meeting_m + other_mps * meeting_s), 2)
         other = ((0.0, begin_m), (10.0, round(begin_m - 10.0 * other_mps, 2)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
 
@@ -12,7 +13,7 @@ from foreglow.lab.simulation.scenes.country import cyclists, following, queue
 from foreglow.lab.simulation.scenes.courses import Course, Layout
 from foreglow.lab.simulation.scenes.draw import Draw, draw_settlements, draw_weather
 from foreglow.lab.simulation.scenes.motorway import motorway
-from foreglow.lab.simulation.scenes.planning import draw_road, planned_scene
+from foreglow.lab.simulation.scenes.planning import AS_IN_PVDN, LONG, Timing, draw_road, planned_scene
 from foreglow.lab.simulation.scenes.roadside import draw_surroundings
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoBeam, RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.stream import COUNTRY, drawn_kind, drawn_vehicle, steady
@@ -144,9 +145,13 @@ DrawScene: TypeAlias = Callable[[Draw, str, int], Scene]
 """Draws a scene with a name and a seed."""
 
 
+def _planned(draw: Draw, name: str, seed: int, layout: Layout, timing: Timing = AS_IN_PVDN) -> Scene:
+    return planned_scene(draw, name, layout, seed, timing)
+
+
 def _encounter(layout: Layout) -> DrawScene:
     """Scenes with the one encounter that PVDN's drives show, on a road of this layout."""
-    return lambda draw, name, seed: planned_scene(draw, name, layout, seed)
+    return functools.partial(_planned, layout=layout)
 
 
 def _with_settlements(draw_scene: DrawScene) -> DrawScene:
@@ -187,6 +192,15 @@ SCENARIOS: dict[str, DrawScene] = {
     "r48": level_road,
 }
 """Every scenario by name."""
+
+LONG_DRIVES: dict[str, DrawScene] = {
+    **{
+        layout.__name__: functools.partial(_planned, layout=layout, timing=LONG)
+        for layout in (courses.curve, courses.crest, courses.forest, courses.village, courses.s_bend)
+    },
+    "town": functools.partial(town, lasts_s=(LONG.least_s, LONG.least_s + 2.0)),
+}
+"""Scenarios of drives that go on before and after they meet somebody, for closed loops."""
 
 MIXTURES: dict[str, dict[str, float]] = {
     "pvdn": {
@@ -262,6 +276,20 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str
             scene = with_beam(scene, "matrix") if number // 2 % 2 else scene
         scenes.append(scene)
     return tuple(scenes)
+
+
+def long_drives(num: int, seed: int, split: Split) -> tuple[Scene, ...]:
+    """Drives by every kind of road of `LONG_DRIVES` in turn, at least 20 s long, each with somebody to meet."""
+    drives: list[Scene] = []
+    number = 0
+    while len(drives) < num:
+        draw = Draw(seed, 1 + SPLITS.index(split), number)
+        name = list(LONG_DRIVES)[len(drives) % len(LONG_DRIVES)]
+        scene = LONG_DRIVES[name](draw, name, draw.integer(0, 2**31))
+        number += 1
+        if scene.vehicles != without_traffic(scene).vehicles:
+            drives.append(scene)
+    return tuple(drives)
 
 
 def resized(scene: Scene, width_px: int, height_px: int) -> Scene:

@@ -58,11 +58,11 @@ class _Street:
     bustle: float
 
 
-def town(draw: Draw, name: str, seed: int) -> Scene:
+def town(draw: Draw, name: str, seed: int, lasts_s: tuple[float, float] = (7.0, 10.0)) -> Scene:
     """A drive along a street of a town at night."""
     weather, wetness = draw_weather(draw)
     wetness = max(wetness, draw.uniform(0.5, 1.0)) if draw.chance(0.3) else wetness
-    duration_s, speed = draw.uniform(7.0, 10.0), draw.uniform(8.0, 15.5)
+    duration_s, speed = draw.uniform(*lasts_s), draw.uniform(8.0, 15.5)
     length_m = float(round(START_M + speed * duration_s + SIGHT_M))
     street = _street(draw, length_m, wetness)
     is_braking = draw.chance(0.4)

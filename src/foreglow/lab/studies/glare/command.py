@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenes: Annotated[Path, argument("SCENES", "A simulated split, or its scenes.jsonl.")],
+    scenes: Annotated[Path, argument("SCENES", "A simulated split, its scenes.jsonl, or val for long drives.")],
     out: Annotated[Path, folder("Folder for the report; an interrupted experiment in it is continued.")],
     lamps: BeamOptions,
     pipeline: PipelineOptions,
@@ -37,6 +37,12 @@ def command(
     ] = 0.05,
     lamp_delay: Annotated[float, option("S", "Time from the command until the light follows.", min=0.0, max=1.0)] = 0.1,
     video: Annotated[str | None, option("NAME", "Also film this scene, such as S00004.")] = None,
+    also: Annotated[
+        list[Path] | None, option("CONFIG.toml", "Also drive with this configuration, as a row of its own; repeatable.")
+    ] = None,
+    camera: Annotated[
+        str | None, option("NAME", "Camera of the simulator, or its profile, instead of the scenes' own.")
+    ] = None,
     quality: QualityOption = "training",
     seed: Annotated[int, option("N", "Seed of the confidence intervals.", min=0)] = 1,
 ) -> None:
@@ -52,7 +58,14 @@ def command(
     workers = work.workers()
     delays = Delays(camera_s=camera_delay, lamp_s=lamp_delay)
     plan = GlarePlan(
-        num_scenes=num, num_empty=empty, delays=delays, quality=quality, seed=seed, paper_model=paper_model
+        num_scenes=num,
+        num_empty=empty,
+        delays=delays,
+        quality=quality,
+        seed=seed,
+        paper_model=paper_model,
+        also=tuple(also or ()),
+        camera=camera,
     )
     chosen = named_scenes(scenes, plan)
     filmed = [named for named in chosen if named.name == video]
@@ -76,4 +89,5 @@ def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path)
     drives = plan.drives(plan.delays.known_to(config))
     titles, rate_hz = ("paper", own_name(config)), named.scene.rate_hz
     headlamps = read_headlamps(config.beam.headlamps)
-    write_film(drives.pairs(named.scene), titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")
+    frames = ((paper, ours) for ours, paper, *_ in drives.frames(named.scene))
+    write_film(frames, titles, headlamps, rate_hz, out / f"film_{named.name}.mp4")

@@ -17,7 +17,8 @@ from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineCon
 from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import is_coming
-from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam
+from foreglow.lab.simulation import DriveFrame, Scene, side_by_side, with_beam
+from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.labels.production import ProductionSystem
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
 from foreglow.pipeline import Pipeline
@@ -187,36 +188,64 @@ def exact_gaps(known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> list[Gap]
     return gaps
 
 
-def closed_loop(
-    scene: Scene, car: Car, delays: Delays, quality: str, headlamps: Headlamps | None = None
-) -> Iterator[Shone]:
-    """Drives `scene` with the commands of `car` at the lamps, frame by frame.
+def closed_loops(
+    scene: Scene,
+    cars: Sequence[Car],
+    delays: Delays,
+    quality: str,
+    headlamps: Headlamps | None = None,
+    profile: CameraProfile | None = None,
+) -> Iterator[tuple[Shone, ...]]:
+    """Drives `scene` with each of `cars` in turn at the lamps, all of them frame by frame: rendered once for all.
 
-    Commands go over the bus as CAN frames, to the lamps' receiver, which starts in low beam as in a car.
+    What is known of a frame is the same for all cars, but for the image; labels are those of the first car's.
     """
-    drive = Drive(with_beam(scene, "matrix"), quality, headlamps)
-    encoder, receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
-    camera_ns, lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
-    on_the_way: deque[tuple[int, BeamCommand]] = deque()
-    sent: deque[tuple[int, BeamCommand]] = deque()
-    in_force = BeamCommand.low(0, NUM_LEDS)
-    levels = in_force.levels
-    drive.set_led_levels(levels)
-    for known in drive.frames():
-        result, command = car.step(known)
-        yield Shone(known, levels, in_force.gaps_rad, command, result)
-        now_ns = known.frame.timestamp_ns
-        next_ns = now_ns + round(1e9 / scene.rate_hz)
-        on_the_way.append((now_ns + camera_ns, command))
-        while on_the_way and on_the_way[0][0] <= next_ns:
-            arrival_ns, arrived = on_the_way.popleft()
-            for frame in encoder.frames(arrived):
-                receiver.receive(arrival_ns, frame.frame_id, frame.data)
-            sent.append((arrival_ns + lamp_ns, arrived))
-        while sent and sent[0][0] <= next_ns:
-            in_force = sent.popleft()[1]
-        levels, _ = receiver.shining(next_ns)
-        drive.set_led_levels(car.lit(known, levels))
+    lamps = [_Lamps(delays, round(1e9 / scene.rate_hz)) for _ in cars]
+    levels = [lamp.levels for lamp in lamps]
+
+    def shining() -> Sequence[Floats]:
+        return levels
+
+    for seen in side_by_side(with_beam(scene, "matrix"), shining, quality, headlamps, profile):
+        steps = [car.step(known) for car, known in zip(cars, seen, strict=True)]
+        yield tuple(
+            Shone(known, shone, lamp.in_force.gaps_rad, command, result)
+            for known, shone, lamp, (result, command) in zip(seen, levels, lamps, steps, strict=True)
+        )
+        for lamp, (_, command) in zip(lamps, steps, strict=True):
+            lamp.receive(command)
+        levels = [car.lit(known, lamp.levels) for car, known, lamp in zip(cars, seen, lamps, strict=True)]
+
+
+class _Lamps:
+    """A car's lamps behind its bus: commands arrive as CAN frames, at a receiver that starts in low beam as in a car.
+
+    Attributes:
+        in_force: The latest command that the lamps follow.
+        levels: Shape (2, L), what is shone in the next frame.
+    """
+
+    def __init__(self, delays: Delays, period_ns: int) -> None:
+        self._camera_ns, self._lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
+        self._period_ns = period_ns
+        self._encoder, self._receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
+        self._on_the_way: deque[tuple[int, BeamCommand]] = deque()
+        self._sent: deque[tuple[int, BeamCommand]] = deque()
+        self.in_force = BeamCommand.low(0, NUM_LEDS)
+        self.levels = self.in_force.levels
+
+    def receive(self, command: BeamCommand) -> None:
+        """Takes the command for a frame, and goes on to the next frame."""
+        next_ns = command.timestamp_ns + self._period_ns
+        self._on_the_way.append((command.timestamp_ns + self._camera_ns, command))
+        while self._on_the_way and self._on_the_way[0][0] <= next_ns:
+            arrival_ns, arrived = self._on_the_way.popleft()
+            for frame in self._encoder.frames(arrived):
+                self._receiver.receive(arrival_ns, frame.frame_id, frame.data)
+            self._sent.append((arrival_ns + self._lamp_ns, arrived))
+        while self._sent and self._sent[0][0] <= next_ns:
+            self.in_force = self._sent.popleft()[1]
+        self.levels, _ = self._receiver.shining(next_ns)
 
 
 def _is_followed(known: DriveFrame, vehicle: VehicleTruth) -> bool:

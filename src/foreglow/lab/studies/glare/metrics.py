@@ -301,6 +301,13 @@ class Switching:
     level_change: float
 
 
+SHALLOW, SHORT_S = 0.3, 0.3
+"""What a question takes at most: a share of the light of an LED, and a time."""
+
+LEVEL_STEP = 1.0 / 255.0
+"""Levels come over the bus in such steps."""
+
+
 @dataclass(frozen=True, slots=True)
 class Dimming:
     """Light that was dimmed for nobody; it adds up over drives.
@@ -309,6 +316,7 @@ class Dimming:
         seconds: Time without anybody.
         num_events: Times that full beam went below full in any LED. A policy that never shines full beam has no event:
             read it beside `dimmed_s`.
+        num_questions: Those of them that are no deeper than `SHALLOW` and no longer than `SHORT_S`.
         dimmed_s: Time below full.
         leds_off_s: Integral of the share of all LEDs' light that was missing.
         road_lost_s: Integral of the share of the road's light, both areas together, that was missing.
@@ -316,6 +324,7 @@ class Dimming:
 
     seconds: float
     num_events: int
+    num_questions: int
     dimmed_s: float
     leds_off_s: float
     road_lost_s: float
@@ -417,10 +426,19 @@ def wrong_dimming(drive: GlareDrive, run: PolicyRun, is_free: NDArray[np.bool_])
     return Dimming(
         seconds=float(is_free.sum() / drive.rate_hz),
         num_events=int(is_event.sum()),
+        num_questions=sum(_is_question(drive, run, is_full, first + 1) for first in np.flatnonzero(is_event).tolist()),
         dimmed_s=float(is_dimmed.sum() / drive.rate_hz),
         leds_off_s=float(leds_off[is_dimmed].sum() / drive.rate_hz),
         road_lost_s=float(road_lost[is_dimmed].sum() / drive.rate_hz),
     )
+
+
+def _is_question(drive: GlareDrive, run: PolicyRun, is_full: NDArray[np.bool_], first: int) -> bool:
+    """Whether the dimming that begins in a frame is shallow and short."""
+    after = np.flatnonzero(is_full[first:])
+    last = first + int(after[0]) if len(after) else len(is_full)
+    is_short = (last - first) / drive.rate_hz <= SHORT_S
+    return is_short and bool((run.levels[first:last] >= 1.0 - SHALLOW - LEVEL_STEP).all())
 
 
 def lit_road(drive: GlareDrive, run: PolicyRun) -> LitRoad:

@@ -344,6 +344,8 @@ def _dimming_columns(of: Callable[[PolicyScore], WrongDimming]) -> Columns:
         "minutes": lambda policy: number(of(policy).minutes, 1),
         "events": lambda policy: str(of(policy).num_events),
         "a minute": lambda policy: interval(of(policy).events_per_minute, number),
+        "shallow and short": lambda policy: str(of(policy).num_questions),
+        "light lost": lambda policy: percent(of(policy).light_lost),
         "time dimmed": lambda policy: percent(of(policy).dimmed_share),
         "area dimmed": lambda policy: percent(of(policy).area_dimmed),
         "road light lost while dimmed": lambda policy: percent(of(policy).road_dimmed),

@@ -296,13 +296,17 @@ class WrongDimming:
     Attributes:
         minutes: Time with nobody there; without any, all else is NaN.
         num_events: Times that full beam was dimmed.
+        num_questions: Those of them that were shallow and short.
+        light_lost: Share of the LEDs' light that is off, over all the time.
         area_dimmed: Share of the LEDs' light that is off, on average while dimmed; NaN where nothing is dimmed.
         road_dimmed: Share of the road's light that is lost, on average while dimmed.
     """
 
     minutes: float
     num_events: int
+    num_questions: int
     events_per_minute: Interval
+    light_lost: float
     dimmed_share: float
     area_dimmed: float
     road_dimmed: float
@@ -316,6 +320,8 @@ class WrongDimming:
         return cls(
             minutes=float(seconds.sum() / 60.0),
             num_events=int(events.sum()),
+            num_questions=sum(drive.num_questions for drive in drives),
+            light_lost=ratio(math.fsum(drive.leds_off_s for drive in drives), math.fsum(seconds)),
             events_per_minute=Interval.of_ratio(events, seconds / 60.0, seed),
             dimmed_share=ratio(dimmed_s, math.fsum(seconds)),
             area_dimmed=ratio(math.fsum(drive.leds_off_s for drive in drives), dimmed_s),

@@ -9,19 +9,21 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from foreglow.config import FrozenModel, PipelineConfig, config_to_toml
+from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_plain_json, write_atomic, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
-from foreglow.lab.simulation import Scene, without_traffic
+from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
+from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
+from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
-from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare
+from foreglow.lab.studies.glare.scores import POLICIES, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.parallel import Local, Parent, Workers
@@ -29,6 +31,10 @@ from foreglow.provenance import provenance
 
 DRIVES = "drives"
 """Folder of the scenes that are finished."""
+
+
+NUM_LONG, LONG_SEED = 24, 41
+"""How many long drives there are of a split, unless told otherwise, and the seed that they are drawn with."""
 
 
 class GlarePlan(FrozenModel):
@@ -39,6 +45,8 @@ class GlarePlan(FrozenModel):
         num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
         quality: Of the renderer: `fast`, `training` or `fine`.
         paper_model: The paper's network, with which its row is its whole chain; None for our detector in it.
+        also: Configurations of further cars, whose rows are called as the files.
+        camera: A camera's name or profile; None for the scenes' own.
     """
 
     num_scenes: int | None = None
@@ -47,16 +55,32 @@ class GlarePlan(FrozenModel):
     quality: str = "training"
     seed: int = 1
     paper_model: Path | None = None
+    also: tuple[Path, ...] = ()
+    camera: str | None = None
 
     def drives(self, config: PipelineConfig) -> Drives:
         """What drives the scenes, with `config` for our pipeline.
 
         Raises:
-            FileNotFoundError: If there is no such model of the paper.
-            ValueError: If the headlamps do not fit.
+            FileNotFoundError: If there is no such model of the paper, configuration or camera.
+            ValueError: If the headlamps do not fit, or a configuration or camera is broken.
         """
         chain = None if self.paper_model is None else paper_chain(self.paper_model)
-        return Drives(config, self.delays, self.quality, chain)
+        profile = None if self.camera is None else read_profile(self.camera)
+        return Drives(config, self.delays, self.quality, chain, self.others(config), profile)
+
+    def others(self, config: PipelineConfig) -> dict[str, PipelineConfig]:
+        """The configurations of further cars, by the names of their rows: what differs from `config` is in the files.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: If one is broken, or is called as another row.
+        """
+        names = [path.stem for path in self.also]
+        for path in self.also:
+            if path.stem in POLICIES or names.count(path.stem) > 1:
+                raise ValueError(f"{path}: expected a file that is called unlike any other row, got {path.stem!r}")
+        return {path.stem: self.delays.known_to(read_config(path, config)) for path in self.also}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,13 +144,17 @@ def run_experiment(
 
 
 def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
-    """The scenes of the plan, those without traffic last.
+    """The scenes of the plan, those without traffic last: those of a split's folder or file, or long drives of `val`.
 
     Raises:
         FileNotFoundError: If there is no such file or folder.
         ValueError: If it holds no scenes.
     """
-    found = read_scenes(path / "scenes.jsonl" if path.is_dir() else path)[: plan.num_scenes]
+    found: Sequence[tuple[int, Scene]]
+    if str(path) in SPLITS and not path.exists():
+        found = list(enumerate(long_drives(plan.num_scenes or NUM_LONG, LONG_SEED, cast("Split", str(path))), start=1))
+    else:
+        found = read_scenes(path / "scenes.jsonl" if path.is_dir() else path)[: plan.num_scenes]
     named = [NamedScene(sequence_name(number), scene) for number, scene in found]
     empty = [NamedScene(f"{whole.name}-empty", without_traffic(whole.scene)) for whole in named[: plan.num_empty]]
     return named + empty
@@ -147,6 +175,9 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
     """Digest of everything that decides what a finished scene holds; more scenes may be added later."""
     parts: list[Any] = [config.model_dump(mode="json"), plan.delays.model_dump(mode="json"), plan.quality]
+    parts += [config.model_dump(mode="json") for config in plan.others(config).values()]
+    if plan.camera is not None:
+        parts.append(profile_to_toml(read_profile(plan.camera)))
     if plan.paper_model is not None:
         chain = paper_chain(plan.paper_model)
         assert chain.classifier.model is not None
@@ -158,14 +189,14 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
     number, named = item
     drives = plan.drives(config)
 
-    def pairs() -> Iterator[tuple[Shone, Shone]]:
-        for num_done, pair in enumerate(drives.pairs(named.scene), start=1):
-            yield pair
+    def frames() -> Iterator[tuple[Shone, ...]]:
+        for num_done, shone in enumerate(drives.frames(named.scene), start=1):
+            yield shone
             parent.report_progress(number, num_done, named.scene.num_frames)
             if parent.is_stopped:
                 raise KeyboardInterrupt
 
-    drive, sightings = drives.driven(named.scene, named.name, pairs())
+    drive, sightings = drives.driven(named.scene, named.name, frames())
     write_glare_drive(_drive_file(folder, named.name), drive)
     write_json_results(_sightings_file(folder, named.name), sightings)
 

@@ -1,4 +1,4 @@
-"""Simulates a scene of the experiment on glare: both closed loops, what other policies would shine, and what is lit."""
+"""Simulates a scene of the experiment on glare: closed loops, what other policies would shine, and what is lit."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from foreglow.datasets.simulated import VehicleTruth
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting, is_coming
 from foreglow.lab.simulation import DriveFrame, Scene
+from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.scenes.scene import EgoSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loop
+from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loops
 from foreglow.lab.studies.glare.scores import POLICIES
 from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps, street_lamp
 from foreglow.tracking import make_tracker
@@ -217,13 +218,29 @@ class Drives:
     """Drives scenes."""
 
     def __init__(
-        self, config: PipelineConfig, delays: Delays, quality: str = "training", paper: PipelineConfig | None = None
+        self,
+        config: PipelineConfig,
+        delays: Delays,
+        quality: str = "training",
+        paper: PipelineConfig | None = None,
+        also: Mapping[str, PipelineConfig] | None = None,
+        profile: CameraProfile | None = None,
     ) -> None:
-        """Takes our configuration, with a beam policy, the delays from camera to beam, and the paper's whole chain.
+        """Takes the configurations of the cars, with a beam policy, and what they have in common.
 
-        Without the latter the paper's car has our detector.
+        Args:
+            config: Of our car.
+            delays: From camera to beam.
+            quality: Of the renderer.
+            paper: The paper's whole chain; without it the paper's car has our detector.
+            also: Further cars, by the names of their rows.
+            profile: The camera; None for the scenes' own.
+
+        Raises:
+            ValueError: If the headlamps do not fit.
         """
         self._config, self._delays, self._quality, self._paper = config, delays, quality, paper
+        self._also, self._profile = dict(also or {}), profile
         self._headlamps = read_headlamps(config.beam.headlamps)
         if self._headlamps.num_leds != NUM_LEDS:
             raise ValueError(
@@ -231,16 +248,14 @@ class Drives:
                 f"have them, got {self._headlamps.num_leds}"
             )
 
-    def pairs(self, scene: Scene) -> Iterator[tuple[Shone, Shone]]:
-        """Both closed loops side by side, frame by frame: the paper's and ours."""
-        loops = (
-            closed_loop(scene, car, self._delays, self._quality, self._headlamps)
-            for car in (PaperCar(self._config, self._paper), OurCar(self._config))
-        )
-        return zip(*loops, strict=True)
+    def frames(self, scene: Scene) -> Iterator[tuple[Shone, ...]]:
+        """All closed loops side by side, frame by frame: ours, the paper's, and those of further cars."""
+        others = [OurCar(config) for config in self._also.values()]
+        cars = [OurCar(self._config), PaperCar(self._config, self._paper), *others]
+        return closed_loops(scene, cars, self._delays, self._quality, self._headlamps, self._profile)
 
     def driven(
-        self, scene: Scene, name: str, pairs: Iterator[tuple[Shone, Shone]]
+        self, scene: Scene, name: str, frames: Iterator[tuple[Shone, ...]]
     ) -> tuple[GlareDrive, tuple[Sighting, ...]]:
         """All that is kept of a scene, from its closed loops: what was lit and shone, and when hidden vehicles came."""
         light = OurLight(scene, self._headlamps)
@@ -248,7 +263,7 @@ class Drives:
         oracle = ExactCar(self._config.beam, self._headlamps)
         record = _Record()
         results: list[FrameResult] = []
-        for paper, ours in pairs:
+        for ours, paper, *others in frames:
             known = ours.known
             eyes = [light.at_eye(known, vehicle, ours.levels) for vehicle in known.vehicles]
             record.add_frame(known, eyes, light.on_road(known))
@@ -260,14 +275,16 @@ class Drives:
             record.add_run("production", by_production, production.gaps_rad)
             record.add_run("paper", both(by_production, is_reporting, paper.levels), papers_gaps_rad)
             record.add_run(own_name(self._config), ours.levels, ours.gaps_rad)
+            for row, other in zip(self._also, others, strict=True):
+                record.add_run(row, other.levels, other.gaps_rad)
             record.add_run("oracle", oracle.levels(known, in_sight), oracle.gaps_rad)
             results.append(ours.result)
-        frames = [known.frame for known in record.known]
+        recorded = [known.frame for known in record.known]
         for setting in settings_of(self._delays):
-            for levels in self._replayed(frames, results, setting):
+            for levels in self._replayed(recorded, results, setting):
                 record.add_run(setting.name, levels)
         moments = [Moment(known.frame.timestamp_ns / 1e9, known.ego_pose, known.vehicles) for known in record.known]
-        sightings = self._expectations(frames, results).sightings(moments, scene.rate_hz)
+        sightings = self._expectations(recorded, results).sightings(moments, scene.rate_hz)
         return record.drive(scene, name), sightings
 
     def _replayed(self, frames: Sequence[Frame], results: Sequence[FrameResult], setting: Setting) -> list[Floats]:
