@@ -25,7 +25,8 @@ def identity(result: FrameResult) -> tuple[object, ...]:
     scored = None if detections is None else (detections.scores.tolist(), detections.is_accepted.tolist())
     ranges, tracks = result.ranges, result.tracks
     ranged = None if ranges is None else (repr(ranges.ranges_m.tolist()), ranges.sigmas_m.tolist())
-    followed = None if tracks is None else repr([getattr(tracks, field.name).tolist() for field in fields(tracks)])
+    arrays = [] if tracks is None else [field.name for field in fields(tracks) if field.name != "vehicles"]
+    followed = None if tracks is None else repr([getattr(tracks, name).tolist() for name in arrays])
     return result.frame, result.timestamp_ns, result.proposals.boxes_xyxy_px.tolist(), scored, ranged, followed
 
 

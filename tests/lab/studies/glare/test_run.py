@@ -244,16 +244,17 @@ def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_papers_car_has_its_whole_chain(tmp_path: Path) -> None:
-    """Its detector accepts above 0.5 and all of its boxes, ours above 0.24; without its model it has ours."""
+    """Its detector accepts above 0.5 and all of its boxes, ours above its own threshold; without its model it has ours."""
     pytest.importorskip("onnx")
     model = make_model(tmp_path / "all.onnx")
-    for given, threshold in ((model, 0.5), (None, 0.24)):
+    own = config().classifier.score_threshold
+    for given, threshold in ((model, 0.5), (None, own)):
         plan = GlarePlan(quality="fast", paper_model=given)
         ours, paper = next(plan.drives(plan.delays.known_to(config())).frames(scene()))
         assert paper.result.detections is not None
         assert ours.result.detections is not None
         assert paper.result.detections.score_threshold == threshold
-        assert ours.result.detections.score_threshold == 0.24
+        assert ours.result.detections.score_threshold == own
         assert len(paper.command.levels) == 2
 
 
