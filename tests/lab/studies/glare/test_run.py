@@ -244,7 +244,7 @@ def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_papers_car_has_its_whole_chain(tmp_path: Path) -> None:
-    """Its detector accepts above 0.5 and all of its boxes, ours above its own threshold; without its model it has ours."""
+    """Its detector accepts above 0.5 and all of its boxes, ours above its threshold; without its model it has ours."""
     pytest.importorskip("onnx")
     model = make_model(tmp_path / "all.onnx")
     own = config().classifier.score_threshold
