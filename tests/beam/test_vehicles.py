@@ -82,8 +82,9 @@ def test_tentative_tracks_belong_to_none() -> None:
 
 
 def test_without_a_range_a_lamp_stays_alone() -> None:
-    unknown = {"ranges_m": np.array([40.0, nan]), "sigmas_m": np.array([4.0, inf])}
-    assert grouped(dataclasses.replace(tracks_at(*car(40.0, 3.0)), **unknown)) == [[0], [1]]
+    tracks = tracks_at(*car(40.0, 3.0))
+    tracks = dataclasses.replace(tracks, ranges_m=np.array([40.0, nan]), sigmas_m=np.array([4.0, inf]))
+    assert grouped(tracks) == [[0], [1]]
     assert grouped(tracks_of([])) == []
 
 

@@ -230,7 +230,7 @@ class Moments:
         for lamp, (column, row, whole_cd) in zip(own, moment._directions, strict=True):
             left_cd = cv2.remap(lamp.table.intensities_cd, column, row, cv2.INTER_LINEAR)
             share = np.divide(left_cd, whole_cd, out=np.zeros_like(whole_cd), where=whole_cd > 0)
-            shares.append(np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)))
+            shares.append(np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), np.float32))
         return replace(moment, own=own, own_shares=tuple(shares), _backgrounds={}, _eyes_lx={})
 
     def _lamp_directions(self, moment: Moment, lamp: PlacedLamp) -> tuple[Image, Image, Image]:

@@ -131,8 +131,8 @@ class Exposure:
         if beside is None:
             self._spread_others(light)
         else:
-            self._fixed, self._indirect, self._direct = beside._fixed, beside._indirect, beside._direct
-            self._rears, self._red = beside._rears, beside._red
+            for name in ("_fixed", "_indirect", "_direct", "_rears", "_red"):
+                setattr(self, name, getattr(beside, name))
         for spread in (self._fixed, *self._indirect, *self._direct):
             if spread is not None:
                 self._total += spread

@@ -67,11 +67,6 @@ def is_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) ->
     return next(are_in_sight(road, np.array([ego_s_m]), np.array([other_s_m]), free))
 
 
-def is_light_in_sight(road: Road, ego_s_m: float, other_s_m: float, free: Corridor) -> bool:
-    """Whether a surface straight ahead of an oncoming car at `other_s_m`, lit by it, can be seen from `ego_s_m`."""
-    return next(are_lights_in_sight(road, np.array([ego_s_m]), np.array([other_s_m]), free))
-
-
 def are_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor) -> Iterator[bool]:
     """`is_in_sight` for one pair of positions after the other."""
     lane = road.half_width_m / 2
@@ -81,7 +76,7 @@ def are_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor)
 
 
 def are_lights_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor) -> Iterator[bool]:
-    """`is_light_in_sight` for one pair of positions after the other."""
+    """Whether a surface straight ahead of an oncoming car, lit by it, is in sight, for one pair of positions after the other."""
     lane = road.half_width_m / 2
     eyes = road.points(ego_s_m, -lane, EYE_M)
     lamps, behind = road.points(other_s_m, lane, LAMP_M), road.points(other_s_m + 1.0, lane, LAMP_M)

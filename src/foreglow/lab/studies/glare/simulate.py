@@ -23,7 +23,17 @@ from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.scenes.scene import EgoSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.loop import Delays, ExactCar, OurCar, PaperCar, ProductionCar, Shone, both, closed_loops
+from foreglow.lab.studies.glare.loop import (
+    Car,
+    Delays,
+    ExactCar,
+    OurCar,
+    PaperCar,
+    ProductionCar,
+    Shone,
+    both,
+    closed_loops,
+)
 from foreglow.lab.studies.glare.scores import POLICIES
 from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps, street_lamp
 from foreglow.tracking import make_tracker
@@ -251,7 +261,7 @@ class Drives:
     def frames(self, scene: Scene) -> Iterator[tuple[Shone, ...]]:
         """All closed loops side by side, frame by frame: ours, the paper's, and those of further cars."""
         others = [OurCar(config) for config in self._also.values()]
-        cars = [OurCar(self._config), PaperCar(self._config, self._paper), *others]
+        cars: list[Car] = [OurCar(self._config), PaperCar(self._config, self._paper), *others]
         return closed_loops(scene, cars, self._delays, self._quality, self._headlamps, self._profile)
 
     def driven(
