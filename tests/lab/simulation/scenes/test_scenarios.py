@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.scenes import planning
-from foreglow.lab.simulation.scenes.planning import Corridor, corridor, is_in_sight, is_light_in_sight, sight_time_s
+from foreglow.lab.simulation.scenes.planning import Corridor, are_lights_in_sight, corridor, is_in_sight, sight_time_s
 from foreglow.lab.simulation.scenes.scenarios import (
     LONG_DRIVES,
     MIXTURES,
@@ -163,7 +163,7 @@ def test_cars_come_into_sight_as_planned_and_their_light_soon_before() -> None:
             meeting = (other[0][1] - ego[0][1]) / rate
             seen = sight_time_s(road, free, ego, other)
             times.append(meeting - seen)
-            leads.append(sight_time_s(road, free, ego, other, is_light_in_sight) - seen)
+            leads.append(sight_time_s(road, free, ego, other, are_lights_in_sight) - seen)
     assert len(times) >= 4
     assert 2.0 < np.median(times) < 5.0
     assert min(leads) >= 0.0  # who sees the car, sees what it lights
