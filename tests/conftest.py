@@ -26,9 +26,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--quick"):
-        settings.register_profile("quick", deadline=None, max_examples=15)
-        settings.load_profile("quick")
+    # No deadline: a busy machine is slow, which is no fault of what is tested.
+    settings.register_profile("whole", deadline=None)
+    settings.register_profile("quick", deadline=None, max_examples=15)
+    settings.load_profile("quick" if config.getoption("--quick") else "whole")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

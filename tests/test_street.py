@@ -73,7 +73,7 @@ def _messages(draw: st.DrawFn) -> StreetMessage:
     )
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(_messages())
 def test_any_message_survives_json_and_gives_points(message: StreetMessage) -> None:
     assert StreetMessage.from_json(message.to_json()) == message

@@ -126,7 +126,7 @@ ANGLES = st.integers(-179_999, 180_000).map(lambda thousandths: thousandths / 10
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.tuples(ANGLES, ANGLES, ANGLES), st.floats(3, 1e4), st.floats(-1e3, 1e3))
 def test_any_camera_comes_back(
     tmp_path_factory: pytest.TempPathFactory, angles_deg: tuple[float, float, float], focal: float, number: float

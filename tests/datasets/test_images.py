@@ -274,7 +274,7 @@ def test_order_of_the_channels() -> None:
     assert to_grey(np.array([[[255, 0, 0]]], np.uint8)).tolist() == [[76]]  # 0.299 * 255 = 76.2
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.floats(0, 1), st.integers(0, 65535))
 def test_floats_are_rounded_to_the_nearest_level(value: float, level: int) -> None:
     assert abs(int(to_grey(np.array([[value]]))[0, 0]) - value * 65535) <= 0.51
@@ -315,7 +315,7 @@ def _read_or_refused(data: bytes, suffix: str) -> None:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=250, deadline=None)
+@settings(derandomize=True, max_examples=250)
 @given(st.sampled_from(_SEEDS), st.data())
 def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.DataObject) -> None:
     suffix, whole = seed
@@ -329,7 +329,7 @@ def test_damaged_files_are_read_or_refused(seed: tuple[str, bytes], data: st.Dat
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=100, deadline=None)
+@settings(derandomize=True, max_examples=100)
 @given(
     st.sampled_from([".png", ".jpg", ".npy"]),
     st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"P5\n", b"\x93NUMPY\x01\0"]),

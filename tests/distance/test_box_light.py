@@ -37,7 +37,7 @@ def light_by_hand(image: Image, boxes_xyxy_px: Boxes) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.integers(0, 2**31), st.integers(1, 90), st.integers(1, 90), st.sampled_from([np.uint8, np.uint16]))
 def test_as_in_numpy_at_every_border(seed: int, width_px: int, height_px: int, kind: type[np.uint8]) -> None:
     random = np.random.default_rng(seed)

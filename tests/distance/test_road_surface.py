@@ -69,7 +69,7 @@ def test_where_light_contradicts_the_map_the_map_does_not_count() -> None:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=20, deadline=None)
+@settings(derandomize=True, max_examples=20)
 @given(
     st.lists(st.tuples(st.integers(0, 1200), st.integers(0, 900), st.integers(1, 80), st.integers(1, 60)), max_size=8)
 )

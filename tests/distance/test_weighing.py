@@ -62,7 +62,7 @@ def assert_as_specified(parameters: Parameters, cells: Cells, boxes: BoxEvidence
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.integers(0, 2**31), st.integers(1, 30), st.sampled_from([0.1, 1.0, 3.0]))
 def test_random_boxes_along_a_road(seed: int, count: int, stretch: float) -> None:
     random = np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def test_random_boxes_along_a_road(seed: int, count: int, stretch: float) -> Non
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.integers(0, 2**31), st.sampled_from([0.1, 1.0, 3.0]))
 def test_random_cells(seed: int, stretch: float) -> None:
     assert_as_specified(SHIPPED, some_cells(len(SHIPPED.side), seed), some_boxes(5, seed, stretch))

@@ -90,7 +90,7 @@ def test_the_road_of_a_simulated_drive() -> None:
     np.testing.assert_allclose(found.points_m, road_ahead(road, 120.0, where, 300.0), atol=0.05)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=60)
 @given(st.floats(1.0, 290.0), st.floats(-4.0, 4.0), st.floats(-20.0, 20.0), st.booleans())
 def test_the_road_is_where_it_was(way_m: float, left_m: float, turn_deg: float, is_against: bool) -> None:
     """On a circle: all points lie on it, the first is beside us, and the way leads on."""

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.parallel.tasks import PATIENCE_S
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -27,6 +29,13 @@ class DaskCluster:
         """One more worker."""
         options = ("--nthreads", str(num_threads), "--no-dashboard", "--local-directory", str(self.folder))
         self.start("worker", self.address, *options)
+
+    def wait_for_workers(self, number: int) -> None:
+        """Until that many are there."""
+        from distributed import Client
+
+        with Client(self.address, timeout=PATIENCE_S, set_as_default=False) as client:
+            client.wait_for_workers(number, timeout=PATIENCE_S)
 
     def start(self, *arguments: str) -> None:
         """A `dask` command in a folder of its own, so that no path is right by chance."""
@@ -61,13 +70,15 @@ def dask_cluster(folder: Path, num_workers: int = 2) -> Iterator[DaskCluster]:
         cluster.address = _address(file)
         for _ in range(num_workers):
             cluster.start_worker()
+        if num_workers:
+            cluster.wait_for_workers(num_workers)
         yield cluster
     finally:
         cluster.stop()
 
 
 def _address(file: Path) -> str:
-    until_s = time.monotonic() + 30.0
+    until_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < until_s:
         with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
             return str(json.loads(file.read_text())["address"])

@@ -5,9 +5,20 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from foreglow.parallel import Parent
+
+PATIENCE_S = 120.0
+"""How long to wait for another process: it only matters when a test fails, and a busy machine takes its time."""
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    """Returns as soon as it is so, or when patience ends."""
+    until_s = time.monotonic() + PATIENCE_S
+    while not is_so() and time.monotonic() < until_s:
+        time.sleep(0.01)
 
 
 def square(item: int, parent: Parent) -> int:
@@ -27,9 +38,7 @@ def fail_at(item: tuple[bool, Path], parent: Parent) -> str:  # noqa: ARG001
     if is_bad:
         failed.touch()
         raise ValueError(f"{folder}: bad item")
-    until_s = time.monotonic() + 20.0
-    while not failed.exists() and time.monotonic() < until_s:
-        time.sleep(0.01)
+    wait_until(failed.exists)
     time.sleep(1.5)
     (folder / "finished").touch()
     return "good"
@@ -55,7 +64,7 @@ def wait_for_stop(item: Path, parent: Parent) -> str:
     """Notes its process in a file, works until it is told to stop, and notes that, too."""
     item.with_suffix(".started").write_text(str(os.getpid()))
     parent.report_progress("started", item.name)
-    until_s = time.monotonic() + 30.0
+    until_s = time.monotonic() + 2.0 * PATIENCE_S  # longer than a test waits for it
     while not parent.is_stopped and time.monotonic() < until_s:
         time.sleep(0.01)
         item.with_suffix(".working").touch()

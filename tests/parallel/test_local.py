@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -28,9 +27,7 @@ def folders(root: Path, *names: str) -> dict[str, Path]:
 
 
 def wait_for(*paths: Path) -> None:
-    until_s = time.monotonic() + 20.0
-    while not all(path.exists() and path.stat().st_size for path in paths) and time.monotonic() < until_s:
-        time.sleep(0.02)
+    tasks.wait_until(lambda: all(path.exists() and path.stat().st_size for path in paths))
 
 
 def is_running(pid: int) -> bool:
@@ -42,9 +39,7 @@ def is_running(pid: int) -> bool:
 
 
 def wait_until_gone(*pids: int) -> None:
-    until_s = time.monotonic() + 10.0
-    while any(is_running(pid) for pid in pids) and time.monotonic() < until_s:
-        time.sleep(0.02)
+    tasks.wait_until(lambda: not any(is_running(pid) for pid in pids))
     assert not [pid for pid in pids if is_running(pid)]
 
 
@@ -141,7 +136,7 @@ def test_a_parent_that_is_gone_takes_its_processes_with_it(tmp_path: Path, numbe
     pids = [int(mark.read_text()) for mark in marks]
     assert all(is_running(pid) for pid in pids)
     parent.send_signal(number)
-    parent.wait(20)
+    parent.wait(tasks.PATIENCE_S)
     wait_until_gone(*pids)
 
 

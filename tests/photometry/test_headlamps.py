@@ -73,7 +73,7 @@ def test_the_shipped_ones_are_the_simulated_cars() -> None:
     np.testing.assert_allclose(lamps.left.matrix.azimuths_deg[[0, 27]], np.array([-13.5, 13.5]) * 1.2 + 0.3)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_illuminance_is_that_of_the_whole_tables(seed: int) -> None:
     """At random levels and points: near and far, ahead and behind, inside the tables and outside."""
@@ -89,7 +89,7 @@ def test_illuminance_is_that_of_the_whole_tables(seed: int) -> None:
     np.testing.assert_allclose(base_lx + (levels * leds_lx).sum((1, 2)), np.sum(whole, axis=0), rtol=1e-5, atol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_intensities_are_those_of_the_turned_tables(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ Side: TypeAlias = Literal["left", "right"]
 SIDES: tuple[Side, ...] = ("left", "right")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(led=st.integers(0, NUM_LEDS - 1), other=st.integers(0, NUM_LEDS - 1), share=st.floats(0, 1))
 def test_linear_in_the_levels(led: int, other: int, share: float) -> None:
     lamp = matrix_beam("left")

@@ -305,7 +305,7 @@ def results(draw: st.DrawFn) -> FrameResult:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=200, deadline=None)
+@settings(derandomize=True, max_examples=200)
 @given(result=results())
 def test_a_line_that_is_read_and_written_again_is_the_same(result: FrameResult) -> None:
     frame = Frame(night_image(), result.timestamp_ns, result.frame, "S00001")

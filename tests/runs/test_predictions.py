@@ -119,7 +119,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=150)
 @given(st.sampled_from([".json", ".jsonl"]), st.data())
 def test_damaged_files_are_read_or_refused(suffix: str, data: st.DataObject) -> None:
     document = _LINE if suffix == ".jsonl" else {"7": {"boxes": [[1, 2, 3, 4]], "scores": [0.5]}, "8": []}

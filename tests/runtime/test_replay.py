@@ -9,7 +9,7 @@ import pytest
 
 from foreglow.beam import BeamStage
 from foreglow.config import BeamConfig, PipelineConfig
-from foreglow.runtime.replay import Replay
+from foreglow.runtime.run import Replay
 from foreglow.types import FrameResult, Tracks
 from tests.beam.made_up import box_around, frame_at, tracks_of
 from tests.stand_ins import result_of

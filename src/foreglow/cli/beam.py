@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from foreglow.photometry import Headlamps
     from foreglow.runtime import OutputFolder, ResultSink, Stepper
     from foreglow.runtime.can_output import CanBus
-    from foreglow.runtime.replay import Replay
+    from foreglow.runtime.run import Replay
 
 
 @app.command()
@@ -105,7 +105,7 @@ def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int
     """The results of an earlier run, the path of its frames, and their number."""
     from foreglow.runs.frames_file import read_results
     from foreglow.runs.recorded_run import source_of_run
-    from foreglow.runtime.replay import Replay
+    from foreglow.runtime.run import Replay
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)
     return Replay(configuration, results, str(run)), source_of_run(run), len(results)

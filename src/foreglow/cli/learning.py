@@ -184,7 +184,7 @@ def train(
     from foreglow.lab.learning import recipes
     from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.learning.training_run import train_model
-    from foreglow.lab.reports.training_curves import draw_training
+    from foreglow.lab.reports.training_pictures import draw_training
 
     if from_ is None and mix is not None:
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
@@ -227,8 +227,8 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     import rich
     from rich.table import Table
 
-    from foreglow.lab.reports.changed_boxes import draw_changes
     from foreglow.lab.reports.page import number
+    from foreglow.lab.reports.training_pictures import draw_changes
 
     counts, threshold = summary["samples"], summary["threshold"]
     own, old = ({name: part[name] for name in ("positive", "negative")} for part in (counts["own"], counts["mixed_in"]))

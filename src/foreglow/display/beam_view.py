@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from foreglow.display.overlay import (
     CAPTION_BGR,
     CAPTION_GROUND_BGR,
-    LABEL_GROUND_BGR,
     TRACK_BGR,
     Colour,
     Picture,
     Rectangle,
+    darken,
     overlap_px,
     place_label,
     track_text,
@@ -249,10 +249,8 @@ class BeamView:
     def _label(self, picture: Picture, text: str, label: Rectangle, colour: Colour, taken: list[Rectangle]) -> None:
         """Writes `text` on dark ground, and takes that place."""
         taken.append(label)
-        x1, y1, x2, y2 = label
-        ground = picture[max(0, y1) : max(0, y2), max(0, x1) : max(0, x2)]
-        ground[:] = (0.35 * ground + 0.65 * np.array(LABEL_GROUND_BGR)).astype(np.uint8)
-        self._pen.write(picture, text, (x1 + self._pen.px(4), y2 - self._pen.px(4)), colour, LABEL)
+        darken(picture, label)
+        self._pen.write(picture, text, (label[0] + self._pen.px(4), label[3] - self._pen.px(4)), colour, LABEL)
 
     def _draw_caption(self, panel: Picture, frame: Frame, command: BeamCommand) -> int:
         """Mode, when and where, and what is wrong; returns the lower border."""

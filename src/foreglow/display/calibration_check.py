@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from foreglow.display.overlay import Colour, Measures, Picture
+from foreglow.display.overlay import Colour, Measures, Picture, Rectangle, darken, overlap_px
 from foreglow.display.tone import Tone
 from foreglow.files import write_atomic
 from foreglow.geometry import Camera, Floats, MountSigmas, rotation_angles_rad
@@ -37,7 +37,6 @@ LANE_BGR: Colour = (70, 190, 250)
 HORIZON_BGR: Colour = (240, 150, 90)
 VANISHING_BGR: Colour = (90, 90, 250)
 MASK_BGR: Colour = (200, 70, 190)
-_GROUND_BGR: Colour = (18, 15, 14)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 _STEP_M = 0.1
@@ -258,7 +257,7 @@ def _draw_vanishing_point(picture: Picture, pixel: Floats, measures: Measures) -
 
 def _draw_labels(picture: Picture, camera: Camera, across: list[int], measures: Measures) -> None:
     """Writes the distances beside the lines across, 100 m and 50 m first, then from near to far where there is room."""
-    taken: list[tuple[int, int, int, int]] = []
+    taken: list[Rectangle] = []
     for ahead_m in (FAR_END_M, NEAR_END_M, *across):
         line = _project_road(camera, float(ahead_m), np.arange(0.0, SIDES_M[0] - _STEP_M / 2, -_STEP_M))
         line = line[np.isfinite(line).all(-1)] * measures.enlargement
@@ -269,9 +268,8 @@ def _draw_labels(picture: Picture, camera: Camera, across: list[int], measures: 
             continue
         x, y = round(float(line[-1, 0])) + 4, round(float(line[-1, 1])) + height_px // 2
         label = (x - 2, y - height_px - 3, x + width_px + 2, y + 4)
-        if any(label[0] < x2 and x1 < label[2] and label[1] < y2 and y1 < label[3] for x1, y1, x2, y2 in taken):
+        if any(overlap_px(label, other) for other in taken):
             continue
         taken.append(label)
-        ground = picture[max(0, label[1]) : label[3], label[0] : label[2]]
-        ground[:] = (0.35 * ground + 0.65 * np.array(_GROUND_BGR)).astype(np.uint8)
+        darken(picture, label)
         cv2.putText(picture, text, (x, y), _FONT, measures.label_scale, GRID_BGR, measures.thin_px, cv2.LINE_AA)

@@ -214,10 +214,16 @@ def _draw_labels(picture: Picture, marks: Sequence[_Mark], measures: Measures, s
         (width_px, height_px), _ = cv2.getTextSize(mark.text, _FONT, measures.label_scale, measures.thin_px)
         label = place_label(mark.rectangle, (width_px + 6, height_px + 6), taken, size_px)
         taken.append(label)
-        x1, y1, x2, y2 = label
-        ground = picture[y1:y2, x1:x2]
-        ground[:] = (0.35 * ground + 0.65 * np.array(LABEL_GROUND_BGR)).astype(np.uint8)
-        _write(picture, mark.text, (x1 + 3, y2 - 4), measures.label_scale, mark.colour_bgr, measures.thin_px)
+        darken(picture, label)
+        origin = (label[0] + 3, label[3] - 4)
+        _write(picture, mark.text, origin, measures.label_scale, mark.colour_bgr, measures.thin_px)
+
+
+def darken(picture: Picture, label: Rectangle) -> None:
+    """Makes the ground of a label so dark that its text is legible."""
+    x1, y1, x2, y2 = np.maximum(label, 0).tolist()
+    ground = picture[y1:y2, x1:x2]
+    ground[:] = (0.35 * ground + 0.65 * np.array(LABEL_GROUND_BGR)).astype(np.uint8)
 
 
 def _write(

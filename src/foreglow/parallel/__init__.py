@@ -2,8 +2,7 @@
 
 from foreglow.parallel.cluster import Cluster
 from foreglow.parallel.local import Local
-from foreglow.parallel.pool import MAX_DEATHS
-from foreglow.parallel.workers import Parent, Work, Workers
+from foreglow.parallel.pool import MAX_DEATHS, Parent, Work, Workers
 
 __all__ = ["MAX_DEATHS", "Cluster", "Local", "Parent", "Work", "Workers", "workers_at"]
 

@@ -16,8 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foreglow.parallel.pool import given_up, schedule
-from foreglow.parallel.workers import Item, ProgressCallback, Result, Work
+from foreglow.parallel.pool import Item, ProgressCallback, Result, Work, given_up, schedule
 
 if TYPE_CHECKING:
     from distributed import Client

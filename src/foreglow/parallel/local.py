@@ -21,8 +21,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from foreglow.parallel.pool import LostProcessError, schedule
-from foreglow.parallel.workers import Item, Parent, ProgressCallback, Result, Work
+from foreglow.parallel.pool import Item, LostProcessError, Parent, ProgressCallback, Result, Work, schedule
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 """Environment of the processes: with one process per core, several threads in each only slow each other down."""

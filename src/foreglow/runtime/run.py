@@ -1,15 +1,21 @@
-"""An off-line run: each frame of a source goes through the pipeline, and the results are written to a folder."""
+"""An off-line run: each frame of a source goes through the pipeline, and the results are written to a folder.
+
+`Replay` takes an earlier run's tracks in place of the stages before the beam.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import FrameType
 from typing import Protocol
 
+from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource
 from foreglow.runs.folder import OutputFolder
@@ -168,3 +174,52 @@ def check_readable(name: str, tally: Tally, skipped: Sequence[str]) -> None:
     """ValueError if all frames of the source called `name` were skipped."""
     if not tally.num_frames and skipped:
         raise ValueError(f"{name}: expected a readable frame; {skipped[0]}")
+
+
+class Replay:
+    """Takes the place of a pipeline: it returns the results of an earlier run, each with a new beam command.
+
+    Attributes:
+        config: Configuration of the earlier run, but for the beam.
+    """
+
+    dispatch = None
+    """The native core is not used."""
+
+    def __init__(self, config: PipelineConfig, results: Mapping[int, FrameResult], origin: str) -> None:
+        """Makes the beam stage.
+
+        Args:
+            config: With a beam policy.
+            results: By frame, the results of the earlier run, with tracks.
+            origin: Name of that run in messages.
+
+        Raises:
+            FileNotFoundError: If the file that describes the headlamps is missing.
+            ValueError: If it is broken.
+        """
+        self.config = config
+        self._beam = BeamStage(config.beam, config.guard, lit_street=config.lit_street)
+        self._results = results
+        self._origin = origin
+
+    def step(self, frame: Frame) -> FrameResult:
+        """The earlier result of `frame` with a new beam command; `stage_ms` has the run-time of the beam alone.
+
+        Raises:
+            ValueError: If the earlier run did not have this frame.
+        """
+        result = self._results.get(frame.frame)
+        if result is None or result.tracks is None or result.timestamp_ns != frame.timestamp_ns:
+            raise ValueError(
+                f"{self._origin}: expected the frames of its source, has no frame {frame.frame} "
+                f"at {frame.timestamp_ns / 1e9:.3f} s"
+            )
+        before_ns = time.perf_counter_ns()
+        beam = self._beam.command(frame, result.tracks)
+        stage_ms = {"beam": (time.perf_counter_ns() - before_ns) / 1e6}
+        return dataclasses.replace(result, beam=beam, stage_ms=stage_ms)
+
+    def reset(self) -> None:
+        """Forgets earlier frames, as at the start of a sequence."""
+        self._beam.reset()

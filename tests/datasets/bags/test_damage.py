@@ -18,7 +18,7 @@ from foreglow.datasets.bags.recording import DECODERS
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
 IMAGES = images(5)
-QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def _mcap(folder: Path) -> Path:

@@ -308,7 +308,7 @@ _DOCUMENTS: list[tuple[Any, Any]] = [
 ]
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=150)
 @given(st.sampled_from(_DOCUMENTS), st.data())
 def test_any_value_anywhere_is_read_or_refused(case: tuple[Any, Any], data: st.DataObject) -> None:
     model, document = case
@@ -324,7 +324,7 @@ def test_any_value_anywhere_is_read_or_refused(case: tuple[Any, Any], data: st.D
     _only_value_errors(lambda: parse_json(json.dumps(changed), model, "fuzz"))
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=150)
 @given(st.sampled_from(_DOCUMENTS), st.data())
 def test_any_damage_to_the_text_is_read_or_refused(case: tuple[Any, Any], data: st.DataObject) -> None:
     model, document = case

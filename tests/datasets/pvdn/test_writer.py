@@ -162,7 +162,7 @@ def _vehicles(draw: st.DrawFn) -> tuple[Vehicle, ...]:
     )
 
 
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(derandomize=True, max_examples=25)
 @given(st.lists(_vehicles(), min_size=1, max_size=3))
 def test_any_vehicles_survive(vehicles: list[tuple[Vehicle, ...]]) -> None:
     with tempfile.TemporaryDirectory() as folder:

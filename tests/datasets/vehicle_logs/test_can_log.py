@@ -110,7 +110,7 @@ def _messages(draw: st.DrawFn) -> StreetMessage:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, max_examples=40, deadline=None)
+@settings(derandomize=True, max_examples=40)
 @given(st.lists(_messages(), min_size=1, max_size=4))
 def test_any_messages_come_back(tmp_path_factory: pytest.TempPathFactory, messages: list[StreetMessage]) -> None:
     path = tmp_path_factory.mktemp("any") / "drive.log"

@@ -136,7 +136,7 @@ _CASES = _IMAGES.map(
         _predictions(**{f"i{key}": boxes for key, (_, boxes) in images.items()}),
     )
 )
-_quick = settings(derandomize=True, max_examples=100, deadline=None)
+_quick = settings(derandomize=True, max_examples=100)
 
 
 @_quick

@@ -63,7 +63,7 @@ def test_no_square_around_a_lamp() -> None:
         assert ring.std() / ring.mean() < 0.02
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(x=st.floats(40, 1240), y=st.floats(40, 60))
 def test_centroid_of_a_point(x: float, y: float) -> None:
     """Without the tail, which the image's borders would cut unevenly."""

@@ -57,7 +57,7 @@ def test_carriageway_has_a_crown_or_leans_into_its_bend() -> None:
     assert STRAIGHT.cross_height_m(0, 9) == STRAIGHT.cross_height_m(0, STRAIGHT.half_width_m)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0, 200), st.floats(-30, 30))
 def test_places_undo_points(s: float, t: float) -> None:
     found_s, found_t = WINDING.places_m(WINDING.points(s, t))

@@ -48,6 +48,12 @@ def test_three_moments_side_by_side_whatever_the_size(width_px: int, height_px: 
         assert share_of(picture, colour) > 1e-3
 
 
+def test_light_of_a_kind_that_has_no_words() -> None:
+    first = Moment(STORY.light.time_s, light(1, 12, 10, kind="puddle"), STORY.light.score)
+    picture = moments_picture(dataclasses.replace(STORY, light=first), frames(640, 480), BOXES, 0.5)
+    assert share_of(picture, LIGHT_BGR) > 1e-3
+
+
 def test_sixteen_bits() -> None:
     assert moments_picture(STORY, frames(640, 480, dtype=np.uint16), BOXES, 0.5).mean() > 10
 

@@ -24,9 +24,14 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> DistanceResults:
     return run_experiment(root, DistancePlan(estimators=("gp", "psd_2d")))
 
 
-def test_the_folder(results: DistanceResults, tmp_path: Path) -> None:
-    report = write_report(results, tmp_path / "out")
-    assert report == tmp_path / "out" / "report.html"
+@pytest.fixture(scope="module")
+def report(results: DistanceResults, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a report whose folder did not exist."""
+    return write_report(results, tmp_path_factory.mktemp("report") / "out")
+
+
+def test_the_folder(results: DistanceResults, report: Path) -> None:
+    assert (report.parent.name, report.name) == ("out", "report.html")
     figures = {"methods", "series", "range", "localisation", "terrain", "pitch", "heuristics_gp", "heuristics_psd_2d"}
     files = {"report.html", "results.json", "lights.csv", "config.toml", "tables.md"}
     assert {path.name for path in report.parent.iterdir()} == files | {f"{name}.png" for name in figures} | {
@@ -41,8 +46,8 @@ def test_the_folder(results: DistanceResults, tmp_path: Path) -> None:
     assert "paper +0.12" in page
 
 
-def test_a_line_for_each_light(results: DistanceResults, tmp_path: Path) -> None:
-    with (write_report(results, tmp_path).parent / "lights.csv").open() as file:
+def test_a_line_for_each_light(results: DistanceResults, report: Path) -> None:
+    with (report.parent / "lights.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 12
     assert rows[0]["kind"] == "lamp"
@@ -52,9 +57,8 @@ def test_a_line_for_each_light(results: DistanceResults, tmp_path: Path) -> None
         assert float(row["gp, centre: range_m"]) == pytest.approx(range_m, abs=1e-3)
 
 
-def test_the_same_results_give_the_same_files(results: DistanceResults, tmp_path: Path) -> None:
-    first, second = write_report(results, tmp_path / "a"), write_report(results, tmp_path / "b")
-    assert first.read_bytes() == second.read_bytes()
+def test_the_same_results_give_the_same_files(results: DistanceResults, report: Path, tmp_path: Path) -> None:
+    assert write_report(results, tmp_path).read_bytes() == report.read_bytes()
 
 
 def test_the_headline_stands_beside_the_paper(results: DistanceResults) -> None:

@@ -62,17 +62,17 @@ def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResul
     assert 0.03 < false.km < 0.2
 
 
-def test_splits_are_pooled(tmp_path: Path) -> None:
+def test_splits_are_pooled(results: TimeBenefitResults, tmp_path: Path) -> None:
     """The drive and a second split, PVDN's layout alone; what either has alone stays as it is."""
-    root = make_pvdn(tmp_path)
-    alone = [run_experiment([dataset], preset("foreglow")) for dataset in (PVDN(shipped_drive()), PVDN(root))]
-    pooled = run_experiment([PVDN(shipped_drive()), PVDN(root)], preset("foreglow"))
-    assert pooled.num_sequences == sum(results.num_sequences for results in alone)
-    assert pooled.name == " and ".join(results.name for results in alone)
+    other = PVDN(make_pvdn(tmp_path))
+    alone = [results, run_experiment([other], preset("foreglow"))]
+    pooled = run_experiment([PVDN(shipped_drive()), other], preset("foreglow"))
+    assert pooled.num_sequences == sum(part.num_sequences for part in alone)
+    assert pooled.name == " and ".join(part.name for part in alone)
     for name in ("single frame", "tracker, ours", "production system"):
-        detected_s = [time_s for results in alone for time_s in results.method(name).benefit.detected_s]
+        detected_s = [time_s for part in alone for time_s in part.method(name).benefit.detected_s]
         np.testing.assert_array_equal(pooled.method(name).benefit.detected_s, detected_s)
-    falses = [results.method("tracker, ours").false for results in (pooled, *alone)]
+    falses = [part.method("tracker, ours").false for part in (pooled, *alone)]
     numbers = [false.num_plausible for false in falses if false is not None]
     assert numbers[0] == numbers[1] + numbers[2]
     assert len({met.sequence for met in pooled.encounters}) == len(pooled.encounters)

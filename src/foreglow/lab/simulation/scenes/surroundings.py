@@ -57,46 +57,60 @@ def _as_tuple(value: Any) -> Any:
     return tuple(_as_tuple(part) for part in value) if isinstance(value, list | tuple) else value
 
 
-class Rail(SpecModel):
-    """A guardrail.
+class _At(SpecModel):
+    """A thing beside the road.
+
+    Attributes:
+        side: Side of the road.
+        s_m: Position of its middle along the road.
+    """
+
+    side: Side
+    s_m: float
+
+
+class _Along(SpecModel):
+    """A thing along the road.
 
     Attributes:
         side: Side of the road.
         span_m: Begin and end along the road.
-        offset_m: From the edge of the carriageway to the rail's face.
-        post_spacing_m: Distance between posts.
     """
 
     side: Side
     span_m: Span
+
+
+class Rail(_Along):
+    """A guardrail.
+
+    Attributes:
+        offset_m: From the edge of the carriageway to the rail's face.
+        post_spacing_m: Distance between posts.
+    """
+
     offset_m: Positive = 0.8
     post_spacing_m: Spacing = 4.0
 
 
-class Wall(SpecModel):
+class Wall(_Along):
     """A wall along the road.
 
     Attributes:
-        side: Side of the road.
-        span_m: Begin and end along the road.
         offset_m: From the edge of the carriageway.
         height_m: Height above the ground.
         material: Its material.
     """
 
-    side: Side
-    span_m: Span
     offset_m: Positive = 2.0
     height_m: Positive = 1.2
     material: Literal["concrete", "brick", "plaster", "rock"] = "concrete"
 
 
-class Sign(SpecModel):
+class Sign(_At):
     """A retroreflective sign.
 
     Attributes:
-        side: Side of the road.
-        s_m: Position along the road.
         kind: Shape and picture.
         offset_m: From the edge of the carriageway.
         height_m: Height of its lower edge above the ground.
@@ -104,8 +118,6 @@ class Sign(SpecModel):
         faces_oncoming: Whether it faces oncoming traffic, so that we see its dull back.
     """
 
-    side: Side
-    s_m: float
     kind: SignKind
     offset_m: Positive = 1.2
     height_m: NonNegative = 1.8
@@ -113,12 +125,10 @@ class Sign(SpecModel):
     faces_oncoming: bool = False
 
 
-class Woods(SpecModel):
+class Woods(_Along):
     """Trees along one side.
 
     Attributes:
-        side: Side of the road.
-        span_m: Begin and end along the road.
         offset_m: From the edge of the carriageway to the first trees.
         depth_m: Depth of the wood; 0 for a single row of trees.
         spacing_m: Mean distance between trees.
@@ -127,8 +137,6 @@ class Woods(SpecModel):
         has_undergrowth: Whether bushes stand between and in front of the trees.
     """
 
-    side: Side
-    span_m: Span
     offset_m: Positive = 5.0
     depth_m: Annotated[float, Field(ge=0, le=500)] = 25.0
     spacing_m: Spacing = 4.0
@@ -144,12 +152,10 @@ class Woods(SpecModel):
         return self
 
 
-class House(SpecModel):
+class House(_At):
     """A house with a gable roof.
 
     Attributes:
-        side: Side of the road.
-        s_m: Position of its middle along the road.
         offset_m: From the edge of the carriageway to its front.
         size_m: Length along the road, depth, and height of the walls.
         num_lit_windows: Number of lit windows.
@@ -159,8 +165,6 @@ class House(SpecModel):
         yaw_deg: Rotation away from the direction of the road.
     """
 
-    side: Side
-    s_m: float
     offset_m: Positive = 8.0
     size_m: tuple[Size, Size, Size] = (10.0, 8.0, 5.0)
     num_lit_windows: Annotated[int, Field(ge=0, le=60)] = 2
@@ -170,30 +174,24 @@ class House(SpecModel):
     yaw_deg: float = 0.0
 
 
-class StreetLamp(SpecModel):
+class StreetLamp(_At):
     """A lamp on a pole.
 
     Attributes:
-        side: Side of the road.
-        s_m: Position along the road.
         offset_m: From the edge of the carriageway.
         height_m: Height of the light above the ground.
         intensity_cd: Intensity straight down; 0 for a lamp that is off.
     """
 
-    side: Side
-    s_m: float
     offset_m: Positive = 1.5
     height_m: Positive = 6.0
     intensity_cd: NonNegative = 900.0
 
 
-class Panel(SpecModel):
+class Panel(_At):
     """A lit billboard on posts, which faces us.
 
     Attributes:
-        side: Side of the road.
-        s_m: Position along the road.
         offset_m: From the edge of the carriageway to its nearer edge.
         height_m: Height of its lower edge above the ground.
         size_m: Width and height.
@@ -201,8 +199,6 @@ class Panel(SpecModel):
         yaw_deg: Rotation away from facing us, towards the road.
     """
 
-    side: Side
-    s_m: float
     offset_m: Positive = 3.0
     height_m: NonNegative = 2.5
     size_m: tuple[Size, Size] = (3.6, 2.7)
@@ -232,12 +228,10 @@ class Settlement(SpecModel):
     intensity_cd: Positive = 150.0
 
 
-class Signal(SpecModel):
+class Signal(_At):
     """A traffic light on a mast, or on an arm above the road.
 
     Attributes:
-        side: Side of the road.
-        s_m: Position along the road.
         offset_m: From the edge of the carriageway to the mast.
         height_m: Height of the housing's lower edge above the ground.
         arm_m: Length of the arm that reaches over the road.
@@ -246,8 +240,6 @@ class Signal(SpecModel):
         faces_oncoming: Whether it faces oncoming traffic, so that we see its back.
     """
 
-    side: Side
-    s_m: float
     offset_m: Positive = 0.8
     height_m: Positive = 2.4
     arm_m: Annotated[float, Field(ge=0, le=15)] = 0.0

@@ -117,7 +117,7 @@ def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> li
     }
     scenes = []
     for (name, moment), frame in zip(story.moments.items(), frames, strict=True):
-        note = "" if name == "sight" else PLACES[moment.light.kind]
+        note = "" if name == "sight" else PLACES.get(moment.light.kind, f"on {moment.light.kind}")
         if name == "found" and not math.isnan(moment.score):
             note += f", score {moment.score:.2f}"
         gap_rad = (story.gaps_rad or {}).get(moment.time_s)

@@ -24,7 +24,7 @@ PLACES = {
     "haze": "in the haze",
     "indirect": "reflected light",
 }
-"""Where light is seen, by its kind."""
+"""Where light is seen, by its kind; of other kinds, the kind itself is said."""
 
 MAX_ROWS = 40
 """Rows of a table of stories; more are counted only."""
