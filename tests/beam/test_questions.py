@@ -174,7 +174,7 @@ def test_a_reset_forgets_all_questions() -> None:
 def test_a_fault_during_a_question_means_low_beam(fault: str) -> None:
     """The policy is told so, and goes on."""
     stage = BeamStage(CONFIG, GuardConfig())
-    asked = []
+    asked: list[int] = []
     for number in range(60):
         image, box = image_with(90.0, SIGN_RAD, number % 3)
         frame = dataclasses.replace(frame_at(number), image=image)

@@ -76,7 +76,7 @@ def are_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor)
 
 
 def are_lights_in_sight(road: Road, ego_s_m: Floats, other_s_m: Floats, free: Corridor) -> Iterator[bool]:
-    """Whether a surface straight ahead of an oncoming car, lit by it, is in sight, for one pair of positions after the other."""
+    """Whether a surface straight ahead of an oncoming car, lit by it, is in sight, for one pair after the other."""
     lane = road.half_width_m / 2
     eyes = road.points(ego_s_m, -lane, EYE_M)
     lamps, behind = road.points(other_s_m, lane, LAMP_M), road.points(other_s_m + 1.0, lane, LAMP_M)
