@@ -40,7 +40,8 @@ TRACKS = {
     "light_kinds": Field("f8", 4, is_optional=True),
     "direct_probability": Field("f8"),
 }
-"""The fields of `Tracks`, in their order, in the singular, and a property; older versions sent no `light_kinds`."""
+"""The fields of `Tracks` but `vehicles`, in their order, in the singular, and a property; older versions sent no
+`light_kinds`."""
 
 BEAM = {
     "mode": Field("u1"),
@@ -119,14 +120,14 @@ def read_ranges(message: PointCloud2, topic: str, score_threshold: float) -> tup
 
 
 def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
-    """The tracks.
+    """The tracks, without the vehicles that they belong to.
 
     Raises:
         ValueError: If a number does not fit 32 bits.
     """
     columns = {}
-    attributes = [*(field.name for field in dataclasses.fields(tracks)), "direct_probabilities"]
-    for (name, column), attribute in zip(TRACKS.items(), attributes, strict=True):
+    attributes = [field.name for field in dataclasses.fields(tracks) if field.name != "vehicles"]
+    for (name, column), attribute in zip(TRACKS.items(), [*attributes, "direct_probabilities"], strict=True):
         array = getattr(tracks, attribute)
         if column.dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
             raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
