@@ -25,7 +25,7 @@ Corner: TypeAlias = Annotated[int, Field(strict=True, le=2**31 - 1)]
 
 Speed: TypeAlias = Annotated[float, Field(ge=0, le=MAX_SPEED_MPS)]
 RangeLimit: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=10_000)], Annotated[float, Field(gt=0, le=1e6)]], Field(strict=False)
+    tuple[Annotated[float, Field(ge=0, le=10_000)], Annotated[float, Field(gt=0, le=1e9)]], Field(strict=False)
 ]
 """The range from which a limit holds, metres, and the limit."""
 

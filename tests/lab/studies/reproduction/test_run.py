@@ -207,7 +207,7 @@ def test_fields_of_claims_are_fields_of_results(reproduced: Reproduced) -> None:
     """A claim without a value is one whose results do not have it, and no slip in the table."""
     without = {found.claim.id for found in reproduced.answers if found.claim.study in SMALL and found.ours == NO_VALUE}
     scene = {f"scene-{what}" for what in ("single", "tracker", "production", "benefit", "delay")}
-    assert without <= {*scene, "table1-motion"}
+    assert without <= {*scene, "table1-motion", "converges"}  # there may be no plausible track on a lamp
 
 
 def test_the_command(tmp_path: Path) -> None:
