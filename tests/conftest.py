@@ -11,9 +11,6 @@ from hypothesis import settings
 # Hundreds of tests call a command, and building all of them takes a quarter of a second.
 typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 
-settings.register_profile("patient", deadline=None)  # how long an example takes is the machine's affair
-settings.load_profile("patient")
-
 EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
 """The markers that say which extra a test needs, and the module that is missing without it."""
 

@@ -82,6 +82,11 @@ def test_fewer_terms(tmp_path: Path, terms: str) -> None:
         ("[1312.0", "[-1312.0", r"front\.yaml: camera_matrix: fx: expected a positive focal length, got -1312"),
         ("1310.5", "0", r"camera_matrix: fy: expected a positive focal length, got 0"),
         ("1310.5", "1e9", r"camera_matrix: fy: expected a focal length of 1 to 1e\+06 px, got 1e\+09"),
+        (
+            "1310.5",
+            "1e300",
+            r"camera_matrix\.data: expected numbers of at most 1e\+12, got \[1312\.0, 0, 639\.5, 0, '1e300'",
+        ),
         ("[1312.0", "[wide", r"camera_matrix\.data\.0: .*valid number, got 'wide'"),
         ("1312.0, ", "", r"camera_matrix: expected 3 rows, 3 columns and 9 numbers, got 3 rows, 3 columns and 8"),
         ("0, 0, 1]", "0, 0, 2]", r"camera_matrix: expected fx 0 cx"),

@@ -65,8 +65,8 @@ def reproduce(
     """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it."""
     from foreglow.display.progress import StepProgress
     from foreglow.lab.reports.figures import require_matplotlib
-    from foreglow.lab.studies.reproduction.experiments import MODELS, ReproductionPlan
     from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
+    from foreglow.lab.studies.reproduction.plan import MODELS, ReproductionPlan
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()

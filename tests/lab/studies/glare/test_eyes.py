@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, RoadLight
-from foreglow.lab.studies.glare.metrics import FMVSS_108, R123, Glare, first_glare_s, score_eye
+from foreglow.lab.studies.glare.eyes import FMVSS_108, R123, Glare, first_glare_s, score_eye
 from tests.lab.studies.glare_drives import approach
 
 ON, OFF = np.ones((2, 1, 1)), np.zeros((2, 1, 1))

@@ -11,8 +11,8 @@ import pytest
 from foreglow.files import to_json
 from foreglow.lab.reports.figures import DPI
 from foreglow.lab.studies.glare.drive import write_glare_drive
+from foreglow.lab.studies.glare.eyes import R123
 from foreglow.lab.studies.glare.figures import README_WIDTH_IN
-from foreglow.lab.studies.glare.metrics import R123
 from foreglow.lab.studies.glare.page import eye_to_show, summary_lines, write_experiment, write_report
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint, score_glare

@@ -11,7 +11,7 @@ from foreglow.lab.simulation import Scene
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.scenes.surroundings import StreetLamp, SurroundingsSpec
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
-from foreglow.lab.studies.glare.metrics import lit_road, phase_light, phases, road_share, switching, wrong_dimming
+from foreglow.lab.studies.glare.road import lit_road, phase_light, phases, road_share, switching, wrong_dimming
 from foreglow.lab.studies.glare.simulate import StreetLight
 
 NUM = 20

@@ -13,7 +13,7 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREEN, GREY, INK, PALE, box_plot, legend_above, png, subplots
 from foreglow.lab.studies.glare.drive import AREAS, DriverEye, GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.metrics import BINS, LIMITS
+from foreglow.lab.studies.glare.eyes import BINS, LIMITS
 from foreglow.lab.studies.glare.pooled import DriveScore
 from foreglow.lab.studies.glare.scores import GlareResults, SensitivityPoint
 

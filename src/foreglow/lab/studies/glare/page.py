@@ -14,6 +14,7 @@ from foreglow.lab.evaluation.occurrence import LeadScore
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.lab.reports.page import Figure, Page, Table, number, percent, signed
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive
+from foreglow.lab.studies.glare.eyes import MORE_THAN_LOW, SETTLED_S
 from foreglow.lab.studies.glare.figures import (
     README_WIDTH_IN,
     bin_figure,
@@ -22,8 +23,8 @@ from foreglow.lab.studies.glare.figures import (
     lux_figure,
     sensitivity_figure,
 )
-from foreglow.lab.studies.glare.metrics import AHEAD_S, FULL_LEVEL, JUMP, MORE_THAN_LOW, SETTLED_S, SWITCH_S
 from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
+from foreglow.lab.studies.glare.road import AHEAD_S, FULL_LEVEL, JUMP, SWITCH_S
 from foreglow.lab.studies.glare.run import GlareExperiment
 from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
 from foreglow.lab.studies.occurrence.run import REMARK, occurrence_table

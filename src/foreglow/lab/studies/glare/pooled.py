@@ -17,19 +17,15 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation import bootstrap
 from foreglow.lab.evaluation.ratios import mean, percentiles, ratio, share
 from foreglow.lab.studies.glare.drive import GlareDrive, PolicyRun
-from foreglow.lab.studies.glare.metrics import (
-    BINS,
+from foreglow.lab.studies.glare.eyes import BINS, EyeScore, Glare, Limits, score_eye
+from foreglow.lab.studies.glare.road import (
     Dimming,
-    EyeScore,
-    Glare,
-    Limits,
     LitRoad,
     PhaseLight,
     Switching,
     lit_road,
     phase_light,
     phases,
-    score_eye,
     switching,
     wrong_dimming,
 )

@@ -21,8 +21,8 @@ from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
+from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
-from foreglow.lab.studies.glare.metrics import FMVSS_108, R123
 from foreglow.lab.studies.glare.scores import POLICIES, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain

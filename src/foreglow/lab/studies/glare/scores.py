@@ -6,11 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from foreglow.lab.studies.glare.drive import GlareDrive
-from foreglow.lab.studies.glare.metrics import (
-    FMVSS_108,
-    RESTORE_S,
-    Limits,
-)
+from foreglow.lab.studies.glare.eyes import FMVSS_108, Limits
 from foreglow.lab.studies.glare.pooled import (
     DriveScore,
     GroupGlare,
@@ -20,6 +16,7 @@ from foreglow.lab.studies.glare.pooled import (
     WrongDimming,
     score_drive,
 )
+from foreglow.lab.studies.glare.road import RESTORE_S
 
 POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")
 """The order of the rows; other names come after, as they are found."""

@@ -29,7 +29,8 @@ from foreglow.lab.studies.reproduction.claims import (
     paper_value,
     read_claims,
 )
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, TRAINED, ReproductionPlan
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
+from foreglow.lab.studies.reproduction.plan import TRAINED, ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome
 
 TITLE = "The paper, and what is here"

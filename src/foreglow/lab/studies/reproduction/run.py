@@ -17,7 +17,8 @@ from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, ReproductionPlan
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
+from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 
