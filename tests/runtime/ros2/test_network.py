@@ -18,7 +18,7 @@ import pytest
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
-from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult
+from foreglow.types import BeamMode, Frame, FrameResult
 
 pytest.importorskip("rclpy")
 
@@ -103,41 +103,33 @@ def test_a_killed_node_means_low_beam_and_comes_back(frames: list[Frame]) -> Non
             network.run(killing(network, frames, victim))
 
 
-def has_light(beam: BeamCommand) -> bool:
-    return beam.mode != BeamMode.LOW
-
-
-def misses_input(beam: BeamCommand) -> bool:
-    return INPUT_MISSING in beam.faults
-
-
 def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Frame]:
     """Frames at full rate, over and over; once there is light a node is killed, until there is light again."""
     turns = enumerate(itertools.cycle(frames))
     endless = (dataclasses.replace(frame, timestamp_ns=k * STEP_NS, sequence="long") for k, frame in turns)
     commands = network.commands
 
-    def until(is_met: Callable[[BeamCommand], bool]) -> Iterator[Frame]:
+    def until(is_low: bool) -> Iterator[Frame]:
         """A minute at most."""
         since = len(commands)
         for frame in itertools.islice(endless, 18 * 60):
-            if any(is_met(command.beam) for command in commands[since:]):
+            if any((one.beam.mode == BeamMode.LOW) == is_low for one in commands[since:]):
                 return
             yield frame
-        raise AssertionError([(command.beam.mode, command.beam.faults) for command in commands[since:]])
+        raise AssertionError([(one.beam.mode, one.beam.faults) for one in commands[since:]])
 
-    yield from until(has_light)
+    yield from until(is_low=False)
     process = network.processes[victim].popen
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     killed, killed_ns = len(commands), time.time_ns()
     if victim != "beam":  # there it is the lamps' own timeout that ends the light
-        yield from until(misses_input)
-        low = next(command for command in commands[killed:] if misses_input(command.beam))
-        assert low.beam.mode == BeamMode.LOW
+        yield from until(is_low=True)
+        low = next(one for one in commands[killed:] if one.beam.mode == BeamMode.LOW)
+        assert INPUT_MISSING in low.beam.faults
         assert low.received_ns - killed_ns < 1e9  # how soon is the benchmark's to say
     yield from itertools.islice(endless, 9)  # what was on its way when the process died
-    yield from until(has_light)
+    yield from until(is_low=False)
     assert network.processes[victim].popen.pid != process.pid
 
 
