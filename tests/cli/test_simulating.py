@@ -179,7 +179,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "nowhere.toml"), "nowhere.toml: no such"),
         (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
-        (("--out", "unused", "--variants", "2"), "expected together with --camera"),
+        (("--out", "unused", "--shares", "best"), "preset: expected one of"),
         (("--preview", "curve", "--camera", "phone"), "--camera: expected with --out and without --preview"),
     ],
 )
@@ -212,6 +212,16 @@ def test_each_camera_has_a_data_set_that_the_other_commands_read(scene_file: Pat
         assert len(list((split / "simulation" / "S00002" / "light").glob("*.png"))) == 4
         assert "8 frames" in foreglow("run", split, "--out", tmp_path / folder / "results").stdout
     assert foreglow("simulate", "--out", tmp_path / "DATA", *small, *cameras).stdout.count("were there") == 2
+
+
+@pytest.mark.renderer
+def test_the_camera_of_the_scene_has_shares_and_variants_as_well(scene_file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    small = ("--scene", scene_file, "--size", "160x120", "--quality", "fast", "--variants", "2", "--shares", "foreglow")
+    assert "2 drives, 8 images" in foreglow("simulate", "--out", tmp_path, *small).stdout
+    split = tmp_path / "day" / "train"
+    assert (split / "simulation" / "S00002" / "shares.parquet").is_file()
+    assert "8 frames" in foreglow("run", split, "--out", tmp_path / "results").stdout
 
 
 def test_what_writes_shares_is_missed_before_the_first_drive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

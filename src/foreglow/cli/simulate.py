@@ -47,7 +47,7 @@ def simulate(
         int, option("K", "Sequences a drive and camera, with other strengths of light and veil.", min=1, max=1000)
     ] = 1,
     shares: Annotated[
-        str | None, option("PRESET,...", "Store whose light is in the proposals of these presets (with --camera).")
+        str | None, option("PRESET,...", "Store whose light is in the proposals of these presets.")
     ] = None,
     print_camera: Annotated[str | None, option("NAME", "Only print this camera profile as TOML.")] = None,
     ego_beam: Annotated[
@@ -163,8 +163,8 @@ class _Exposing:
     presets: tuple[str, ...]
 
     @property
-    def profiles(self) -> tuple[CameraProfile, ...]:
-        return tuple(config.camera for config in self.configs if config.camera is not None)
+    def profiles(self) -> tuple[CameraProfile | None, ...]:
+        return tuple(config.camera for config in self.configs)
 
     def check(self, scenes: tuple[Scene, ...]) -> None:
         from foreglow.lab.simulation.drive import check_exposures
@@ -173,16 +173,14 @@ class _Exposing:
 
 
 def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shares: str | None) -> _Exposing | None:
-    """What `--camera`, `--variants` and `--shares` ask for; None without a camera."""
+    """What `--camera`, `--variants` and `--shares` ask for; None without any of them."""
     from foreglow.lab.simulation.camera.profile import read_profiles
 
-    if camera is None:
-        if num_variants > 1 or shares is not None:
-            raise ValueError("--variants, --shares: expected together with --camera, such as --camera pvdn_day")
+    if camera is None and num_variants == 1 and shares is None:
         return None
     presets = () if shares is None else tuple(name.strip() for name in shares.split(","))
-    configs = (config.exposed_for(profile, presets) for profile in read_profiles(camera))
-    return _Exposing(tuple(configs), num_variants, presets)
+    profiles = (None,) if camera is None else read_profiles(camera)
+    return _Exposing(tuple(config.exposed_for(profile, presets) for profile in profiles), num_variants, presets)
 
 
 def _expose(scenes: tuple[Scene, ...], out: Path, exposing: _Exposing, workers: Workers, quality: str) -> None:
@@ -190,7 +188,7 @@ def _expose(scenes: tuple[Scene, ...], out: Path, exposing: _Exposing, workers: 
     from foreglow.display.progress import SceneProgress
     from foreglow.lab.simulation import Target, drive_exposures, simulate_datasets
 
-    names = [profile.name for profile in exposing.profiles]
+    names = [profile.name for profile in exposing.profiles if profile is not None]
     folders = [out / name for name in names] if len(names) > 1 else [out]
     targets = [Target(folder, config) for folder, config in zip(folders, exposing.configs, strict=True)]
     num_variants = exposing.num_variants

@@ -100,7 +100,7 @@ def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; foreglow simulate --camera NAME --shares PRESET makes it")
+        raise FileNotFoundError(f"{path}: no such file; foreglow simulate --shares PRESET makes it")
     arrow = load_arrow()
     try:
         table = arrow.parquet.read_table(path, columns=["image_id", "preset", *BOX, *SOURCES])

@@ -299,7 +299,7 @@ def drive_frames(scene: Scene, quality: str = "training") -> Iterator[DriveFrame
 
 def drive_exposures(
     scene: Scene,
-    profiles: Sequence[CameraProfile],
+    profiles: Sequence[CameraProfile | None],
     num_variants: int = 1,
     quality: str = "training",
     presets: Sequence[str] = (),
@@ -308,7 +308,7 @@ def drive_exposures(
 
     Args:
         scene: The drive's specification.
-        profiles: The cameras.
+        profiles: The cameras; None for the scene's own.
         num_variants: Variants of the drive; the first one is the scene itself.
         quality: Quality of the rendering.
         presets: Presets of the pipeline in whose proposals the light is told apart by its source.
@@ -340,7 +340,9 @@ def _with_shares(known: DriveFrame, camera: DriveCamera, proposers: Mapping[str,
     return replace(known, shares=shares, light_cd_m2=reduced(light))
 
 
-def check_exposures(profiles: Sequence[CameraProfile], scenes: Sequence[Scene], presets: Sequence[str] = ()) -> None:
+def check_exposures(
+    profiles: Sequence[CameraProfile | None], scenes: Sequence[Scene], presets: Sequence[str] = ()
+) -> None:
     """Checks that every profile sees only what is rendered, and that presets and what writes their shares are there.
 
     Raises:
@@ -353,4 +355,5 @@ def check_exposures(profiles: Sequence[CameraProfile], scenes: Sequence[Scene], 
         load_arrow()  # now, rather than at the end of the first drive
     for scene in scenes:
         for profile in profiles:
-            View(profile, camera_of(scene.camera))
+            if profile is not None:
+                View(profile, camera_of(scene.camera))

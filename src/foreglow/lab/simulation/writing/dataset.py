@@ -104,9 +104,10 @@ class DatasetConfig(FrozenModel):
         }
         return validated(cls, fields, "simulate")
 
-    def exposed_for(self, camera: CameraProfile, presets: Sequence[str] = ()) -> DatasetConfig:
-        """This configuration for a camera with its own cycle, with shares for the proposals of `presets`."""
-        changed = {"camera": camera, "cycle": _cycle(camera.cycle), "presets": tuple(presets)}
+    def exposed_for(self, camera: CameraProfile | None, presets: Sequence[str] = ()) -> DatasetConfig:
+        """This configuration for a camera with its own cycle, or None, with shares for the proposals of `presets`."""
+        cycle = self.cycle if camera is None else _cycle(camera.cycle)
+        changed = {"camera": camera, "cycle": cycle, "presets": tuple(presets)}
         return self.model_copy(update=changed)
 
 
