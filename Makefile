@@ -128,26 +128,22 @@ drives: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/18hz --split val --scenes 40 --seed 11
 	$(BIN)/foreglow simulate --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
-# The drives that the model learnt from, in data/model: an eighth of `make data`, and drives by PVDN's camera, also with all of the
+# The drives that the model was trained on, in data/model: a tenth of `make data`, and drives by PVDN's camera, also with all of the
 # matrix beam on and without any vehicle's light. Two hours of two cores; goes on where it was.
-draw = $(BIN)/foreglow simulate --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4)
+draw = $(BIN)/foreglow simulate --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4) --shares foreglow
 pairs = --pairs 0.25 --fps
 both = --camera pvdn_day,pvdn_night $(pairs)
 matrix = --ego-beam matrix
 MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(wildcard $(DATA)/model/*/day $(DATA)/model/*/*/day $(DATA)/model/*/*/night)
 model-data: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes 62 $(standard)
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes 16 $(standard)
-	$(call draw,low,train,40,7) --fps 4
-	$(call draw,low,val,12,7) --fps 4
-	$(call draw,pairs,train,30,57) $(pairs) 2.5
-	$(call draw,pairs,val,3,57) $(pairs) 2.5
-	$(call draw,exposures,train,24,8) $(both) 2.5
-	$(call draw,exposures,val,16,7) $(both) 1.25
-	$(call draw,matrix,train,6,31) --fps 4 $(matrix)
-	$(call draw,matrix,val,2,31) --fps 4 $(matrix)
-	$(call draw,matrix_exposures,train,7,34) $(both) 2.5 $(matrix)
-	$(call draw,matrix_exposures,val,2,34) $(both) 2.5 $(matrix)
+	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes 58 $(standard)
+	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes 8 $(standard)
+	$(call draw,low,train,12,7) --fps 4
+	$(call draw,low,val,6,7) --fps 4
+	$(call draw,pairs,train,20,57) $(pairs) 2.5
+	$(call draw,pairs,val,2,57) $(pairs) 2.5
+	$(call draw,exposures,train,16,8) $(both) 2.5
+	$(call draw,exposures,val,8,7) $(both) 1.25
 	$(call draw,empty,train,9,32) --fps 4 $(matrix) --empty
 	$(call draw,empty,val,5,32) --fps 4 $(matrix) --empty
 	$(call draw,empty_pairs,train,14,58) $(pairs) 2.5 $(matrix) --empty

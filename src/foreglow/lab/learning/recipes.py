@@ -74,6 +74,8 @@ class Recipe(FrozenModel):
             light of a vehicle.
         by_light: Whether boxes are labelled by whose light is in them, where the data set stores that for the boxes of
             the preset, instead of by key points.
+        unmarked_light: With `by_light`, how much of vehicles' light counts in a box without any key point; the rest
+            counts as none, so that what a person would mark comes first.
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
         augmentation: Random changes of training crops; validation samples are never changed.
@@ -106,6 +108,7 @@ class Recipe(FrozenModel):
     label_smoothing: Share = 0.0
     kinds: bool = False
     by_light: bool = False
+    unmarked_light: Share = 1.0
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1", "last"] = "loss"
@@ -157,6 +160,7 @@ RECIPES: dict[str, Recipe] = {
         positive_weight="equal",
         group_balance=0.25,
         kinds=True,
+        by_light=True,
         augmentation=Augmentation(
             flip=0.5,
             rotation_deg=8.0,

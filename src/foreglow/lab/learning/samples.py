@@ -231,7 +231,7 @@ def _kinds_by_light(
         return np.zeros((0, NUM_KINDS), np.float32)
     raise ValueError(
         f"{dataset.root}: image {image_id}: expected whose light is in these proposals; simulate with --shares and "
-        f"the preset of the training, in this version"
+        f"the preset of the training, in this version, or train with by_light = false"
     )
 
 

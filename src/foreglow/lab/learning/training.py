@@ -36,7 +36,7 @@ from foreglow.lab.learning.batches import (
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import Samples
+from foreglow.lab.learning.samples import NO_GROUP, Samples
 from foreglow.lab.learning.scores import box_scores, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
@@ -284,7 +284,11 @@ class _Trainer:
 
     def _kinds_loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
         """Cross entropy of the shares of each kind of light; vehicles' kinds are weighted as positive labels are."""
-        shares = torch.from_numpy(self._samples.kinds[batch]).to(self._device)
+        kinds = self._samples.kinds[batch]
+        is_unmarked = self._samples.groups[batch] == NO_GROUP
+        kinds[is_unmarked, :-1] *= np.float32(self._recipe.unmarked_light)
+        kinds[is_unmarked, -1] = 1.0 - kinds[is_unmarked, :-1].sum(axis=1)
+        shares = torch.from_numpy(kinds).to(self._device)
         shares = shares * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / shares.shape[1]
         balance = torch.full_like(shares, self.positive_weight)
         balance[:, -1] = 1.0
