@@ -1,4 +1,4 @@
-"""Where a hidden vehicle is expected: on its lane, beyond the light that is seen of it."""
+"""Where a hidden vehicle is expected: on its lane, where it comes into view, beyond the light that is seen of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.beam.occurrence import MIN_LEAD_M, PLACES_M, Occurrence, occurrence
+from foreglow.beam.occurrence import (
+    AHEAD_S,
+    EYE_M,
+    FAR_M,
+    LAMP_M,
+    MIN_LEAD_M,
+    OPEN_M,
+    OTHER_MPS,
+    PLACES_M,
+    Occurrence,
+    occurrence,
+)
 from foreglow.types import RoadAhead
 
 
@@ -27,8 +38,8 @@ def road(
     return RoadAhead(np.column_stack([points, np.zeros(len(points))]), half_width_m)
 
 
-def expected(road: RoadAhead, light_range_m: float) -> Occurrence:
-    found = occurrence(road, light_range_m)
+def expected(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) -> Occurrence:
+    found = occurrence(road, light_range_m, speed_mps)
     assert found is not None
     return found
 
@@ -76,7 +87,43 @@ def test_the_lane_is_on_the_left_of_the_road() -> None:
     for curvature in (-0.004, 0.0, 0.004):
         on_lane, on_line = expected(road(curvature), 60.0), expected(road(curvature, 1e-9), 60.0)
         assert (on_lane.azimuths_rad > on_line.azimuths_rad).all()
-        assert on_lane.azimuth_rad > on_line.azimuth_rad
+
+
+@pytest.mark.parametrize("radius_m", [40.0, 80.0, 150.0, -40.0, -80.0, -150.0])
+def test_in_a_bend_it_comes_into_view_where_the_line_of_sight_touches_what_is_inside(radius_m: float) -> None:
+    """The tangents from us, on the centre line, and from its lane to the circle of what stands beside the road."""
+    half_width_m = 3.5
+    inside_m = abs(radius_m) - half_width_m - OPEN_M
+    lane_m = abs(radius_m - 0.5 * half_width_m)
+    angle = math.acos(inside_m / abs(radius_m)) + math.acos(inside_m / lane_m)
+    found = expected(road(1.0 / radius_m, half_width_m), math.nan)
+    forward_m, aside_m = lane_m * math.sin(angle), abs(radius_m) - lane_m * math.cos(angle)
+    azimuth_rad = math.copysign(math.atan2(aside_m, forward_m), radius_m)
+    one_place_rad = 0.5 * (PLACES_M[1] - PLACES_M[0]) / abs(radius_m)
+    assert found.azimuth_rad == pytest.approx(azimuth_rad, abs=0.6 * one_place_rad)
+    assert found.nearest_m(0.5) == pytest.approx(math.hypot(forward_m, aside_m), abs=10.0)
+
+
+@pytest.mark.parametrize("radius_m", [600.0, 2000.0, 4000.0])
+def test_behind_a_crest_it_comes_into_view_where_the_line_of_sight_touches_the_road(radius_m: float) -> None:
+    """On a crest of the radius R, something h high is seen from the road's surface within sqrt(2 R h)."""
+    flat = road()
+    hill_m = -(flat.points_m[:, 0] ** 2) / (2.0 * radius_m)
+    found = expected(RoadAhead(flat.points_m + np.outer(hill_m, [0.0, 0.0, 1.0]), flat.half_width_m), math.nan)
+    seen_m = math.sqrt(2.0 * radius_m * EYE_M) + math.sqrt(2.0 * radius_m * LAMP_M)
+    assert found.nearest_m(0.5) == pytest.approx(seen_m, abs=10.0)
+
+
+def test_on_an_open_road_it_comes_into_view_far_away() -> None:
+    assert expected(road(), math.nan).nearest_m(0.5) == pytest.approx(FAR_M, abs=10.0)
+
+
+@given(CURVATURES, st.floats(0, 40))
+def test_in_a_steady_bend_it_stays_where_it_is_seen(curvature: float, speed_mps: float) -> None:
+    """We drive on, and turn as the road does: it looks the same from further along."""
+    there, on = (expected(road(curvature, length_m=600.0), math.nan, speed) for speed in (0.0, speed_mps))
+    np.testing.assert_allclose(on.azimuths_rad, there.azimuths_rad, atol=1e-2)
+    assert on.azimuth_rad == pytest.approx(there.azimuth_rad, abs=1e-2)
 
 
 def test_sharper_curves_are_further_aside() -> None:
@@ -84,11 +131,12 @@ def test_sharper_curves_are_further_aside() -> None:
     assert medians == sorted(medians)
 
 
-def test_it_is_beyond_the_light_and_moves_away_with_it() -> None:
+@pytest.mark.parametrize("speed_mps", [0.0, 30.0])
+def test_it_is_beyond_the_light_and_moves_away_with_it(speed_mps: float) -> None:
     means_m = []
-    for range_m in (20.0, 60.0, 120.0, 200.0):
-        found = expected(road(), range_m)
-        assert found.ranges_m.min() >= range_m + MIN_LEAD_M
+    for range_m in (20.0, 60.0, 120.0, 200.0, 300.0):
+        found = expected(road(), range_m, speed_mps)
+        assert found.ranges_m.min() >= range_m + MIN_LEAD_M - (speed_mps + OTHER_MPS) * AHEAD_S
         means_m.append(found.weights @ found.ranges_m)
     assert means_m == sorted(means_m)
 
@@ -99,12 +147,12 @@ def test_light_of_unknown_range_may_be_anywhere() -> None:
     assert found.ranges_m.max() > PLACES_M[-1] - 1.0
 
 
-@pytest.mark.parametrize(("length_m", "range_m"), [(60.0, 100.0), (420.0, PLACES_M[-1]), (3.0, math.nan)])
+@pytest.mark.parametrize(("length_m", "range_m"), [(60.0, 100.0), (420.0, PLACES_M[-1] + OTHER_MPS), (3.0, math.nan)])
 def test_no_place_is_left(length_m: float, range_m: float) -> None:
     assert occurrence(road(length_m=length_m), range_m) is None
 
 
 def test_a_single_place() -> None:
-    found = expected(road(length_m=62.0), 52.0)
+    found = expected(road(length_m=62.0), 64.0)
     assert len(found.weights) == 1
     assert set(found.quantiles_rad((0.1, 0.5, 0.9))) == {found.azimuths_rad[0]}

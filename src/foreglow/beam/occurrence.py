@@ -1,28 +1,40 @@
-"""Where a hidden oncoming vehicle will come into sight, given the light that it throws ahead.
+"""Where a hidden oncoming vehicle will come into sight: where the line of sight along the road begins.
 
-The light on guard rails, verges and the road runs ahead of its vehicle, which is further along the road in its own
-lane. So the range of the farthest light tells where along the road the vehicle may be, as a distribution; seen from our
-car, that is a distribution over directions.
+Bends and crests hide a vehicle until the straight line from us to it is free. The course of the road tells how far the
+line leaves the carriageway, and how high it is above the road. How far the land beside the road is open is unknown.
+So for each place on the oncoming lane there is a probability that it is in view, and a vehicle that comes nearer
+appears at the first place that is.
 
 Units: metres, radians, seconds; the vehicle's frame, x forward, y left, azimuths to the left. Hidden state: the arc
-length s of the vehicle from our rear axle, on the grid `PLACES_M`. Given the range r of the farthest light, 0 if it is
-unknown, and a road that reaches to s,
+length s from us to the vehicle when it comes into sight, on the grid `PLACES_M`. Seen by us after `AHEAD_S`, further
+along the road with our offset from its centre line C, as the vehicle is in the middle of the oncoming lane, to the left
+of C by half the width w from there to the edge, with the unit normal n to the left; traffic keeps to the right:
 
-    p(s) ~ exp(-((s - (160 m + 0.35 r)) / 44 m)^2 / 2)   for s >= max(r + 5 m, 10 m),   else 0                  (1)
+    E = C(e) - n(e) (n(0) C(0)),   e = v `AHEAD_S`,   P(s) = C(e + s) + n(e + s) w / 2                            (1)
 
-The vehicle is in the middle of the oncoming lane, left of the centre line C(s) by half a lane, with the unit normal n
-to the left and the width w from the centre line to the edge. Traffic keeps to the right:
+The line from E to P(s) leaves the carriageway by at most b(s), and it is at least h(s) above the road:
 
-    P(s) = C(s) + n(s) w / 2                                                                                    (2)
-    azimuth(s) = atan2(P_y, P_x),   range(s) = hypot(P_x, P_y)                                                  (3)
+    b(s) = max_j |(P - E) x (C_j - E)| / |P - E| - w,   h(s) = min_j (line above C_j),   E and P between them       (2)
+    q(s) = Phi(ln(B / b) / sigma_b) Phi(h / sigma_h) Phi((D - s) / sigma_D)                                       (3)
+
+with the open width B beside the road, `OPEN_M`, and the range D from which lamps are noticed, `FAR_M`. Coming from
+afar, a vehicle is in view at s or before with the probability Q(s), so that
+
+    Q(s) = max over s' >= s of q(s'),   p(s) ~ Q(s) - Q(s + ds) + epsilon   for s >= s_min,   else 0              (4)
+
+By now the vehicle is beyond the light that it throws, which is at the range r. At its speed u it then is at
+
+    s_min = r + `MIN_LEAD_M` - (v + u) `AHEAD_S`,   at least 10 m                                                 (5)
+    azimuth(s), range(s) of P(s) - E, less what the road turns from 0 to e                                        (6)
 
 A quantile of the azimuth is interpolated between the middles of the weights, in the order of azimuth:
 
-    M_i = p_1 + ... + p_(i-1) + p_i / 2                                                                         (4)
+    M_i = p_1 + ... + p_(i-1) + p_i / 2                                                                           (7)
 
-The time until the vehicle is in sight has a fixed mean and spread.
+The time until the vehicle is in sight has a fixed mean and spread. What stands on the road or close beside it, such as
+a house at a corner, is unknown to a map, and so are vehicles on side roads.
 
-Source: our own; (1) was fitted on simulated drives, see `PLACE_M`.
+Source: our own; decision 10 has the drives on which the constants were chosen.
 """
 
 from __future__ import annotations
@@ -31,20 +43,38 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from foreglow.geometry import Floats
 from foreglow.types import RoadAhead
 
 PLACES_M = np.arange(10.0, 321.0, 10.0)
-"""Arc lengths from our rear axle at which a hidden vehicle may be."""
+"""Arc lengths from us at which a hidden vehicle may come into sight."""
 
-PLACE_M, PLACE_PER_RANGE, PLACE_SIGMA_M = 160.0, 0.35, 44.0
-"""Mean of (1) as a linear function of r, and its standard deviation. Fitted on the 869 frames of 27 validation drives
-(`make drives`) in which light was tracked before its vehicle came into sight; vehicles are mostly met at 150 to 290 m
-there."""
+STEP_M, EVERY = 5.0, 2
+"""Between the points C_j of the centre line; every second one is one of these places."""
+
+AHEAD_S = 0.6
+"""When it comes into sight: chosen for the beam, which acts on the next second as a whole."""
+
+OPEN_M, OPEN_LOG_SIGMA = 4.0, 0.6
+"""Open width beside the carriageway up to woods, banks, walls or houses: median, and spread of its logarithm."""
+
+EYE_M, LAMP_M, CREST_SIGMA_M = 1.3, 0.75, 0.2
+"""Heights of the camera and of a headlamp's upper edge above the road, and spread of the map's height there."""
+
+FAR_M, FAR_SIGMA_M = 260.0, 60.0
+"""Range at which a lamp is noticed on an open, straight road, and its spread."""
+
+OTHER_MPS = 20.0
+"""Speed of a hidden vehicle."""
 
 MIN_LEAD_M = 5.0
 """The vehicle is at least this far beyond the light that it throws."""
+
+EPSILON = 1e-3
+"""Weight of any place at all: maps err."""
 
 TIME_TO_SIGHT_S = 1.2
 TIME_TO_SIGHT_SIGMA_S = 0.8
@@ -56,7 +86,7 @@ class Occurrence(NamedTuple):
     """Where and when a hidden vehicle is expected to come into sight.
 
     Attributes:
-        azimuths_rad: Shape (P,), azimuths of the possible positions on its lane.
+        azimuths_rad: Shape (P,), azimuths of the possible positions on its lane, in our frame at that time.
         ranges_m: Shape (P,), their ranges from the vehicle's origin.
         weights: Shape (P,), their probabilities, which sum to 1.
         time_s: Time until it is in sight.
@@ -83,39 +113,62 @@ class Occurrence(NamedTuple):
         """Quantiles of the azimuth: the given shares of the probability lie to the right of them."""
         order = self.azimuths_rad.argsort()
         sums = self.weights[order].cumsum()
-        return tuple(np.interp(shares, sums - 0.5 * self.weights[order], self.azimuths_rad[order]).tolist())  # (4)
+        return tuple(np.interp(shares, sums - 0.5 * self.weights[order], self.azimuths_rad[order]).tolist())  # (7)
 
 
-def occurrence(road: RoadAhead, light_range_m: float) -> Occurrence | None:
+def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) -> Occurrence | None:
     """Where the vehicle may be whose farthest light is at `light_range_m`; None where the map ends before it.
 
     Args:
         road: The road ahead.
         light_range_m: Range from the camera to the farthest light; NaN where unknown.
+        speed_mps: Ours; 0 where unknown.
     """
-    places_m, points_m = _lane(road)
-    range_m = 0.0 if math.isnan(light_range_m) else light_range_m
-    is_ahead = (places_m <= PLACES_M[-1]) & (places_m >= max(range_m + MIN_LEAD_M, PLACES_M[0]))
-    if not is_ahead.any():
+    ahead_m = max(speed_mps, 0.0) * AHEAD_S
+    centre_m, normals = _line(road, ahead_m)
+    places_m = PLACES_M[: (len(centre_m) - 2) // EVERY]
+    targets = 1 + EVERY * np.arange(1, len(places_m) + 1)
+    lead_m = light_range_m + MIN_LEAD_M - ahead_m - OTHER_MPS * AHEAD_S  # (5)
+    is_beyond = places_m >= (-math.inf if math.isnan(lead_m) else lead_m)
+    if not is_beyond.any():
         return None
-    places_m, (forward, left) = places_m[is_ahead], points_m[:, is_ahead]
-    deviations = (places_m - (PLACE_M + PLACE_PER_RANGE * range_m)) / PLACE_SIGMA_M
-    weights = np.exp(-0.5 * deviations * deviations)  # (1)
-    return Occurrence(np.arctan2(left, forward), np.hypot(left, forward), weights / weights.sum())  # (3)
+    eye_m = centre_m[1, :2] - normals[1] * (normals[0] @ centre_m[0, :2])
+    lanes_m = centre_m[targets, :2] + 0.5 * road.half_width_m * normals[targets]  # (1)
+    beside_m, above_m = _clearances(centre_m[1:], targets - 1, eye_m, lanes_m)
+    in_view = (
+        ndtr(np.log(OPEN_M / np.maximum(beside_m - road.half_width_m, 1e-3)) / OPEN_LOG_SIGMA)
+        * ndtr(above_m / CREST_SIGMA_M)
+        * ndtr((FAR_M - places_m) / FAR_SIGMA_M)
+    )  # (3)
+    in_view = np.append(np.maximum.accumulate(in_view[::-1])[::-1], 0.0)
+    weights = (in_view[:-1] - in_view[1:] + EPSILON)[is_beyond]  # (4)
+    forward, left = (lanes_m - eye_m)[is_beyond].T
+    (nx, ny), (nx_now, ny_now) = normals[1], normals[0]
+    turned_rad = math.atan2(nx_now * ny - ny_now * nx, nx_now * nx + ny_now * ny)
+    return Occurrence(np.arctan2(left, forward) - turned_rad, np.hypot(left, forward), weights / weights.sum())  # (6)
 
 
-def _lane(road: RoadAhead) -> tuple[Floats, Floats]:
-    """Arc lengths from our position, and the middle of the oncoming lane there, forward and left, shape (2, P)."""
-    x, y = road.points_m[:, 0], road.points_m[:, 1]
-    dx, dy = np.diff(x), np.diff(y)
-    steps_m = np.hypot(dx, dy)
-    arcs_m = np.concatenate([[0.0], steps_m.cumsum()])
-    nearest = int((x * x + y * y).argmin())
-    arcs_m -= arcs_m[nearest]
-    wanted = PLACES_M[arcs_m[-1] >= PLACES_M]
-    piece = np.minimum(np.maximum(arcs_m.searchsorted(wanted) - 1, 0), len(dx) - 1)
-    share = (wanted - arcs_m[piece]) / steps_m[piece]
-    half = 0.5 * road.half_width_m / steps_m[piece]
-    forward = x[piece] + share * dx[piece] - half * dy[piece]  # (2)
-    left = y[piece] + share * dy[piece] + half * dx[piece]
-    return wanted, np.stack([forward, left])
+def _line(road: RoadAhead, ahead_m: float) -> tuple[Floats, Floats]:
+    """Points of the centre line, shape (N, 3), and its normals to the left, shape (N, 2): here, then from E on."""
+    x, y, _ = road.points_m.T
+    arcs_m = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
+    arcs_m -= arcs_m[int((x * x + y * y).argmin())]
+    wanted_m = np.append(0.0, np.arange(ahead_m, min(arcs_m[-1], ahead_m + PLACES_M[-1]) + 1e-6, STEP_M))
+    before_m, points_m, after_m = (
+        np.stack([np.interp(wanted_m + shift_m, arcs_m, axis_m) for axis_m in road.points_m.T], axis=1)
+        for shift_m in (-1.0, 0.0, 1.0)
+    )
+    forward, left = (after_m - before_m)[:, :2].T
+    return points_m, np.stack([-left, forward], axis=1) / np.hypot(forward, left)[:, None]
+
+
+def _clearances(centre_m: Floats, targets: NDArray[np.int64], eye_m: Floats, lanes_m: Floats) -> tuple[Floats, Floats]:
+    """b(s) + w and h(s) of (2), each of shape (P,): how far the lines from E to P(s) leave the centre line."""
+    (ux, uy), (dx, dy) = (lanes_m - eye_m).T[:, :, None], (centre_m[:, :2] - eye_m).T
+    lengths_m = np.hypot(ux, uy)
+    shares = (ux * dx + uy * dy) / lengths_m**2
+    eye_z, lamp_z = centre_m[0, 2] + EYE_M, centre_m[targets, 2, None] + LAMP_M
+    is_between = np.arange(len(centre_m)) <= targets[:, None]
+    beside_m = np.where(is_between, np.abs(ux * dy - uy * dx) / lengths_m, 0.0)
+    above_m = np.where(is_between, eye_z + shares * (lamp_z - eye_z) - centre_m[:, 2], LAMP_M)
+    return beside_m.max(axis=1), above_m.min(axis=1)
