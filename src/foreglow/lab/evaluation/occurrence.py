@@ -17,8 +17,8 @@ in the frame nearest to t* - d:
     the gap's borders         q((1 - c)/2) and q((1 + c)/2); its width is their difference, and it covers a* if a* lies
                               between them
 
-q is taken in our vehicle's frame at t* - d and a* in that at t*: what our vehicle turns in between, v d / R on a bend
-of radius R, counts as error of the prediction.
+Both are azimuths in our vehicle's frame at t*: an expectation says where the vehicle will be seen when it is, and what
+ours turns until then is part of the prediction.
 """
 
 from __future__ import annotations
