@@ -13,7 +13,7 @@ from foreglow.beam import POLICIES, Gap, make_policy, occurrence
 from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, brightness
 from foreglow.config import BeamConfig
 from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState
 from foreglow.types.kinds import kinds_of_direct
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
@@ -146,6 +146,24 @@ def test_light_on_things_has_its_gap_where_the_vehicle_will_appear() -> None:
     assert not holding(gaps, LIGHT.azimuth_rad)
     rest = 0.5 * (1.0 - CONFIG.coverage)
     assert all(holding(gaps, azimuth_rad) for azimuth_rad in expected.quantiles_rad((rest, 0.5, 1.0 - rest)))
+
+
+def test_the_range_of_the_light_counts_less_its_deviation() -> None:
+    """Light that may as well be near does not rule out that the vehicle appears near."""
+    sure, unsure = (
+        policy().gaps(frame(0), tracks_at(0, LIGHT._replace(range_m=200.0, sigma_m=sigma_m)))[0]
+        for sigma_m in (1.0, 150.0)
+    )
+    assert unsure.near_m < sure.near_m
+
+
+def test_where_it_appears_is_seen_from_where_we_are_then() -> None:
+    made, along_m = policy(), np.arange(0.0, 400.0, 5.0)
+    bend = RoadAhead(np.stack([along_m, 1e-6 * along_m**3, 0.0 * along_m], axis=1), half_width_m=3.5)
+    made.gaps(dataclasses.replace(frame(0, bend), motion=EgoMotion(25.0, 0.0)), tracks_at(0, LIGHT))
+    moving = made.expected.azimuth_rad
+    made.gaps(dataclasses.replace(frame(0, bend), motion=None), tracks_at(0, LIGHT))
+    assert moving > made.expected.azimuth_rad
 
 
 @pytest.mark.parametrize(

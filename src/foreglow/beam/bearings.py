@@ -39,6 +39,7 @@ class Bearing:
         half_width_rad: Half the width of the box.
         rate_radps: Filtered rate of the azimuth.
         range_m: Range; NaN where unknown.
+        sigma_m: Its standard deviation; infinite where it is unknown.
         direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
         confidence: The greatest confidence that the track ever had.
         is_plausible: Whether the track may be acted on.
@@ -50,6 +51,7 @@ class Bearing:
     half_width_rad: float
     rate_radps: float
     range_m: float
+    sigma_m: float
     direct: float
     confidence: float
     is_plausible: bool
@@ -82,6 +84,7 @@ class Bearings:
             elevations,
             halves,
             tracks.ranges_m.tolist(),
+            tracks.sigmas_m.tolist(),
             tracks.direct_probabilities.tolist(),
             tracks.confidences.tolist(),
             tracks.is_plausible.tolist(),
@@ -89,7 +92,7 @@ class Bearings:
             strict=True,
         )
         leaving_px = LEAVING_S * frame.camera.focal_px[0]
-        for track_id, azimuth, elevation, half, range_m, direct, confidence, is_plausible, (x1, x2) in rows:
+        for track_id, azimuth, elevation, half, range_m, sigma_m, direct, confidence, is_plausible, (x1, x2) in rows:
             before, rate = known.get(track_id), 0.0
             azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
@@ -99,7 +102,7 @@ class Bearings:
             shift_px = leaving_px * rate
             is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= frame.width_px
             self._bearings[track_id] = Bearing(
-                azimuth, elevation, half, rate, range_m, direct, confidence, is_plausible, is_leaving
+                azimuth, elevation, half, rate, range_m, sigma_m, direct, confidence, is_plausible, is_leaving
             )
         return self._bearings
 

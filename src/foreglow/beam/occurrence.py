@@ -22,7 +22,7 @@ afar, a vehicle is in view at s or before with the probability Q(s), so that
 
     Q(s) = max over s' >= s of q(s'),   p(s) ~ Q(s) - Q(s + ds) + epsilon   for s >= s_min,   else 0              (4)
 
-By now the vehicle is beyond the light that it throws, which is at the range r. At its speed u it then is at
+By now the vehicle is beyond the light that it throws, which is at the range r or farther. At its speed u it then is at
 
     s_min = r + `MIN_LEAD_M` - (v + u) `AHEAD_S`,   at least 10 m                                                 (5)
     azimuth(s), range(s) of P(s) - E, less what the road turns from 0 to e                                        (6)
@@ -117,11 +117,11 @@ class Occurrence(NamedTuple):
 
 
 def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) -> Occurrence | None:
-    """Where the vehicle may be whose farthest light is at `light_range_m`; None where the map ends before it.
+    """Where the vehicle may be whose farthest light is at `light_range_m` or beyond; None where the map ends before it.
 
     Args:
         road: The road ahead.
-        light_range_m: Range from the camera to the farthest light; NaN where unknown.
+        light_range_m: Least range of the farthest light; NaN where unknown.
         speed_mps: Ours; 0 where unknown.
     """
     ahead_m = max(speed_mps, 0.0) * AHEAD_S

@@ -276,11 +276,9 @@ class ForeglowPolicy(BeamPolicy):
         if not acted:
             return []
         if frame.road is not None:
-            farthest_m = max(
-                (bearing.range_m for bearing in acted if not math.isnan(bearing.range_m)), default=math.nan
-            )
+            ranges_m = [bearing.range_m - bearing.sigma_m for bearing in acted if not math.isnan(bearing.range_m)]
             speed_mps = 0.0 if frame.motion is None else frame.motion.speed_mps
-            expected = self.expected = occurrence(frame.road, farthest_m, speed_mps)
+            expected = self.expected = occurrence(frame.road, max(ranges_m, default=math.nan), speed_mps)
             if expected is not None:
                 tail = 0.5 * (1.0 - self._config.coverage)
                 right, left = expected.quantiles_rad((tail, 1.0 - tail))
