@@ -25,7 +25,7 @@ TRACKERS = {
     "paper": TrackerConfig(),
     "ours": OUR_TRACKER,
     "ours, ranges gated and averaged": OUR_TRACKER.model_copy(update={"range_gate": 3.0, "range_filter": "median"}),
-    "ours, vehicles": OUR_TRACKER.model_copy(update={"vehicle_gate": 1.0, "range_evidence": 2.0}),
+    "ours, tracks alone": OUR_TRACKER.model_copy(update={"vehicle_gate": 0.0, "range_evidence": 0.0}),
 }
 
 

@@ -18,7 +18,7 @@ VEHICLE_FIELDS = tuple(Vehicles.__dataclass_fields__)
 CONFIGS = {
     **{name: TrackerConfig.model_validate({"method": name}) for name in TRACKERS},
     "ours": OUR_TRACKER,
-    "vehicles": OUR_TRACKER.model_copy(update={"vehicle_gate": 1.0}),
+    "tracks alone": OUR_TRACKER.model_copy(update={"vehicle_gate": 0.0}),
     "m_of_n": TrackerConfig(confirmation="m_of_n", range_filter="median", range_gate=3.0, clock="time"),
 }
 pytestmark = pytest.mark.parametrize("name", CONFIGS)

@@ -16,7 +16,7 @@ LAMP = (600, 400, 620, 416, 0.9)
 CONFIGS = {
     "paper": TrackerConfig(),
     "ours": OUR_TRACKER,
-    "vehicles": OUR_TRACKER.model_copy(update={"vehicle_gate": 1.0}),
+    "tracks alone": OUR_TRACKER.model_copy(update={"vehicle_gate": 0.0}),
 }
 each = pytest.mark.parametrize("name", CONFIGS)
 

@@ -207,7 +207,7 @@ class TrackerConfig(FrozenModel):
         company_s: A track that was plausible so recently counts as a plausible one there (`evidence`).
         range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
         vehicle_gate: Tracks whose boxes are at most so far apart, in units of their size, belong to one vehicle, and
-            vehicles are confirmed instead of tracks; None for tracks alone.
+            vehicles are confirmed instead of tracks; 0 for tracks alone.
 
     Source: Ewecker et al., arXiv 2107.11302, section on tracking; gains from the published code.
     """
@@ -242,7 +242,7 @@ class TrackerConfig(FrozenModel):
     company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
     company_s: Annotated[float, Field(ge=0, le=60)] = 2.0
     range_evidence: Annotated[float, Field(ge=0, le=10)] = 0.0
-    vehicle_gate: Annotated[float, Field(ge=0, le=100)] | None = None
+    vehicle_gate: Annotated[float, Field(ge=0, le=100)] = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> TrackerConfig:
@@ -268,10 +268,11 @@ OUR_TRACKER = TrackerConfig(
     compensate_yaw=True,
     max_misses=6,
     confirmation="evidence",
-    neutral_score=0.34,
     confirm_evidence=1.0,
+    range_evidence=2.0,
+    vehicle_gate=1.0,
 )
-"""Chosen on the validation drives of `make drives`, as decision 8 describes."""
+"""Chosen on validation drives, as decisions 8 and 18 describe."""
 
 
 class BeamConfig(FrozenModel):

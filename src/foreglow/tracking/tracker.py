@@ -58,7 +58,7 @@ class AlphaBetaTracker:
         self._gains = (alphas, steady_betas(alphas))
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
-        self._vehicles = None if config.vehicle_gate is None else VehicleGroups(config)
+        self._vehicles = VehicleGroups(config) if config.vehicle_gate else None
         self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
         # Half a frame of tolerance, since frames come somewhat early or late.
         self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz

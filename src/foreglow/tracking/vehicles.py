@@ -85,7 +85,7 @@ class VehicleGroups:
     """The vehicles of a tracker's tracks, frame by frame."""
 
     def __init__(self, config: TrackerConfig) -> None:
-        self._gate, self._neutral_score = config.vehicle_gate or 0.0, config.neutral_score
+        self._gate, self._neutral_score = config.vehicle_gate, config.neutral_score
         self._alpha_confidence = config.alpha_confidence
         self._rule = CONFIRMATIONS[config.confirmation](config)
         self.reset()
