@@ -182,12 +182,18 @@ class TestRanges:
     @given(st.floats(0, 1), st.floats(0.1, 1000), st.floats(0, 10))
     def test_a_score_stays_one_and_far_light_has_the_greater(self, score: float, range_m: float, weight: float) -> None:
         near, far = scores_with_ranges(np.full(2, score), np.array([range_m, 1.5 * range_m]), weight)
-        assert 0.0 <= near <= far + 1e-12 <= 1.0 + 1e-12
+        assert 0.0 <= near <= far + 1e-12
+        assert far <= 1.0
 
     @given(st.floats(0, 1), st.floats(0, 10))
     def test_without_a_range_or_at_the_neutral_one_nothing_changes(self, score: float, weight: float) -> None:
         changed = scores_with_ranges(np.full(2, score), np.array([nan, NEUTRAL_RANGE_M]), weight)
         np.testing.assert_allclose(changed, score, atol=1e-12)
+
+    def test_what_is_certain_stays_so(self) -> None:
+        ranges_m = np.linspace(5.0, 200.0, 1000)
+        np.testing.assert_array_equal(scores_with_ranges(np.ones(1000), ranges_m, 2.0), 1.0)
+        np.testing.assert_array_equal(scores_with_ranges(np.zeros(1000), ranges_m, 2.0), 0.0)
 
     def test_ranges_beyond_the_limits_count_as_these(self) -> None:
         at_limits = scores_with_ranges(np.full(2, 0.4), np.array(RANGES_M), 2.0)

@@ -55,7 +55,7 @@ def scores_with_ranges(scores: Floats, ranges_m: Floats, weight: float) -> Float
     [0.333, 0.5, 0.5, 1.0]
     """
     factors = (np.where(np.isnan(ranges_m), NEUTRAL_RANGE_M, np.clip(ranges_m, *RANGES_M)) / NEUTRAL_RANGE_M) ** weight
-    return np.asarray(scores * factors / (scores * factors + 1.0 - scores))  # (5)
+    return np.asarray(scores * factors / (scores * factors + (1.0 - scores)))  # (5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
