@@ -72,9 +72,8 @@ def assert_same(answer: Answer, result: FrameResult) -> None:
     same(answer.ranges.sigmas_m, result.ranges.sigmas_m)
     assert answer.tracks is not None
     assert result.tracks is not None
-    for name in {field.name for field in dataclasses.fields(result.tracks)} - {
-        "vehicles"
-    }:  # the table leaves these out
+    names = {field.name for field in dataclasses.fields(result.tracks)} - {"vehicles"}  # which the table leaves out
+    for name in names:
         same(getattr(answer.tracks, name), getattr(result.tracks, name))
     assert answer.beam is not None
     assert result.beam is not None

@@ -120,7 +120,9 @@ class Reproduced:
 @pytest.fixture(name="reproduced", scope="module")
 def fixture_reproduced(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Reproduced:
     pytest.importorskip("matplotlib")
-    hasty = preset("foreglow").changed("tracker", confirmation="frames", min_hits=1, min_confidence=0.0, vehicle_gate=0.0)
+    hasty = preset("foreglow").changed(
+        "tracker", confirmation="frames", min_hits=1, min_confidence=0.0, vehicle_gate=0.0
+    )
     plan, out = ReproductionPlan(data, hasty), tmp_path_factory.mktemp("reproduced")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "EXPERIMENTS", only(SMALL))
