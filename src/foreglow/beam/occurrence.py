@@ -44,7 +44,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from foreglow.geometry import Floats
 from foreglow.types import RoadAhead
@@ -136,9 +135,9 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
     lanes_m = centre_m[targets, :2] + 0.5 * road.half_width_m * normals[targets]  # (1)
     beside_m, above_m = _clearances(centre_m[1:], targets - 1, eye_m, lanes_m)
     in_view = (
-        ndtr(np.log(OPEN_M / np.maximum(beside_m - road.half_width_m, 1e-3)) / OPEN_LOG_SIGMA)
-        * ndtr(above_m / CREST_SIGMA_M)
-        * ndtr((FAR_M - places_m) / FAR_SIGMA_M)
+        _normal(np.log(OPEN_M / np.maximum(beside_m - road.half_width_m, 1e-3)) / OPEN_LOG_SIGMA)
+        * _normal(above_m / CREST_SIGMA_M)
+        * _normal((FAR_M - places_m) / FAR_SIGMA_M)
     )  # (3)
     in_view = np.append(np.maximum.accumulate(in_view[::-1])[::-1], 0.0)
     weights = (in_view[:-1] - in_view[1:] + EPSILON)[is_beyond]  # (4)
@@ -172,3 +171,8 @@ def _clearances(centre_m: Floats, targets: NDArray[np.int64], eye_m: Floats, lan
     beside_m = np.where(is_between, np.abs(ux * dy - uy * dx) / lengths_m, 0.0)
     above_m = np.where(is_between, eye_z + shares * (lamp_z - eye_z) - centre_m[:, 2], LAMP_M)
     return beside_m.max(axis=1), above_m.min(axis=1)
+
+
+def _normal(values: Floats) -> Floats:
+    """Phi, the standard normal distribution function."""
+    return 0.5 * np.array([math.erfc(value) for value in (-math.sqrt(0.5) * values).tolist()])
