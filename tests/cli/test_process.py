@@ -29,6 +29,17 @@ def test_as_a_process(tmp_path: Path, folder: Path, config: Path) -> None:
     assert names(tmp_path / "out") == RESULTS
 
 
+def test_figures_do_not_depend_on_the_environment(tmp_path: Path, folder: Path, config: Path) -> None:
+    """matplotlib refuses to be imported with a backend that it does not know, and with others would open windows."""
+    pytest.importorskip("matplotlib")
+    command = subprocess_command("stages", folder, "--out", tmp_path / "stages.png", "--config", config)
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | {"MPLBACKEND": "nonsense"}, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "stages.png").is_file()
+
+
 def test_error_of_a_process_has_no_traceback(tmp_path: Path) -> None:
     command = subprocess_command("run", tmp_path / "absent", "--out", tmp_path / "out")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
