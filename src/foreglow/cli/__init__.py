@@ -4,14 +4,14 @@ Exit codes: 0 done, 2 bad input or arguments, 70 a fault of this program, 130 in
 imported when it runs, so that the help is there at once.
 """
 
-import os
 import signal
 import sys
 
-from foreglow.cli.signals import end_despite_hanging, fill_standard_streams, interruptible
+from foreglow.cli.signals import check_environment, end_despite_hanging, fill_standard_streams, interruptible
 
 with interruptible():
     fill_standard_streams()
+    check_environment()
     from foreglow.cli.app import app
 
     # In the order of the help.
@@ -25,7 +25,6 @@ def main() -> None:
     """Runs the command line."""
     try:
         with interruptible():
-            os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever is set for windows
             app()
     except (MemoryError, SystemError):  # before the command has begun; Python's own code then raises the second, too
         sys.stderr.write("foreglow: not enough memory to begin\n")
