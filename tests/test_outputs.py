@@ -53,6 +53,15 @@ def test_a_part_of_a_folder_that_is_read(tmp_path: Path) -> None:
     check_outputs({"RUN": run}, {"--json": run / "new.json"}, {})
 
 
+@pytest.mark.parametrize("name", ["frames.jsonl", "summary.json", "times.jsonl.partial", "results.json"])
+def test_an_output_in_place_of_a_result(tmp_path: Path, name: str) -> None:
+    (tmp_path / "link").symlink_to("out")
+    for folder in ("out", "link"):
+        with pytest.raises(ValueError, match=rf"--save .*{name}: expected another file than the results in --out"):
+            check_outputs({}, {"--save": tmp_path / folder / name}, {"--out": tmp_path / "out"})
+    check_outputs({}, {"--save": tmp_path / "out" / "all.rrd"}, {"--out": tmp_path / "out"})
+
+
 def test_a_file_that_is_written_in_parts(tmp_path: Path) -> None:
     read = tmp_path / "a.mcap.partial"
     read.touch()

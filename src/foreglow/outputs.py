@@ -149,6 +149,11 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):
                 raise ValueError(f"{name} {path}: expected a folder whose results do not overwrite {other} {read}")
+    results = {f"{name} {path}": [path / result for result in RESULT_FILES] for name, path in folders.items()}
+    for name, path in files.items():
+        for other, paths in results.items():
+            if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
+                raise ValueError(f"{name} {path}: expected another file than the results in {other}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
         for other, second in written[:index]:
