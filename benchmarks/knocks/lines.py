@@ -26,6 +26,7 @@ calibrate check @camera.toml @night.png --out @camera.toml
 calibrate convert @camera.toml --out @camera.toml --mount-forward 1 --mount-height 1
 simulate --scene @lamps.toml --out @lamps.toml
 annotate @night/val --out @night/val/labels/sequences.json
+calibrate auto @images --fov 50 --out @images/000001.toml
 run @images --out out --save out/frames.jsonl
 live @images --speed 0 --out out --save out/summary.json
 evaluate @night/val --predictions @predictions.jsonl --out out --json out/results.json"""

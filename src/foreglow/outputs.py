@@ -27,7 +27,16 @@ RESULT_NAMES = (
 """Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
 `moments.png`, which `foreglow demo` makes from the results, comes after it."""
 
-RESULT_FILES = (*RESULT_NAMES, "results.json", "report.md", "report.html", "plan.json", "model.onnx", "scenes.jsonl")
+RESULT_FILES = (
+    *RESULT_NAMES,
+    "results.json",
+    "report.md",
+    "report.html",
+    "plan.json",
+    "model.onnx",
+    "recipe.toml",
+    "scenes.jsonl",
+)
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 DEVICES = Path("/dev")
