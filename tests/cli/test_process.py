@@ -32,12 +32,15 @@ def test_as_a_process(tmp_path: Path, folder: Path, config: Path) -> None:
 def test_figures_do_not_depend_on_the_environment(tmp_path: Path, folder: Path, config: Path) -> None:
     """matplotlib refuses to be imported with a backend that it does not know, and with others would open windows."""
     pytest.importorskip("matplotlib")
-    command = subprocess_command("stages", folder, "--out", tmp_path / "stages.png", "--config", config)
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=os.environ | {"MPLBACKEND": "nonsense"}, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "stages.png").is_file()
+    (tmp_path / "matplotlibrc").write_text("figure.facecolor: red\nfont.size: 30\n")
+    pictures = []
+    for variables, home in (({}, folder), ({"MPLBACKEND": "nonsense"}, tmp_path)):
+        command = subprocess_command("stages", folder, "--out", tmp_path / "stages.png", "--config", config)
+        environment = os.environ | variables
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=home, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        pictures.append((tmp_path / "stages.png").read_bytes())
+    assert pictures[0] == pictures[1]
 
 
 @pytest.mark.parametrize("variable", ["OPENCV_IO_MAX_IMAGE_PIXELS=x", "OPENCV_TRACE=", "OPENCV_FOR_THREADS_NUM=-1"])
