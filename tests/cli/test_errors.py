@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import json
 import os
 import sys
@@ -32,6 +33,16 @@ def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert len(result.stderr.splitlines()) == 1
     assert "not foreseen" in report.read_text(encoding="utf-8")
     assert "Traceback" in report.read_text(encoding="utf-8")
+
+
+def test_a_fault_of_ours_where_the_package_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.version", unknown)
+    line, code = errors.one_line(KeyError("not foreseen"))
+    assert line.endswith("report: none, it cannot be written: No package metadata was found for foreglow")
+    assert code == errors.INTERNAL_ERROR
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[1" + "0" * 400 + "]", "{" * 5000])

@@ -277,5 +277,5 @@ def _report(error: BaseException) -> str:
         ) as file:
             file.write("\n".join(lines))
         return str(Path(file.name))
-    except OSError as failure:
+    except (OSError, ImportError) as failure:  # a full disk; a package that was copied and not installed
         return f"none, it cannot be written: {failure}"
