@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import sys
+import threading
 from pathlib import Path
 
 import cv2
@@ -91,6 +92,19 @@ def test_outputs_are_no_inputs(tmp_path: Path) -> None:
         "x" * 9999,
     ]
     assert errors._inputs(line) == [tmp_path / "in"] * 2
+
+
+def test_a_thread_that_cannot_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading._start_new_thread", fail)
+    with pytest.raises(RuntimeError) as caught:
+        threading.Thread(target=print).start()
+    assert errors.one_line(caught.value) == (
+        "no further thread can be started: expected more memory, or fewer processes",
+        2,
+    )
 
 
 def test_long_messages_are_cut() -> None:
