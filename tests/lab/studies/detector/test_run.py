@@ -234,9 +234,8 @@ def test_a_missing_split(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected the split test"):
         run_experiment(data, tmp_path / "out", DetectorPlan(rows=("paper",)))
     (tmp_path / "folder").mkdir()
-    plan = DetectorPlan(rows=("paper",), given={"paper": tmp_path / "folder"}, split="val")
     with pytest.raises(FileNotFoundError, match=r"model\.onnx: no such file, expected an ONNX model"):
-        run_experiment(data, tmp_path / "out", plan)
+        DetectorPlan(rows=("paper",), given={"paper": tmp_path / "folder"}, split="val")
 
 
 def test_best_and_worst_images(tmp_path: Path) -> None:
