@@ -53,6 +53,29 @@ def test_a_part_of_a_folder_that_is_read(tmp_path: Path) -> None:
     check_outputs({"RUN": run}, {"--json": run / "new.json"}, {})
 
 
+def test_a_picture_whose_name_nobody_gave(image: Path) -> None:
+    """It has that of the calibration, which may be that of an image of the drive."""
+    before = image.read_bytes()
+    words = ("calibrate", "auto", image.parent, "--fov", 50, "--out", image.with_suffix(".toml"))
+    assert f"--picture {image}: expected a file that does not overwrite a part of SOURCE" in complaint(*words)
+    assert image.read_bytes() == before
+
+
+def test_a_recipe_in_the_folder_of_its_training(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").touch()
+    with pytest.raises(ValueError, match=r"--out .*: expected a folder whose results do not overwrite --recipe-file"):
+        check_outputs({"--recipe-file": tmp_path / "recipe.toml"}, {}, {"--out": tmp_path})
+
+
+@pytest.mark.parametrize("name", ["frames.jsonl", "summary.json", "times.jsonl.partial", "results.json"])
+def test_an_output_in_place_of_a_result(tmp_path: Path, name: str) -> None:
+    (tmp_path / "link").symlink_to("out")
+    for folder in ("out", "link"):
+        with pytest.raises(ValueError, match=rf"--save .*{name}: expected another file than the results in --out"):
+            check_outputs({}, {"--save": tmp_path / folder / name}, {"--out": tmp_path / "out"})
+    check_outputs({}, {"--save": tmp_path / "out" / "all.rrd"}, {"--out": tmp_path / "out"})
+
+
 def test_a_file_that_is_written_in_parts(tmp_path: Path) -> None:
     read = tmp_path / "a.mcap.partial"
     read.touch()

@@ -17,9 +17,18 @@ from typing import Any
 import numpy as np
 import typer
 
+from benchmarks.knocks.circumstances import (
+    ENVIRONMENTS,
+    LATER,
+    LINKED,
+    RARE_IMAGES,
+    UNFINISHED,
+    with_variables,
+    write_image,
+)
 from benchmarks.knocks.faults import FAULT_PROBES, live_fault
 from benchmarks.knocks.lines import MISUSE, OVERWRITING, PLUG_INS
-from benchmarks.knocks.materials import MATERIALS, ON_VIDEO, beam, run
+from benchmarks.knocks.materials import EVALUATE, MATERIALS, ON_VIDEO, beam, run
 from benchmarks.knocks.mutations import DAMAGE, NO_FILES, TEXT_DAMAGE
 from benchmarks.knocks.probe import Outcome, Probe, orderly, refused
 
@@ -56,6 +65,10 @@ class Campaign:
         yield from self.streams()
         yield from self.two_at_once()
         yield from self.misuse()
+        yield from self.environments()
+        yield from self.unfinished()
+        yield from self.linked()
+        yield from self.rare_images()
         yield from (Probe("live faults", name, functools.partial(live_fault, name)) for name in FAULT_PROBES)
 
     def _laid_out(self, command: Words) -> Callable[[Path], list[str]]:
@@ -299,6 +312,55 @@ class Campaign:
         for line in MISUSE.splitlines():
             words = shlex.split(line.replace("ON_VIDEO", " ".join(ON_VIDEO)))
             yield Probe("misuse", " ".join(words) or "(nothing)", self._laid_out(words), refused)
+
+    def environments(self) -> Iterator[Probe]:
+        """Variables that libraries read when they are loaded."""
+        commands = {"run": run("images", "--video"), "evaluate": (*EVALUATE, "--out", "out")}
+        for variables in ENVIRONMENTS:
+            for name, words in commands.items():
+
+                def prepare(folder: Path, *, words: Words = words, variables: str = variables) -> Callable[[], int]:
+                    return functools.partial(with_variables, laid_out(self._materials, folder, words), variables)
+
+                yield Probe("environments", f"{name}: {variables}", prepare)
+
+    def unfinished(self) -> Iterator[Probe]:
+        """Runs that were killed, cut or made by an early version, in every later command."""
+        for name, words in LATER.items():
+            labelled = [word.replace("@results", "@of_split") if "@night/val" in words else word for word in words]
+            for what, change in UNFINISHED.items():
+
+                def prepare(folder: Path, *, words: Words = labelled, change: Any = change) -> Words:
+                    prepared = laid_out(self._materials, folder, words)
+                    for run_folder in ("results", "of_split"):
+                        change(folder / "inputs" / run_folder)
+                    return prepared
+
+                yield Probe("unfinished runs", f"{name}: {what}", prepare)
+
+    def linked(self) -> Iterator[Probe]:
+        """Links in place of outputs: what they lead to stays as it is."""
+        for name, (output, target, words) in LINKED.items():
+
+            def prepare(folder: Path, *, output: str = output, target: str = target, words: Words = words) -> Words:
+                (folder / output).parent.mkdir(exist_ok=True)
+                (folder / output).symlink_to(target)
+                return laid_out(self._materials, folder, words)
+
+            yield Probe("linked outputs", name, prepare)
+
+    def rare_images(self) -> Iterator[Probe]:
+        """Images of rare kinds, alone and amid others."""
+        for name, (suffix, image) in RARE_IMAGES.items():
+            for words in (run(f"rare.{suffix}"), run("images", "--on-error", "mark", "--video")):
+
+                def prepare(folder: Path, *, words: Words = words, suffix: str = suffix, image: Any = image) -> Words:
+                    prepared = laid_out(self._materials, folder, words)
+                    for path in (f"rare.{suffix}", f"images/000003.{suffix}"):
+                        write_image(folder / "inputs" / path, image)
+                    return prepared
+
+                yield Probe("rare images", f"{name}: {words[1]}", prepare)
 
 
 OUTPUTS = {"--out", "--record", "--save", "--json"}

@@ -25,7 +25,11 @@ calibrate check @camera.toml @night.png --out @night.png
 calibrate check @camera.toml @night.png --out @camera.toml
 calibrate convert @camera.toml --out @camera.toml --mount-forward 1 --mount-height 1
 simulate --scene @lamps.toml --out @lamps.toml
-annotate @night/val --out @night/val/labels/sequences.json"""
+annotate @night/val --out @night/val/labels/sequences.json
+calibrate auto @images --fov 50 --out @images/000001.toml
+run @images --out out --save out/frames.jsonl
+live @images --speed 0 --out out --save out/summary.json
+evaluate @night/val --predictions @predictions.jsonl --out out --json out/results.json"""
 """Command lines of which an output is an input, holds one or lies in one."""
 
 OWN_TRACKER = "class Own:\n    def __init__(self, *_): {}\n    def reset(self): {}\n    def update(self, *_): {}\n"

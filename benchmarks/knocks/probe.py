@@ -185,8 +185,11 @@ def is_written(path: Path, folder: Path) -> bool:
 
 
 def is_left(path: Path) -> bool:
-    """Whether a file is one that only an unfinished command has; a recording is kept as far as it came."""
-    return not path.is_fifo() and (
+    """Whether a file is one that only an unfinished command has; a recording is kept as far as it came.
+
+    Pipes and links are the probe's own.
+    """
+    return not (path.is_fifo() or path.is_symlink()) and (
         path.suffix == ".tmp"
         or path.name.startswith(".")
         or (".mcap" not in path.suffixes and path.suffix == ".partial")

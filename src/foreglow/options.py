@@ -56,7 +56,7 @@ def option(metavar: str, text: str, *names: str, **settings: Any) -> Any:
 
     A metavar such as `day|night` lists words: no value of the option is a path, even if there is a file of that name.
     """
-    made = typer.Option(*names, metavar=metavar, help=text, callback=_checked, **settings)
+    made = typer.Option(*names, metavar=metavar, help=text, **{"callback": _checked, **settings})
     return _with_role(made, "word") if re.fullmatch(r"[a-z0-9_]+(\|[a-z0-9_]+)+", metavar) else made
 
 
@@ -83,9 +83,9 @@ def file(text: str, *names: str, metavar: str = "FILE") -> Any:
     return option(metavar, text, *names, readable=False)
 
 
-def output_file(text: str, *names: str, metavar: str = "FILE") -> Any:
+def output_file(text: str, *names: str, metavar: str = "FILE", **settings: Any) -> Any:
     """An option with a file to write, and its help: the command may not read the same file."""
-    return _with_role(file(text, *names, metavar=metavar), "output file")
+    return _with_role(option(metavar, text, *names, readable=False, **settings), "output file")
 
 
 def folder(text: str, *names: str) -> Any:
@@ -217,7 +217,8 @@ AUTO = Path("auto")
 
 LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
-RecordOption = Annotated[Path | None, output_file("Also record everything as MCAP, for replay and for Foxglove.")]
+RECORD_HELP = "Also record everything as MCAP, for replay and for Foxglove."
+RecordOption = Annotated[Path | None, output_file(RECORD_HELP)]
 SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
 PaperModelOption = Annotated[
     Path | None,

@@ -27,7 +27,16 @@ RESULT_NAMES = (
 """Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
 `moments.png`, which `foreglow demo` makes from the results, comes after it."""
 
-RESULT_FILES = (*RESULT_NAMES, "results.json", "report.md", "report.html", "plan.json", "model.onnx", "scenes.jsonl")
+RESULT_FILES = (
+    *RESULT_NAMES,
+    "results.json",
+    "report.md",
+    "report.html",
+    "plan.json",
+    "model.onnx",
+    "recipe.toml",
+    "scenes.jsonl",
+)
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 DEVICES = Path("/dev")
@@ -149,6 +158,11 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):
                 raise ValueError(f"{name} {path}: expected a folder whose results do not overwrite {other} {read}")
+    results = {f"{name} {path}": [path / result for result in RESULT_FILES] for name, path in folders.items()}
+    for name, path in files.items():
+        for other, paths in results.items():
+            if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
+                raise ValueError(f"{name} {path}: expected another file than the results in {other}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
         for other, second in written[:index]:

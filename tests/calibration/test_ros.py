@@ -81,6 +81,11 @@ def test_fewer_terms(tmp_path: Path, terms: str) -> None:
         ("639.5", ".inf", r"camera_matrix\.data\.2: .*finite number, got inf"),
         ("[1312.0", "[-1312.0", r"front\.yaml: camera_matrix: fx: expected a positive focal length, got -1312"),
         ("1310.5", "0", r"camera_matrix: fy: expected a positive focal length, got 0"),
+        (
+            "1310.5",
+            "6.0",
+            r"camera_matrix: expected focal lengths in pixels, for a field of view of at most 170",
+        ),
         ("1310.5", "1e9", r"camera_matrix: fy: expected a focal length of 1 to 1e\+06 px, got 1e\+09"),
         (
             "1310.5",

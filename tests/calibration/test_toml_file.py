@@ -102,6 +102,7 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
         ("1312.0", "-1312.0", r"intrinsics\.focal_px\.0: .*greater than or equal to 1, got -1312"),
         ("1312.0", "1e-300", r"intrinsics\.focal_px\.0: .*greater than or equal to 1, got 1e-300"),
         ("1312.0", "1e300", r"intrinsics\.focal_px\.0: .*less than or equal to 1000000, got 1e\+300"),
+        ("1312.0", "6.0", r"intrinsics\.focal_px: expected focal lengths in pixels, .* got 6 px, 178\.9 degrees"),
         ("1312.0", "nan", r"intrinsics\.focal_px\.0: .*finite number, got nan"),
         ("640.25", "inf", r"intrinsics\.centre_px\.0: .*finite number, got inf"),
         ("1312.0", '"1312"', r"intrinsics\.focal_px\.0: .*valid number, got '1312'"),

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import json
 import os
 import sys
+import threading
 from pathlib import Path
 
 import cv2
@@ -32,6 +34,16 @@ def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert len(result.stderr.splitlines()) == 1
     assert "not foreseen" in report.read_text(encoding="utf-8")
     assert "Traceback" in report.read_text(encoding="utf-8")
+
+
+def test_a_fault_of_ours_where_the_package_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.version", unknown)
+    line, code = errors.one_line(KeyError("not foreseen"))
+    assert line.endswith("report: none, it cannot be written: No package metadata was found for foreglow")
+    assert code == errors.INTERNAL_ERROR
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[1" + "0" * 400 + "]", "{" * 5000])
@@ -80,6 +92,19 @@ def test_outputs_are_no_inputs(tmp_path: Path) -> None:
         "x" * 9999,
     ]
     assert errors._inputs(line) == [tmp_path / "in"] * 2
+
+
+def test_a_thread_that_cannot_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading._start_new_thread", fail)
+    with pytest.raises(RuntimeError) as caught:
+        threading.Thread(target=print).start()
+    assert errors.one_line(caught.value) == (
+        "no further thread can be started: expected more memory, or fewer processes",
+        2,
+    )
 
 
 def test_long_messages_are_cut() -> None:

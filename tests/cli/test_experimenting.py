@@ -124,6 +124,11 @@ def test_export_mot(tmp_path: Path) -> None:
     assert "frames.jsonl: no such file, expected predictions" in complaint(
         "export-mot", out, shipped_drive(), "--out", tmp_path / "other"
     )
+    lines = (run / "frames.jsonl").read_text().splitlines(keepends=True)
+    (run / "frames.jsonl").write_text("".join(lines[:-3]))
+    error = complaint("export-mot", run, shipped_drive(), "--out", tmp_path / "other")
+    assert error.startswith(f"foreglow: {run / 'frames.jsonl'}: expected all images of {shipped_drive()}, got a run")
+    assert not (tmp_path / "other").exists()
 
 
 def test_distance(tmp_path: Path) -> None:

@@ -96,6 +96,26 @@ def test_bad_arguments_are_one_line(run: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "own/labels/sequences.json").exists()
 
 
+def test_points_outside_of_their_image(tmp_path: Path) -> None:
+    """A light that the edge cuts off may be marked beyond it; one that is nowhere near it is a mistake."""
+    split, labels = make_pvdn(tmp_path), tmp_path / "labels.json"
+    assert foreglow_command("labels", "export", split, "--format", "coco", "--out", labels).exit_code == 0
+    content = json.loads(labels.read_text())
+    width_px = content["images"][0]["width"]
+    imported = ("labels", "import", labels, "--images", split / "images", "--out")
+    for x, name in ((width_px + 3.5, "near"), (50.0 * width_px, "far")):
+        content["annotations"][0]["keypoints"][0] = x
+        labels.write_text(json.dumps(content))
+        if name == "near":
+            result = foreglow_command(*imported, tmp_path / name)
+            assert result.exit_code == 0, result.output
+            assert "; 1 point outside the image\n" in result.stdout
+    error = complaint(*imported, tmp_path / "far")
+    assert error.startswith(f"foreglow: {labels}: S0000")
+    assert f"expected points in or near an image of {width_px}x" in error
+    assert not (tmp_path / "far").exists()
+
+
 def test_a_run_without_a_model_suggests_nothing(folder: Path, config: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert foreglow_command("run", folder, "--config", config, "--preset", "paper", "--out", out).exit_code == 0

@@ -144,6 +144,11 @@ def test_recording_named_after_its_time(tmp_path: Path) -> None:
     assert foreglow_command("live", shipped_drive(), "--speed", 0, "--limit", 3, "--record", named).exit_code == 0
     (recording,) = tmp_path.iterdir()
     assert recording.name == f"drive_{time.strftime('%Y')}.mcap"
+    before = recording.read_bytes()
+    assert "expected a file that does not overwrite SOURCE" in complaint(
+        "live", recording, "--speed", 0, "--record", named
+    )
+    assert recording.read_bytes() == before
     again = foreglow_command("live", recording, "--speed", 0, "--out", tmp_path / "out")
     assert again.exit_code == 0, again.output
     assert num_lines(tmp_path / "out") == 3

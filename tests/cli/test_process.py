@@ -29,6 +29,36 @@ def test_as_a_process(tmp_path: Path, folder: Path, config: Path) -> None:
     assert names(tmp_path / "out") == RESULTS
 
 
+def test_figures_do_not_depend_on_the_environment(tmp_path: Path, folder: Path, config: Path) -> None:
+    """matplotlib refuses to be imported with a backend that it does not know, and with others would open windows."""
+    pytest.importorskip("matplotlib")
+    (tmp_path / "matplotlibrc").write_text("figure.facecolor: red\nfont.size: 30\n")
+    pictures = []
+    for variables, home in (({}, folder), ({"MPLBACKEND": "nonsense"}, tmp_path)):
+        command = subprocess_command("stages", folder, "--out", tmp_path / "stages.png", "--config", config)
+        environment = os.environ | variables
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=home, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        pictures.append((tmp_path / "stages.png").read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+@pytest.mark.parametrize("variable", ["OPENCV_IO_MAX_IMAGE_PIXELS=x", "OPENCV_TRACE=", "OPENCV_FOR_THREADS_NUM=-1"])
+def test_variables_for_which_opencv_aborts(variable: str) -> None:
+    name, value = variable.split("=")
+    command = subprocess_command("--version")
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {name: value}, check=False)
+    said = f"foreglow: {name}={value!r}: expected variables with which OpenCV can be used\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
+
+
+def test_variables_that_opencv_can_read(tmp_path: Path) -> None:
+    variables = os.environ | {"OPENCV_LOG_LEVEL": "ERROR", "OPENCV_VIDEOIO_DEBUG": "0"}
+    command = subprocess_command("run", tmp_path / "absent")
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
+    assert (done.returncode, done.stderr.partition(": ")[2].partition(":")[0]) == (2, str(tmp_path / "absent"))
+
+
 def test_error_of_a_process_has_no_traceback(tmp_path: Path) -> None:
     command = subprocess_command("run", tmp_path / "absent", "--out", tmp_path / "out")
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -27,11 +27,20 @@ def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
     folder = OutputFolder(tmp_path)
     folder.write_text("beam.log", "new")
     assert [entry.name for entry in tmp_path.iterdir() if entry.suffix != ".partial"] == []
-    folder.partial("frames.jsonl").unlink()
     folder.publish(REFERENCE, SUMMARY)
-    assert contents(tmp_path) == {"beam.log": "new"}
+    assert contents(tmp_path) == {"beam.log": "new", "frames.jsonl": ""}
     assert read_config(tmp_path / "config.toml") == REFERENCE
     assert read_summary(tmp_path / "summary.json").source == "here"
+
+
+def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None:
+    (tmp_path / "frames.jsonl").write_text("old")
+    folder = OutputFolder(tmp_path)
+    folder.partial("frames.jsonl").unlink()
+    with pytest.raises(FileNotFoundError, match=r"frames\.jsonl: expected what was written so far, it was removed"):
+        folder.publish(REFERENCE, SUMMARY)
+    folder.discard()
+    assert contents(tmp_path) == {"frames.jsonl": "old"}
 
 
 def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path: Path) -> None:

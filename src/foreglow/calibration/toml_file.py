@@ -69,7 +69,7 @@ def read_toml_calibration(path: Path) -> tuple[Intrinsics, Mount]:
             names path and field.
     """
     file = validated(_CameraFile, read_toml(path), str(path))
-    return _intrinsics(file), file.mount
+    return _intrinsics(file, path), file.mount
 
 
 def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
@@ -82,7 +82,7 @@ def read_toml_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
     """
     if choice.camera != 0 or choice.is_rectified:
         raise ValueError(f"{path}: camera: expected no choice for a TOML file, which has a single kind of images")
-    intrinsics = _intrinsics(validated(_IntrinsicsFile, read_toml(path), str(path)))
+    intrinsics = _intrinsics(validated(_IntrinsicsFile, read_toml(path), str(path)), path)
     choice.checked_size_px((intrinsics.width_px, intrinsics.height_px), f"{path}: image")
     return intrinsics
 
@@ -122,8 +122,9 @@ def calibration_to_toml(camera: Camera) -> str:
     )
 
 
-def _intrinsics(file: _IntrinsicsFile) -> Intrinsics:
-    return Intrinsics(**file.image.model_dump(), **file.intrinsics.model_dump())
+def _intrinsics(file: _IntrinsicsFile, path: Path) -> Intrinsics:
+    found = Intrinsics(**file.image.model_dump(), **file.intrinsics.model_dump())
+    return found.of_a_lens(f"{path}: intrinsics.focal_px")
 
 
 def _floats(values: tuple[float, ...] | np.ndarray) -> list[float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+import math
+from typing import Annotated, Self, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,9 @@ Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
 Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(strict=False)]
 MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
 """Far beyond any lens; what is computed from other numbers overflows."""
+
+MAX_FOV_DEG = 170.0
+"""Of a lens whose images are flat; a focal length in millimetres in place of pixels gives more."""
 
 _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
@@ -124,7 +128,22 @@ class Intrinsics(FrozenModel):
             focal_px=(fx, fy),
             centre_px=(cx + HALF_PIXEL_PX, cy + HALF_PIXEL_PX),
             distortion=distortion,
-        )
+        ).of_a_lens(field)
+
+    def of_a_lens(self, field: str) -> Self:
+        """These, if they are those of a lens.
+
+        Raises:
+            ValueError: If it would see more than any; the message begins with `field`.
+        """
+        sizes_px = self.width_px, self.height_px
+        for size_px, focal_px in zip(sizes_px, self.focal_px, strict=True):
+            fov_deg = math.degrees(2 * math.atan2(size_px / 2, focal_px))
+            if fov_deg > MAX_FOV_DEG:
+                expected = f"focal lengths in pixels, for a field of view of at most {MAX_FOV_DEG:g} degrees"
+                got = f"{focal_px:g} px, {fov_deg:.1f} degrees for {size_px} px"
+                raise ValueError(f"{field}: expected {expected}, got {got}")
+        return self
 
     def camera(self, mount: Mount) -> Camera:
         """The camera on its mount."""

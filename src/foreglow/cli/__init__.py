@@ -7,10 +7,11 @@ imported when it runs, so that the help is there at once.
 import signal
 import sys
 
-from foreglow.cli.signals import end_despite_hanging, fill_standard_streams, interruptible
+from foreglow.cli.signals import check_environment, end_despite_hanging, fill_standard_streams, interruptible
 
 with interruptible():
     fill_standard_streams()
+    check_environment()
     from foreglow.cli.app import app
 
     # In the order of the help.

@@ -20,6 +20,7 @@ from foreglow.options import (
     size_from,
     with_options,
 )
+from foreglow.outputs import check_outputs
 
 calibrate = typer.Typer(
     no_args_is_help=True, help="Check a calibration file on an image, convert one, or make one from a drive."
@@ -57,7 +58,9 @@ def auto(
 
     The picture shows horizon, vanishing point, a metre grid of the road, and the mask.
     """
-    picture = picture or out.with_suffix(".png")
+    if picture is None:
+        picture = out.with_suffix(".png")
+        check_outputs({"SOURCE": source}, {"--picture": picture}, {})
     found = calibrate_source(source, reading, lens)
     write_calibration(found, out, picture)
     typer.echo("\n".join([*calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]))

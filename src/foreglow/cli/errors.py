@@ -67,6 +67,9 @@ PRINTERS = ("click", "typer", "rich")
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO)
 """What a write says that cannot be done."""
 
+NO_THREAD = "can't start new thread"
+"""What Python says of it."""
+
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
@@ -190,6 +193,8 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return shortened(f"{', '.join(map(str, inputs))}: expected values that can be worked with: {words}"), 2
     if isinstance(error, MemoryError):
         return "not enough memory", 2
+    if isinstance(error, RuntimeError) and str(error) == NO_THREAD:
+        return "no further thread can be started: expected more memory, or fewer processes", 2
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
 
 
@@ -277,5 +282,5 @@ def _report(error: BaseException) -> str:
         ) as file:
             file.write("\n".join(lines))
         return str(Path(file.name))
-    except OSError as failure:
+    except (OSError, ImportError) as failure:  # a full disk; a package that was copied and not installed
         return f"none, it cannot be written: {failure}"

@@ -65,11 +65,14 @@ def import_(
 
 def _counted(found: LabelSet) -> str:
     from foreglow.datasets.exchange import Kind
+    from foreglow.datasets.exchange.marks import num_outside
     from foreglow.display.summary_lines import counted
 
     counts = {kind: sum(mark.kind == kind for image in found.images for mark in image.marks) for kind in Kind}
     lights = counted(counts[Kind.LIGHT], "light")
-    return f"{counted(len(found.images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
+    outside = sum(map(num_outside, found.images))
+    words = f"{counted(len(found.images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
+    return f"{words}; {counted(outside, 'point')} outside the image" if outside else words
 
 
 @app.command()

@@ -27,6 +27,7 @@ from foreglow.options import (
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from foreglow.config import PipelineConfig
     from foreglow.lab.learning.annotation import Annotation
     from foreglow.lab.learning.fine_tuning import Judged
     from foreglow.lab.learning.model_import import StartingPoint
@@ -192,6 +193,8 @@ def train(
         raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
     chosen_preset = preset or (str(from_) if str(from_) in PRESETS else recipe)
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
+    if from_ is not None and config is None:
+        _check_boxes(from_, configuration)
     base, start = recipes.recipe(recipe), None
     if from_ is not None:
         from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe
@@ -220,6 +223,25 @@ def train(
         typer.echo("\n".join(_training_lines(summary, out)))
     else:
         _show_fine_tuning(summary, start, judged, out)
+
+
+def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
+    """Passes a configuration with the boxes that the model has learnt, as far as that is known; others need --config.
+
+    Raises:
+        ValueError: If they are others, on which all that it knows would be lost.
+    """
+    from foreglow.config import PRESETS, read_config
+
+    file = model.parent / "config.toml"  # as `train` writes it
+    if str(model) in PRESETS:
+        known, wanted = PRESETS[str(model)], f"--preset {model}"
+    elif file.is_file():
+        known, wanted = read_config(file), f"--config {file}"
+    else:
+        return
+    if configuration.proposals != known.proposals:
+        raise ValueError(f"train: expected {wanted} with --from {model}, which knows the boxes of these proposals only")
 
 
 def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Sequence[Judged], folder: Path) -> None:

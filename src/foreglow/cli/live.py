@@ -13,18 +13,19 @@ from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
 from foreglow.cli.running import recording_sinks, viewer_sinks
 from foreglow.options import (
+    RECORD_HELP,
     BeamOptions,
     CaptureOptions,
     LimitOption,
     PipelineOptions,
     QualityOption,
-    RecordOption,
     TopicOption,
     VehicleOptions,
     ViewOptions,
     argument,
     folder,
     option,
+    output_file,
     with_options,
 )
 
@@ -40,6 +41,11 @@ SOURCE_HELP = (
     "A camera (camera:0, camera:/dev/video0 or gstreamer:PIPELINE), an address such as rtsp://..., a simulated drive "
     "in closed loop (simulate:curve or simulate:FILE.toml), or a source as for `run`, played at its own rate."
 )
+
+
+def _dated(pattern: Path | None) -> Path | None:
+    """The file of a pattern such as `drive_%Y.mcap`, before anything is checked: it may be one that is read."""
+    return None if pattern is None else Path(time.strftime(str(pattern)))
 
 
 @app.command()
@@ -58,7 +64,7 @@ def live(
         str | None, option("CHANNEL", "With a camera: CAN bus with the motion of the car and the road.")
     ] = None,
     out: Annotated[Path | None, folder("Also write results, summary and faults to this folder.")] = None,
-    record: RecordOption = None,
+    record: Annotated[Path | None, output_file(RECORD_HELP, callback=_dated)] = None,
     topic: TopicOption = None,
     limit: LimitOption = None,
     speed: Annotated[
@@ -94,8 +100,7 @@ def live(
         outputs: list[BeamOutput] = [opened] if isinstance(opened, ClosedLoop) else []
         if can is not None:
             outputs.append(lamp_bus(can, configuration))
-        named = None if record is None else Path(time.strftime(str(record)))
-        sinks = recording_sinks(named, Path(source), configuration)
+        sinks = recording_sinks(record, Path(source), configuration)
         sinks += viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
         summary, error = _run(opened, configuration, out, outputs, sinks, limit, give_up)
     _finish(summary, out, error)

@@ -18,6 +18,8 @@ def report(
     out: Annotated[Path | None, output_file("File to write (default: RUN/report.html).", metavar="FILE.html")] = None,
 ) -> None:
     """Write an HTML page about RUN: tracks, ranges, beam and faults over time, key moments, run-times."""
+    from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.reports.run_page import write_report
 
+    require_matplotlib()
     typer.echo(f"look in {write_report(run, out)}")

@@ -36,6 +36,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
+from foreglow.outputs import check_outputs
 
 if TYPE_CHECKING:
     from foreglow.runtime import OutputFolder, ResultSink
@@ -65,7 +66,10 @@ def run(
     from foreglow.runtime import Opening
 
     workers, configuration = work.workers(), pipeline.configuration()
-    out = folder_beside(source) if out is None else out
+    if out is None:
+        out = folder_beside(source)
+        files = {"--record": record, "--save": viewer.save}
+        check_outputs({}, {name: path for name, path in files.items() if path is not None}, {"the folder": out})
     if vehicle.calibration == AUTO:
         vehicle = calibrated(source, out, reading, vehicle, lens)
     elif lens != LensOptions():

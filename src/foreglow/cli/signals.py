@@ -61,6 +61,36 @@ def fill_standard_streams() -> None:
         setattr(sys, name, open(nothing, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
+def check_environment() -> None:
+    """Ends the process with a line, if OpenCV cannot be used with the environment's variables for it.
+
+    It aborts, when it is loaded or used, for a number or a switch that it cannot read, even for an empty one: a copy of
+    this process tries. matplotlib would not load for windows that it does not know; our figures are files.
+    """
+    os.environ["MPLBACKEND"] = "agg"
+    given = sorted(name for name in os.environ if name.startswith("OPENCV_"))
+    if given and not _can_use_opencv():
+        values = ", ".join(f"{name}={os.environ[name][:40]!r}" for name in given[:10])
+        sys.stderr.write(f"foreglow: {values}: expected variables with which OpenCV can be used\n")
+        sys.exit(2)
+
+
+def _can_use_opencv() -> bool:
+    child = os.fork()
+    if child:
+        return os.waitpid(child, 0)[1] == 0
+    code = 1
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        import cv2
+        import numpy as np
+
+        cv2.GaussianBlur(np.zeros((64, 64), np.uint8), (5, 5), 1.0)
+        code = 0
+    finally:
+        os._exit(code)
+
+
 def _is_closed(descriptor: int) -> bool:
     try:
         os.fstat(descriptor)

@@ -116,9 +116,12 @@ class OutputFolder:
         """Writes configuration and summary, and gives all results their final names, `summary.json` last.
 
         Raises:
-            OSError: If that fails; the message names the path.
+            OSError: If that fails, or a result was removed while it was written; the message names the path.
         """
         self._lock.check()
+        for name in LINES:
+            if name in self._partials and not self._partials[name].exists():
+                raise FileNotFoundError(f"{self.path / name}: expected what was written so far, it was removed")
         self.write_text("config.toml", config_to_toml(config))
         self.write_text("summary.json", json_text(summary, indent=2))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed

@@ -100,9 +100,13 @@ def test_a_name_that_leads_out_of_the_folder(dataset: PVDN, tmp_path: Path, name
 
 
 def test_an_image_that_the_run_lacks(dataset: PVDN, tmp_path: Path) -> None:
+    """Not even the sequences before it are written."""
+    lit = [{"pos": [50, 50], "oid": 1, "direct": False, "instances": [light(1, 20, 30)]}]
+    write(dataset.root / "labels/keypoints/000005.json", {"image_id": 5, "annotations": lit})
     tracks = {image_id: its for image_id, its in followed(0, 0, 0).items() if image_id != 12}
     with pytest.raises(ValueError, match="tracks: expected image 12 of S00003, the run does not have it"):
-        export_mot(dataset, BOXES, tracks, tmp_path)
+        export_mot(PVDN(dataset.root), BOXES, tracks, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_trackeval_of_known_tracks(dataset: PVDN, tmp_path: Path) -> None:

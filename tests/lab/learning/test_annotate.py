@@ -149,6 +149,15 @@ def test_broken_record_is_an_error(split: Path) -> None:
         annotate_split(split, PAPER)
 
 
+def test_boxes_never_replace_key_points(split: Path) -> None:
+    before = (split / "labels/keypoints/000100.json").read_bytes()
+    (split / "labels/bounding_boxes").rmdir()
+    (split / "labels/bounding_boxes").symlink_to("keypoints")
+    with pytest.raises(ValueError, match=r"bounding_boxes: expected a folder of its own, got a link to the key points"):
+        annotate_split(split, PAPER)
+    assert (split / "labels/keypoints/000100.json").read_bytes() == before
+
+
 def test_missing_image(split: Path) -> None:
     (split / "images" / "S00002" / "000200.png").unlink()
     with pytest.raises(FileNotFoundError, match="no such image"):

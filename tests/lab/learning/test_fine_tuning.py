@@ -19,7 +19,7 @@ import torch
 from foreglow.classifier import OnnxClassifier
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
-from foreglow.config import ClassifierConfig
+from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedNetwork, read_model
@@ -235,12 +235,21 @@ def test_without_held_out_drives_and_with_the_samples_that_ship(drives: Path, tm
     assert not (out / "changes.jpg").exists()
 
 
+def test_a_model_of_other_boxes(drives: Path, tmp_path: Path) -> None:
+    """Those that it was trained on are in its folder."""
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    (tmp_path / "config.toml").write_text(config_to_toml(preset("paper")))
+    told = complaint("train", drives, "--out", tmp_path / "mine", "--from", tmp_path / "start.onnx")
+    assert f"expected --config {tmp_path / 'config.toml'} with --from" in told
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--mix", "."], "expected --from with --mix"),
         (["--from", "foreglow", "--recipe", "paper"], "expected the recipe foreglow with --from, got 'paper'"),
         (["--from", "nothing.onnx"], "nothing.onnx: no such model file"),
+        (["--from", "foreglow", "--preset", "paper"], "expected --preset foreglow with --from foreglow"),
     ],
 )
 def test_what_does_not_go_together_is_said(drives: Path, tmp_path: Path, options: list[str], message: str) -> None:

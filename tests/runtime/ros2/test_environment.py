@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.runtime.ros2.environment import MAX_DOMAIN, PROFILES, prepare
+from foreglow.runtime.ros2.environment import ASSERTED, MAX_DOMAIN, MIDDLEWARE, PROFILES, prepare
 
 
 @pytest.mark.parametrize("variable", PROFILES)
@@ -37,3 +37,12 @@ def test_a_domain_that_is_none(domain: str) -> None:
 @pytest.mark.parametrize("domain", ["", "0", str(MAX_DOMAIN)])
 def test_a_domain(domain: str) -> None:
     prepare(environment={"ROS_DOMAIN_ID": domain})
+
+
+@pytest.mark.parametrize("variable", [MIDDLEWARE, ASSERTED])
+@pytest.mark.parametrize("name", ["nonsense", "c", "../x", "rmw_dds_common"])
+def test_a_middleware_that_is_not_there(monkeypatch: pytest.MonkeyPatch, variable: str, name: str) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: object())
+    monkeypatch.setattr("os.environ", {variable: name})
+    with pytest.raises(ValueError, match=f"{variable}: expected a middleware that is installed"):
+        prepare()

@@ -176,6 +176,27 @@ def pixel(x: float, y: float, origin: str) -> tuple[int, int]:
     return math.floor(x), math.floor(y)
 
 
+def check_near(image: ImageLabels, size_px: tuple[int, int], origin: object) -> None:
+    """Passes an image whose points lie in it, or no farther outside than it is wide and high, as PVDN's may.
+
+    Raises:
+        ValueError: If one lies farther away; the message begins with `origin`.
+    """
+    width_px, height_px = size_px
+    for mark in image.marks:
+        x, y = mark.position_px
+        if not (-width_px <= x < 2 * width_px and -height_px <= y < 2 * height_px):
+            wanted = f"points in or near an image of {width_px}x{height_px} px"
+            raise ValueError(f"{origin}: {image.name}: expected {wanted}, got {x}, {y}")
+
+
+def num_outside(image: ImageLabels) -> int:
+    """How many points lie outside the image, if its size is known."""
+    width_px, height_px = image.size_px or (2 * MAX_COORDINATE_PX,) * 2
+    points = (mark.position_px for mark in image.marks)
+    return sum(not (0 <= x < width_px and 0 <= y < height_px) for x, y in points)
+
+
 def number(value: object, origin: str) -> int | None:
     """The number of a vehicle or a light in an attribute; None for nothing, or an empty text.
 

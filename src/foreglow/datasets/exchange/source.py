@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
-from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, doubtful_of, vehicles_of
+from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
 from foreglow.datasets.image_folder import natural_key
 from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
 from foreglow.datasets.labelled import LabelledSource
@@ -169,7 +169,7 @@ class LabelFile(LabelledSource):
         """The frame of an image as this data set has it.
 
         Raises:
-            ValueError: If it does not have the size in the labels.
+            ValueError: If it does not have the size in the labels, or a point lies far outside of it.
         """
         size_px = self._images[image_id].size_px
         if size_px is not None and size_px != (frame.width_px, frame.height_px):
@@ -177,6 +177,7 @@ class LabelFile(LabelledSource):
                 f"{frame.path}: image size: expected {size_px[0]}x{size_px[1]} px as in {self.path}, got "
                 f"{frame.width_px}x{frame.height_px} px"
             )
+        check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
         timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
         directory = self._sequence_of[image_id].directory
         return dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)

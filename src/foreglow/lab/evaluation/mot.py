@@ -61,6 +61,8 @@ def export_mot(
 ) -> None:
     """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
 
+    Nothing is written unless all of it can be used.
+
     Raises:
         FileNotFoundError: If a label file is missing.
         ValueError: If a label file is broken, the run lacks an image, no sequence has a light, or `name` is a path.
@@ -68,25 +70,24 @@ def export_mot(
     """
     if not name or name != Path(name).name or name == "..":
         raise ValueError(f"name of the tracker: expected one of a folder, without slashes, got {name!r}")
-    written = 0
+    files: dict[Path, str] = {}
     for sequence in dataset.sequences:
         image_ids = sorted(sequence.image_ids)
         for image_id in image_ids:
             if image_id not in tracks or image_id not in proposals.boxes_xyxy_px:
                 raise ValueError(f"tracks: expected image {image_id} of {sequence.directory}, the run does not have it")
-        lights = list(_light_rows(dataset, image_ids, proposals))
-        if not lights:
-            continue
-        truth, tracked = folder / "gt" / sequence.directory, folder / "trackers" / name / "data"
-        for path in (truth / "gt", tracked):
-            path.mkdir(parents=True, exist_ok=True)
-        write_atomic(truth / "gt" / "gt.txt", "".join(lights).encode())
-        write_atomic(truth / "seqinfo.ini", _sequence_info(dataset, sequence).encode())
-        rows = "".join(_track_rows(dataset, image_ids, tracks))
-        write_atomic(tracked / f"{sequence.directory}.txt", rows.encode())
-        written += 1
-    if not written:
+        lights = "".join(_light_rows(dataset, image_ids, proposals))
+        if lights:
+            truth = folder / "gt" / sequence.directory
+            files[truth / "gt" / "gt.txt"] = lights
+            files[truth / "seqinfo.ini"] = _sequence_info(dataset, sequence)
+            rows = "".join(_track_rows(dataset, image_ids, tracks))
+            files[folder / "trackers" / name / "data" / f"{sequence.directory}.txt"] = rows
+    if not files:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
+    for path, text in files.items():  # once all is known to be sound
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, text.encode())
 
 
 def score_mot(folder: Path, name: str = "foreglow") -> MotScores:

@@ -190,6 +190,8 @@ def annotate_split(
     """
     dataset = PVDN(root)
     folder = dataset.root / "labels" / "bounding_boxes"
+    if folder.resolve() == folder.with_name("keypoints").resolve():
+        raise ValueError(f"{folder}: expected a folder of its own, got a link to the key points")
     folder.mkdir(parents=True, exist_ok=True)
     parameters = config.proposals.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
     parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import importlib.util
 import os
 from collections.abc import MutableMapping
 from pathlib import Path
@@ -9,6 +11,7 @@ from xml.etree import ElementTree
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 MIDDLEWARE = "RMW_IMPLEMENTATION"
+ASSERTED = "RCL_ASSERT_RMW_ID_MATCHES"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Variables with the path of a Fast DDS profile; all releases know the first one."""
 
@@ -31,9 +34,13 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
 
     Raises:
         FileNotFoundError: If there is no such profile: Fast DDS would open its sockets to every machine then.
-        ValueError: If a profile is no XML, or the domain is no number that ROS 2 knows.
+        ValueError: If a profile is no XML, the domain is no number that ROS 2 knows, or the middleware is not there.
     """
     known = os.environ if environment is None else environment
+    if environment is None and importlib.util.find_spec("rclpy") is not None:
+        for variable in (MIDDLEWARE, ASSERTED):
+            if known.get(variable):
+                _check_middleware(variable, known[variable])
     domain = known.get(DOMAIN, "").strip()
     if domain and not (domain.isdecimal() and len(domain) < 9 and int(domain) <= MAX_DOMAIN):
         raise ValueError(f"{DOMAIN}: expected a whole number from 0 to {MAX_DOMAIN}, got {domain[:40]!r}")
@@ -48,6 +55,18 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
         for variable in PROFILES:
             if known.get(variable):
                 _check_profile(variable, Path(known[variable]))
+
+
+def _check_middleware(variable: str, name: str) -> None:
+    """Refuses a middleware that is not there: rclpy would end the process without a word as soon as it is loaded."""
+    try:
+        identify = ctypes.CDLL(f"lib{name}.so").rmw_get_implementation_identifier
+        identify.restype = ctypes.c_char_p
+        is_there = identify() == name.encode()
+    except (OSError, AttributeError):  # no such library, or none of a middleware
+        is_there = False
+    if not is_there:
+        raise ValueError(f"{variable}: expected a middleware that is installed, such as {FAST_DDS}, got {name[:40]!r}")
 
 
 def _check_profile(variable: str, path: Path) -> None:

@@ -75,9 +75,15 @@ def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
 
     It serves neither parameters, as there are none, nor descriptions of types: each of these services would add half
     a dozen entities to every wait.
+
+    Raises:
+        ValueError: If ROS 2 does not begin with these arguments, or in this environment.
     """
     if not rclpy.ok():
-        rclpy.init(args=["foreglow", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rclpy.init(args=["foreglow", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # such as of a folder for logs that cannot be made
+            raise ValueError(f"ROS 2 cannot begin: {' '.join(str(error).split())}") from error
     no_service = Parameter("start_type_description_service", value=False)
     return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
 

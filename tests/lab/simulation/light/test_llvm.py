@@ -49,6 +49,14 @@ def test_missing_llvm_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None
     assert "\n" not in str(raised.value)
 
 
+def test_an_llvm_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(llvm.VARIANT_VARIABLE, "llvm_ad_mono")
+    monkeypatch.setenv(llvm.LLVM_VARIABLE, "/nonexistent/libLLVM.so")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: object())
+    with pytest.raises(OSError, match=r"DRJIT_LIBLLVM_PATH: expected a libLLVM\.so that can be loaded: /nonexistent"):
+        llvm.prepare.__wrapped__()
+
+
 def test_newest_system_library_wins(monkeypatch: pytest.MonkeyPatch) -> None:
     libraries = {"LLVM-14": "libLLVM-14.so.1", "LLVM-17": "libLLVM-17.so.1", "LLVM.so.20.1": "libLLVM.so.20.1"}
     monkeypatch.setattr("ctypes.util.find_library", libraries.get)

@@ -168,9 +168,8 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
     (row,) = run_experiment(data, tmp_path / "second", plan).rows
     assert row.note.startswith("network paper, 2 of 300 epochs")
     assert len(trainings.asked) == 1
-    wrong = DetectorPlan(rows=("baseline",), given={"baseline": folder})
     with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Baseline's preset"):
-        run_experiment(data, tmp_path / "third", wrong)
+        DetectorPlan(rows=("baseline",), given={"baseline": folder})
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
         run_experiment(data, tmp_path / "fourth", plan)
@@ -225,6 +224,9 @@ def test_bad_plans(tmp_path: Path) -> None:
         DetectorPlan(rows=("paper", "paper"))
     with pytest.raises(FileNotFoundError, match=r"absent\.onnx: no such model, given with --paper-model"):
         DetectorPlan(given={"paper": tmp_path / "absent.onnx"})
+    (tmp_path / "broken.onnx").write_text("nothing of the kind")
+    with pytest.raises(ValueError, match=r"broken\.onnx: expected an ONNX model"):
+        DetectorPlan(given={"paper": tmp_path / "broken.onnx"})
 
 
 def test_a_missing_split(tmp_path: Path) -> None:
@@ -232,9 +234,8 @@ def test_a_missing_split(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected the split test"):
         run_experiment(data, tmp_path / "out", DetectorPlan(rows=("paper",)))
     (tmp_path / "folder").mkdir()
-    plan = DetectorPlan(rows=("paper",), given={"paper": tmp_path / "folder"}, split="val")
     with pytest.raises(FileNotFoundError, match=r"model\.onnx: no such file, expected an ONNX model"):
-        run_experiment(data, tmp_path / "out", plan)
+        DetectorPlan(rows=("paper",), given={"paper": tmp_path / "folder"}, split="val")
 
 
 def test_best_and_worst_images(tmp_path: Path) -> None:

@@ -210,6 +210,14 @@ def test_fields_of_claims_are_fields_of_results(reproduced: Reproduced) -> None:
     assert without <= {*scene, "table1-motion"}
 
 
+@pytest.mark.parametrize("option", ["--model", "--paper-model", "--published", "--yolo-small"])
+def test_a_model_that_cannot_be_used_ends_it_before_it_begins(data: Path, tmp_path: Path, option: str) -> None:
+    model = tmp_path / "model.onnx"
+    model.write_text("nothing of the kind")
+    assert str(model) in complaint("reproduce", data, "--out", tmp_path / "out", option, model)
+    assert list(tmp_path.iterdir()) == [model] or not any((tmp_path / "out").iterdir())
+
+
 def test_the_command(tmp_path: Path) -> None:
     error = complaint("reproduce", tmp_path, "--out", tmp_path / "out")
     assert "expected the split test" in error

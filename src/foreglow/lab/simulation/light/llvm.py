@@ -47,10 +47,21 @@ def prepare() -> str:
     variant = os.environ.get(VARIANT_VARIABLE) or (VARIANTS[0] if _has_gpu() else VARIANTS[1])
     if variant not in VARIANTS:
         raise ValueError(f"{VARIANT_VARIABLE}: expected one of {', '.join(VARIANTS)}, got {variant!r}")
-    if variant.startswith("llvm") and not os.environ.get(LLVM_VARIABLE):
-        os.environ[LLVM_VARIABLE] = str(_packaged_llvm() or _system_llvm())
+    if variant.startswith("llvm"):
+        given = os.environ.get(LLVM_VARIABLE)
+        if given:
+            _check_given(given)
+        else:
+            os.environ[LLVM_VARIABLE] = str(_packaged_llvm() or _system_llvm())
     importlib.import_module("mitsuba").set_variant(variant)
     return variant
+
+
+def _check_given(path: str) -> None:
+    try:
+        ctypes.CDLL(path)
+    except OSError as error:
+        raise OSError(f"{LLVM_VARIABLE}: expected a libLLVM.so that can be loaded: {error}") from None
 
 
 class Late:

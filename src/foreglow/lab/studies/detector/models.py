@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from foreglow.config import PipelineConfig, preset, read_config
+from foreglow.classifier import OnnxClassifier
+from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_config
 from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import read_plain_json
 from foreglow.lab.studies.progress import Progress
@@ -121,9 +122,7 @@ class DetectorPlan:
                 raise ValueError(f"rows: expected some of {', '.join(ROWS)}, got {name!r}")
         if len(set(self.rows)) < len(self.rows):
             raise ValueError(f"rows: expected each once, got {', '.join(self.rows)}")
-        for name, path in self.given.items():
-            if not path.exists():
-                raise FileNotFoundError(f"{path}: no such model, given with {ROWS[name].option}")
+        check_given(self.given)
 
 
 PAPER_YOLO = "960 px; its repository: 200 epochs from COCO weights"
@@ -149,6 +148,24 @@ class Workspace:
     def progress_of(self, step: str) -> Callable[[int, int], None] | None:
         """What to call as a step goes on, with how much is done and how much there is; None if nobody listens."""
         return None if self.progress is None else functools.partial(self.progress, step)
+
+
+def check_given(given: Mapping[str, Path]) -> None:
+    """Passes models that can be used, by the names of their rows: so that none fails after hours of other rows.
+
+    Raises:
+        FileNotFoundError: If one is missing.
+        ValueError: If one is broken, or was trained on another preset's boxes.
+    """
+    for name, path in given.items():
+        spec = ROWS[name]
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such model, given with {spec.option}")
+        file = _model_file(path, spec.kind)
+        if spec.kind == "classifier":
+            OnnxClassifier(ClassifierConfig(model=file))
+            if path.is_dir():
+                _trained_configuration(path, spec)
 
 
 def missing_reason(name: str, plan: DetectorPlan) -> str | None:
@@ -197,9 +214,8 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
         ValueError: If a given model was trained on another preset's boxes.
         ModuleNotFoundError: If training needs an extra that is not installed.
     """
-    spec, plan = ROWS[name], workspace.plan
-    configured = spec.configuration
-    given = plan.given.get(name)
+    spec = ROWS[name]
+    given = workspace.plan.given.get(name)
     if given is None:
         folder = workspace.out / "models" / name
         _train(name, workspace, folder)
@@ -207,11 +223,16 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
         folder = given
     else:
         note = f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
-        return _with_model(configured, given), note
-    used = read_config(folder / "config.toml", configured)
-    if used.proposals.model_dump() != configured.proposals.model_dump():
+        return _with_model(spec.configuration, given), note
+    return _with_model(_trained_configuration(folder, spec), folder / "model.onnx"), _note(folder)
+
+
+def _trained_configuration(folder: Path, spec: RowSpec) -> PipelineConfig:
+    """The configuration of the training in `folder`, on the boxes of the row."""
+    used = read_config(folder / "config.toml", spec.configuration)
+    if used.proposals.model_dump() != spec.configuration.proposals.model_dump():
         raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of {spec.title}")
-    return _with_model(used, folder / "model.onnx"), _note(folder)
+    return used
 
 
 def yolo_run(name: str, workspace: Workspace) -> YoloRun:

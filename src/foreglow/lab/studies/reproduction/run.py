@@ -15,12 +15,13 @@ from typing import Any
 
 from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.files import read_plain_json, write_json_results
-from foreglow.lab.studies.detector.models import ROWS, file_digest, split_digest
+from foreglow.lab.studies.detector.models import check_given, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
+from foreglow.pipeline import Pipeline
 
 STATE = "experiments.json"
 """What has been run, and why others could not be."""
@@ -63,12 +64,12 @@ def run_experiments(
 
     Raises:
         FileNotFoundError: If there is no split `test`, or a given model is missing.
+        ValueError: If a model or the configuration cannot be used.
         OSError: If something cannot be written.
     """
     plan.split("test")
-    for name, path in plan.models.items():
-        if not path.exists():
-            raise FileNotFoundError(f"{path}: no such model, given with {ROWS[name].option}")
+    check_given(plan.models)
+    Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
     out.mkdir(parents=True, exist_ok=True)
     known = read_plain_json(out / STATE) if (out / STATE).exists() else {}
     digest = _data_digest(plan)
