@@ -79,7 +79,7 @@ PRESETS: dict[str, PipelineConfig] = {
             split_saddle=0.6,
         ),
         # About 0.2 false boxes a frame are left in the validation images by PVDN's camera without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.22),
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.38),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),

@@ -161,6 +161,7 @@ RECIPES: dict[str, Recipe] = {
         group_balance=0.25,
         kinds=True,
         by_light=True,
+        unmarked_light=0.5,
         augmentation=Augmentation(
             flip=0.5,
             rotation_deg=8.0,
