@@ -150,14 +150,17 @@ def test_the_guard_of_the_headlamps_that_ship_is_swept(tmp_path: Path) -> None:
     guard_sweep.main(["--quick", "--out", str(tmp_path / "sweep.json")])
     results = json.loads((tmp_path / "sweep.json").read_text())
     assert results["num_states"] > 10_000
+    assert results["num_lit"] > 800
     assert results["num_counter_examples"] == 0
 
 
 @pytest.mark.ros
-def test_the_ros_network_is_timed(tmp_path: Path) -> None:
+def test_the_ros_network_is_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of six processes is measured in `lab/studies/runtime/test_run.py`."""
+    monkeypatch.setattr(ros2, "CONTENDERS", ros2.CONTENDERS[:1])
     ros2.main(["--quick", "--out", str(tmp_path / "ros2.json")])
     rows = json.loads((tmp_path / "ros2.json").read_text())["network"]
-    assert [row["what"] for row in rows] == ["in process", "one node", "six processes"]
+    assert [row["what"] for row in rows] == ["in process", "one node"]
     assert all(row["max_ms"] >= row["p99_ms"] >= row["median_ms"] > 0 for row in rows)
 
 
