@@ -39,6 +39,17 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.getoption("--quick") else "whole")
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of a report's words and tables: its figures are made, but not drawn, which is what takes long."""
+    pytest.importorskip("matplotlib")
+    import cv2
+    import numpy as np
+
+    pixel = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes()
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(pixel))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     markers = markers_of(item)
     for marker in EXTRAS.keys() & markers:

@@ -139,6 +139,7 @@ def test_annotate(tmp_path: Path, split: Path, options: tuple[object, ...]) -> N
     assert figures[0] | {"root": ""} == figures[1] | {"root": ""}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate(tmp_path: Path, split: Path, options: tuple[object, ...]) -> None:
     pytest.importorskip("matplotlib")
     run("evaluate", split, "--out", tmp_path / "one", "--json", tmp_path / "one.json")

@@ -46,6 +46,7 @@ def ahead(s_m: float, **fields: object) -> VehicleSpec:
     return VehicleSpec(lane="own", timetable=((0.0, s_m), (10.0, s_m + 200.0)), **fields)  # type: ignore[arg-type]
 
 
+@functools.cache
 def first_frame(drive: Scene) -> DriveFrame:
     return next(drive_frames(drive, "fast"))
 
@@ -54,7 +55,6 @@ def direct(vehicle: VehicleTruth) -> dict[str, tuple[float, float]]:
     return {artifact.lamp: artifact.position_px for artifact in vehicle.artifacts if artifact.is_direct}
 
 
-@functools.cache
 def queue() -> DriveFrame:
     return first_frame(scene(*(oncoming(s_m) for s_m in (70.0, 95.0, 120.0, 240.0)), ahead(60.0)))
 
