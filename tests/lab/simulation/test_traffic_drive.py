@@ -153,9 +153,10 @@ def test_screens_and_signals_are_seen_where_they_are() -> None:
 
 
 def test_a_data_set_with_traffic_is_read_back_and_driven_again_with_the_same_bytes(tmp_path: Path) -> None:
+    small = {"camera": CameraSpec(width_px=160, height_px=120, focal_px=164.0)}
     drives = [
-        scene(oncoming(70.0), oncoming(90.0, kind="semitrailer"), ahead(50.0, kind="bicycle"), seed=4),
-        mirrored(scene(oncoming(80.0, lane_number=1), ahead(60.0, lane_number=0), road=MOTORWAY, seed=5)),
+        scene(oncoming(70.0), oncoming(90.0, kind="semitrailer"), ahead(50.0, kind="bicycle"), seed=4, **small),
+        mirrored(scene(oncoming(80.0, lane_number=1), ahead(60.0, lane_number=0), road=MOTORWAY, seed=5, **small)),
     ]
     for name in ("first", "second"):
         simulate_dataset(tmp_path / name, drives, _fast, DatasetConfig())
