@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import functools
+import os
+import re
+from pathlib import Path
 
 import pytest
 import typer.testing
 from hypothesis import settings
+
+# Two processes share two cores, and threads that wait for work spin. NumPy and others read this when they are loaded.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+    os.environ.setdefault(name, "1")
 
 # Hundreds of tests call a command, and building all of them takes a quarter of a second.
 typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
@@ -15,6 +22,9 @@ EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
 """The markers that say which extra a test needs, and the module that is missing without it."""
 
 NOT_QUICK = {*EXTRAS, "process", "slow"}
+
+NO_TEST_IS_QUICK = re.compile(rf"^pytestmark = \[?\s*pytest\.mark\.({'|'.join(NOT_QUICK)})\b", re.MULTILINE)
+"""In the text of a file all of whose tests `--quick` leaves out."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -29,6 +39,17 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.getoption("--quick") else "whole")
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of a report's words and tables: its figures are made, but not drawn, which is what takes long."""
+    pytest.importorskip("matplotlib")
+    import cv2
+    import numpy as np
+
+    pixel = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes()
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(pixel))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     markers = markers_of(item)
     for marker in EXTRAS.keys() & markers:
@@ -40,6 +61,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             prepare()
         except OSError as error:  # no LLVM for it
             pytest.skip(f"the renderer has no LLVM that it can use: {error}")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """The quick loop does not even import such a file: it may load torch or ROS 2."""
+    is_test = collection_path.name.startswith("test_") and collection_path.is_file() and config.getoption("--quick")
+    return True if is_test and NO_TEST_IS_QUICK.search(collection_path.read_text(encoding="utf-8")) else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

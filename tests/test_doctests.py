@@ -15,9 +15,12 @@ MODULES = sorted(
     for path in SOURCE.rglob("*.py")
     if ">>> " in path.read_text(encoding="utf-8")
 )
+SLOW = {"foreglow.lab.simulation"}
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in MODULES]
+)
 def test_examples(name: str) -> None:
     results = doctest.testmod(pytest.importorskip(name, reason="an extra is not installed"))
     assert results.failed == 0

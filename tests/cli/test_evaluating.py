@@ -168,6 +168,7 @@ def test_kinds_are_compared_with_the_stored_shares(tmp_path: Path, split: Path) 
     assert "0.500 are of the kind that they are called" in " ".join(done.stdout.split())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> None:
     pytest.importorskip("matplotlib")
     plain = tmp_path / "plain.json"
@@ -180,6 +181,7 @@ def test_boxes_without_scores_have_no_curves(tmp_path: Path, split: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_model_is_run_on_the_split(tmp_path: Path, split: Path, model: Path, config: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"

@@ -83,6 +83,7 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     assert "expected the split" in complaint(*experiment, "--split", "all")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_time_benefit(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"
@@ -93,6 +94,7 @@ def test_time_benefit(tmp_path: Path) -> None:
     assert "Single frame before a human, mean: 0.5 s; here" in result.stdout
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_time_benefit_of_two_splits(tmp_path: Path) -> None:
     """The second split is a copy of the first; a folder that is a split counts once, whatever its name."""
     pytest.importorskip("matplotlib")
@@ -131,6 +133,7 @@ def test_export_mot(tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_distance(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     make_split(tmp_path / "drives", "val")

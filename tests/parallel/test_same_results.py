@@ -39,19 +39,16 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate_dataset(tmp_path_factory.mktemp("drives"), SCENES, stub_drive.drive).root
 
 
-@pytest.fixture(params=["jobs", "cluster"])
-def options(request: pytest.FixtureRequest) -> tuple[object, ...]:
-    """What the command line says."""
-    if request.param == "jobs":
-        return ("--jobs", 2)
-    started: DaskCluster = request.getfixturevalue("cluster")
-    return ("--cluster", started.address)
+@pytest.fixture
+def options(cluster: DaskCluster) -> tuple[object, ...]:
+    """What the command line says. Other tests have `--jobs` for the same work, whose processes start anew each time."""
+    return ("--cluster", cluster.address)
 
 
 @pytest.fixture
-def workers(options: tuple[object, ...]) -> Workers:
+def workers(cluster: DaskCluster) -> Workers:
     """The same, made."""
-    return Local(2) if options[0] == "--jobs" else Cluster(str(options[1]))
+    return Cluster(cluster.address)
 
 
 def run(*arguments: object) -> None:
@@ -74,8 +71,9 @@ def times_of(folder: Path) -> list[tuple[int, str, int, list[str]]]:
     return [(each["frame"], each["sequence"], each["timestamp_ns"], list(each["stage_ms"])) for each in lines]
 
 
-@pytest.mark.parametrize("data", ["split", "drives"])
-def test_run(data: str, tmp_path: Path, options: tuple[object, ...], request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(("data", "kind"), [("split", "jobs"), ("drives", "cluster")])
+def test_run(data: str, kind: str, tmp_path: Path, options: tuple[object, ...], request: pytest.FixtureRequest) -> None:
+    options = ("--jobs", 2) if kind == "jobs" else options
     source, alone, many = request.getfixturevalue(data), tmp_path / "one", tmp_path / "many"
     run("run", source, "--out", alone)
     run("run", source, "--out", many, *options)
@@ -96,8 +94,7 @@ def test_run_of_one_piece(tmp_path: Path, drives: Path, options: tuple[object, .
         assert (many / "frames.jsonl").read_bytes() == (alone / "frames.jsonl").read_bytes()
 
 
-def test_run_skips_and_stops_at_bad_images_as_ever(tmp_path: Path, drives: Path, cluster: DaskCluster) -> None:
-    options = ("--cluster", cluster.address)
+def test_run_skips_and_stops_at_bad_images_as_ever(tmp_path: Path, drives: Path, options: tuple[object, ...]) -> None:
     source = shutil.copytree(drives, tmp_path / "train")
     (source / "images" / "S00002" / "020001.png").write_text("no image")
     alone, many = tmp_path / "one", tmp_path / "many"
@@ -111,7 +108,9 @@ def test_run_skips_and_stops_at_bad_images_as_ever(tmp_path: Path, drives: Path,
     assert summary_of(alone)["num_skipped"] == 1
 
 
-def test_run_with_a_lost_worker(tmp_path: Path, drives: Path, workers: Workers) -> None:
+@pytest.mark.parametrize("kind", ["jobs", "cluster"])
+def test_run_with_a_lost_worker(tmp_path: Path, drives: Path, kind: str, workers: Workers) -> None:
+    workers = Local(2) if kind == "jobs" else workers
     source = shutil.copytree(drives, tmp_path / "train")
     config = preset("foreglow")
     out = OutputFolder(tmp_path / "out")
@@ -140,8 +139,8 @@ def test_annotate(tmp_path: Path, split: Path, options: tuple[object, ...]) -> N
     assert figures[0] | {"root": ""} == figures[1] | {"root": ""}
 
 
-def test_evaluate(tmp_path: Path, split: Path, cluster: DaskCluster) -> None:
-    options = ("--cluster", cluster.address)
+@pytest.mark.usefixtures("undrawn")
+def test_evaluate(tmp_path: Path, split: Path, options: tuple[object, ...]) -> None:
     pytest.importorskip("matplotlib")
     run("evaluate", split, "--out", tmp_path / "one", "--json", tmp_path / "one.json")
     run("evaluate", split, "--out", tmp_path / "many", "--json", tmp_path / "many.json", *options)
@@ -157,8 +156,7 @@ def test_simulate(tmp_path: Path, drives: Path, workers: Workers) -> None:
 
 
 @pytest.mark.renderer
-def test_simulate_with_the_renderer(tmp_path: Path, cluster: DaskCluster) -> None:
-    options = ("--cluster", cluster.address)
+def test_simulate_with_the_renderer(tmp_path: Path, options: tuple[object, ...]) -> None:
     (tmp_path / "scene.toml").write_text(scene_to_toml(scene(duration_s=2 / 18)))
     scenes = ("--scene", tmp_path / "scene.toml") * 2
     command = ("simulate", *scenes, "--size", "64x48", "--quality", "fast", "--out")

@@ -39,14 +39,14 @@ def test_small_frames_with_any_configuration(batch: int) -> None:
     assert num_boxes > 75, "frames without boxes compare nothing"
 
 
-@pytest.mark.parametrize("name", ["paper", "baseline"])
-def test_camera_frames_with_the_presets(name: str) -> None:
-    generator = np.random.default_rng(11)
-    config = preset(name).proposals
-    num_boxes = 0
-    for width_px, height_px in [(1280, 960)] * 6 + [(1281, 961), (640, 360), (1920, 1080), (2872, 1622), (333, 777)]:
-        num_boxes += len(equal_boxes(night_like_frame(generator, width_px, height_px), config, name))
-    assert num_boxes > 10
+def test_camera_frames_with_the_presets() -> None:
+    generator = np.random.default_rng(16)
+    num_boxes = dict.fromkeys(("paper", "baseline"), 0)
+    for width_px, height_px in [(1280, 960)] * 3 + [(1281, 961), (640, 360), (1920, 1080), (2872, 1622), (333, 777)]:
+        image = night_like_frame(generator, width_px, height_px)
+        for name in num_boxes:
+            num_boxes[name] += len(equal_boxes(image, preset(name).proposals, name))
+    assert min(num_boxes.values()) > 10
 
 
 def test_wide_camera_frames() -> None:
@@ -71,7 +71,7 @@ def test_pixels_at_the_threshold_are_decided_in_double_precision(window: str) ->
         with np.errstate(divide="ignore", invalid="ignore"):
             critical = (stages.blurred / stages.mean - 1) / (1 - difference / (1 - difference + config.eps))
         candidates = critical[(critical > 0.2) & (critical < 1.0) & (stages.mean > 0.01)]
-        for kappa in generator.permutation(candidates)[:20]:
+        for kappa in generator.permutation(candidates)[:10]:
             sides = [config.model_copy(update={"kappa": float(kappa * factor)}) for factor in (1 - 1e-8, 1 + 1e-8)]
             below, above = (equal_boxes(image, side, f"frame {number}, kappa {side.kappa!r}") for side in sides)
             num_edges += below != above

@@ -6,18 +6,15 @@ import os
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from foreglow.lab.learning.export import Layers
 
-pytest.importorskip("torch")
-
-import torch
-
 
 def random_network(seed: int = 0) -> Any:
     """The paper's network with random weights and random batch statistics, in evaluation mode."""
+    import torch
+
     from foreglow.lab.learning.networks import ArtifactNetwork
 
     torch.manual_seed(seed)
@@ -45,6 +42,7 @@ def random_layers(channels: tuple[int, ...], seed: int = 0) -> Layers:
 
 def torch_logits(layers: Layers, crops: NDArray[np.float32]) -> NDArray[np.float32]:
     """What the layers compute, straight from their definition."""
+    import torch
     from torch.nn import functional
 
     x = torch.from_numpy(crops)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +26,14 @@ PAPER = preset("paper")
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 
 
+@pytest.fixture(scope="module")
+def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_night_set(tmp_path_factory.mktemp("made"), ("val",)) / "night" / "val"
+
+
 @pytest.fixture
-def split(tmp_path: Path) -> Path:
-    return make_night_set(tmp_path, ("val",)) / "night" / "val"
+def split(night: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(night, tmp_path / "night" / "val")
 
 
 def box_files(split: Path) -> dict[str, bytes]:

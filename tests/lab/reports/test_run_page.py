@@ -83,6 +83,7 @@ def test_a_made_up_run(tmp_path: Path) -> None:
     assert page.pictures("jpeg") == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_of_proposals_alone(tmp_path: Path) -> None:
     frames = [Frame(night_image(k), 50_000_000 * k, k) for k in range(3)]
     path = write_report(
@@ -93,6 +94,7 @@ def test_a_run_of_proposals_alone(tmp_path: Path) -> None:
     assert "None were looked for: the run commanded no beam." in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_live_run(tmp_path: Path) -> None:
     events = [
         {"fault": "camera_gone", "from_ns": 2_050_000_000, "until_ns": 2_550_000_000, "detail": "no frame <for> 0.2 s"},
@@ -108,6 +110,7 @@ def test_a_live_run(tmp_path: Path) -> None:
     assert cells[cells.index("dropped for a newer frame") + 1] == "7"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_so_many_sequences_have_a_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_page, "MAX_SEQUENCES", 2)
     made = [made_up(number, f"S{number}") for number in range(1, 5)]
@@ -150,6 +153,7 @@ def test_the_drive_that_ships(shipped: Path) -> None:
     assert again.read_bytes() == path.read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
     frames = shipped / "frames.jsonl"
     for name in ("summary.json", "config.toml", "times.jsonl"):
@@ -160,6 +164,7 @@ def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
     assert page.pictures("jpeg") == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_that_cannot_be_written(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", [made_up(1)])
     result = foreglow_command("report", run, "--out", tmp_path / "nowhere" / "x.html")

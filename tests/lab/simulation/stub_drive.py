@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 
@@ -39,7 +40,7 @@ def drive(scene: Scene, fail_at: tuple[int, int] | None = None, lag_ns: int = 0)
     rng = np.random.default_rng([scene.seed, 1])
     road = Road(scene.road)
     mount = Pose(np.array(scene.camera.mount_m), rotation(pitch_rad=math.radians(scene.camera.pitch_deg)))
-    streets = StreetMap(road, StreetDataError(), np.random.default_rng(0))
+    streets = _streets(scene.road)
     focal = scene.camera.focal_px
     camera = Camera(WIDTH_PX, HEIGHT_PX, (focal, focal), (WIDTH_PX / 2, HEIGHT_PX / 2), (-0.05, 0.02, 0, 0, 0), mount)
     for index in range(scene.num_frames):
@@ -66,6 +67,11 @@ def drive(scene: Scene, fail_at: tuple[int, int] | None = None, lag_ns: int = 0)
             depth_m=depth_m,
             ego_eye_lx={"0": float(rng.random()), "fixed": 0.0},
         )
+
+
+@functools.cache
+def _streets(spec: RoadSpec) -> StreetMap:
+    return StreetMap(Road(spec), StreetDataError(), np.random.default_rng(0))
 
 
 def _vehicle(number: int, index: int, road: Road, rng: np.random.Generator) -> VehicleTruth:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.lab.learning.export import Layers
 from tests.lab.learning.networks import random_layers
 from tests.lab.learning.yolo.night_data import make_night_data
+
+if importlib.util.find_spec("onnx") is None:  # it is imported only where a model is made
+    pytest.skip("onnx is not installed", allow_module_level=True)
 
 
 def make_data(folder: Path, splits: Sequence[str] = ("train", "val", "test")) -> Path:

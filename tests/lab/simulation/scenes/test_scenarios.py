@@ -29,16 +29,25 @@ pytestmark = pytest.mark.slow
 WIDE = Corridor(60.0, 60.0)
 
 
+@pytest.fixture
+def first_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Quick: encounters as the first draw comes."""
+    monkeypatch.setattr(planning, "MAX_PLANS", 1)
+
+
 @functools.cache
 def fifty() -> tuple[Scene, ...]:
-    with patch.object(planning, "MAX_PLANS", 1):  # quick: as the first draw comes
+    with patch.object(planning, "MAX_PLANS", 1):
         return draw_scenes(50, 1)
 
 
+@pytest.mark.usefixtures("first_plans")
 def test_same_seed_same_scenes() -> None:
+    """With all plans it is an example in the docstring of the package."""
     assert draw_scenes(3, 7)[:2] == draw_scenes(2, 7)  # more scenes leave the first as they are
 
 
+@pytest.mark.usefixtures("first_plans")
 def test_seeds_and_splits_differ() -> None:
     seen = [draw_scenes(1, seed, split)[0] for seed in (1, 2) for split in SPLITS]
     assert len({scene.model_dump_json() for scene in seen}) == len(seen)
@@ -84,6 +93,7 @@ def test_other_long_drives_for_other_splits_and_more_leave_the_first_as_they_are
         assert long_drives(1, 1, "val") == long()[:1] != long_drives(1, 1, "test")
 
 
+@pytest.mark.usefixtures("first_plans")
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_everybody_stays_on_the_road(name: str) -> None:
     for seed in range(2):

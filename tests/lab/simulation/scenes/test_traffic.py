@@ -59,6 +59,8 @@ def footprint(vehicle: VehicleSpec, road: Road, time_s: float) -> np.ndarray:
 
 
 def do_overlap(first: np.ndarray, other: np.ndarray) -> bool:
+    if np.linalg.norm(first[0] - other[0]) > 40.0:  # the longest has 16.5 m
+        return False
     return bool((np.linalg.norm(first[:, None] - other, axis=-1) < 0.1).any())
 
 

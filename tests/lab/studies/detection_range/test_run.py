@@ -115,6 +115,7 @@ def test_the_report_has_a_table_and_a_figure_for_each_requirement(tmp_path: Path
     ]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_a_report(split: Path, model: Path, tmp_path: Path) -> None:
     out = tmp_path / "report"
     command = ["experiment", "detection-range", split, "--preset", "paper", "--model", model, "--out", out]

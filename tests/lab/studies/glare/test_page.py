@@ -84,6 +84,7 @@ def test_the_same_results_give_the_same_files(results: GlareResults, folder: Pat
     assert write(results, tmp_path).read_bytes() == (folder / "report.html").read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> None:
     runs = {name: DRIVES[3].runs[name] for name in ("low", "high")}
     drive = dataclasses.replace(DRIVES[3], runs=runs)
@@ -93,6 +94,7 @@ def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_film_is_in_the_page(tmp_path: Path) -> None:
     (tmp_path / "drives").mkdir()
     for drive in DRIVES[:2]:

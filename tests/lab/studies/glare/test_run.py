@@ -54,6 +54,11 @@ def scene(duration_s: float = 3 / 18, **changes: object) -> Scene:
     return Scene(**(fields | changes))  # type: ignore[arg-type]
 
 
+@functools.cache
+def first_frame() -> DriveFrame:
+    return next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+
+
 class Constant:
     """A car that always wants the same levels."""
 
@@ -84,7 +89,7 @@ def test_light_at_an_eye_is_the_simulators() -> None:
 
 
 def test_mirrors_of_a_vehicle_ahead_are_lit_from_behind() -> None:
-    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    known = first_frame()
     eye = OurLight(scene()).at_eye(known, known.vehicles[1], np.ones((2, NUM_LEDS)))
     assert eye.is_in_sight
     assert known.vehicles[1].eye_lx["ego"] == 0.0  # its driver looks away from us
@@ -98,7 +103,7 @@ def test_seen_lamps_are_told_by_their_sum(is_seen: list[bool]) -> None:
 
 
 def test_road_light_is_linear_and_less_far_away() -> None:
-    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    known = first_frame()
     base, leds = OurLight(scene()).on_road(known)
     assert base.shape == (2,)
     assert leds.shape == (2, 2, NUM_LEDS)
@@ -140,7 +145,7 @@ def test_images_are_lit_by_what_was_commanded() -> None:
 
 
 def test_exact_gaps_hold_the_body() -> None:
-    known = next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+    known = first_frame()
     (gap,) = exact_gaps(known, known.vehicles[:1])
     x, y, _ = known.ego_pose.to_body(known.vehicles[0].eye_world_m)
     assert gap.right_rad < math.atan2(y, x) < gap.left_rad

@@ -150,6 +150,7 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     assert "1 vehicle, 1 of them occluded" in summary_lines(results)[0]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     """PVDN's layout alone: nobody knows the speed, and the production system is a category of the images."""
     root = make_pvdn(tmp_path)
@@ -179,6 +180,7 @@ def test_a_tracker_of_ones_own_has_a_row() -> None:
     assert two_frames.num_plausible > five_frames.num_plausible
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_papers_whole_chain_has_rows(tmp_path: Path) -> None:
     """Its model accepts every proposal; all other rows stay as they are without it."""
     pytest.importorskip("onnx")
