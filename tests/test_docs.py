@@ -175,4 +175,4 @@ def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"^```python\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)
     (confirmed_s,) = re.findall(r"^confirmed by the tracker +([\d.]+) s$", readme, re.MULTILINE)
     exec(compile(example, "README.md", "exec"), {})
-    assert re.search(rf"^{confirmed_s} s: light \d+, \d+ m away$", capsys.readouterr().out, re.MULTILINE)
+    assert re.search(rf"^{confirmed_s} s: vehicle \d+, its light \d+ m away$", capsys.readouterr().out, re.MULTILINE)
