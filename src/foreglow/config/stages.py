@@ -235,7 +235,7 @@ class TrackerConfig(FrozenModel):
     min_hits: Annotated[int, Field(ge=1, le=1000)] = 5
     min_confidence: Annotated[float, Field(ge=0, lt=1)] = 0.5
     num_looks: Annotated[int, Field(ge=1, le=64)] = 7
-    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.46
+    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.54
     detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
     confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.5
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
