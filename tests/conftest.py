@@ -12,7 +12,7 @@ import typer.testing
 from hypothesis import settings
 
 # Two processes share two cores, and threads that wait for work spin. NumPy and others read this when they are loaded.
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 # Hundreds of tests call a command, and building all of them takes a quarter of a second.
