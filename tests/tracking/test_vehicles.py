@@ -16,8 +16,10 @@ from foreglow.types import Tracks, TrackState, Vehicles
 from tests.tracking.made_up import FRAME_S, detections_of, frame_at, ranges_of
 
 GATE = 1.0
-OURS = OUR_TRACKER.model_copy(update={"vehicle_gate": GATE})
-ALONE = OUR_TRACKER.model_copy(update={"vehicle_gate": 0.0})
+NEUTRAL = OUR_TRACKER.model_copy(update={"neutral_score": 0.38})
+"""Scores of .5 are some evidence for light, whatever the preset's network calls neutral."""
+OURS = NEUTRAL.model_copy(update={"vehicle_gate": GATE})
+ALONE = NEUTRAL.model_copy(update={"vehicle_gate": 0.0})
 LAMP = (600, 400, 620, 416, 0.9)
 FAR_LAMP = (100, 400, 120, 416, 0.9)
 
@@ -171,7 +173,7 @@ def test_gaps_are_symmetric_and_do_not_depend_on_the_scale() -> None:
 @pytest.mark.parametrize("gate", [0.0, GATE])
 @pytest.mark.parametrize(("range_m", "num_frames"), [(100.0, 1), (nan, 3), (25.0, inf)])
 def test_near_light_needs_more_evidence(gate: float, range_m: float, num_frames: float) -> None:
-    config = OUR_TRACKER.model_copy(update={"vehicle_gate": gate})
+    config = NEUTRAL.model_copy(update={"vehicle_gate": gate})
     tracker, found = AlphaBetaTracker(config), detections_of((600, 400, 620, 416, 0.5))
     sigma_m = inf if np.isnan(range_m) else 5.0
     needed = next(
