@@ -151,7 +151,7 @@ model-data: $(VENV)/.dev
 	$(call draw,empty_exposures,train,12,33) $(both) 2.5 $(matrix) --empty
 	$(call draw,empty_exposures,val,6,32) $(both) 1.25 $(matrix) --empty
 
-# The model that ships, trained on these drives, in 15 minutes of one core: one thread, for the same bits each time.
+# The model that ships, trained on these drives, in about 20 minutes of one core: one thread, for the same bits each time.
 model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
