@@ -15,6 +15,7 @@ import pytest
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.json_lines import LineSink
 from tests.cli.commands import PNG, complaint, foreglow_command, names
+from tests.linux import needs_full_disk
 from tests.stand_ins import night_image
 
 
@@ -126,9 +127,8 @@ def test_output_that_is_a_file(tmp_path: Path, folder: Path, config: Path) -> No
     assert (tmp_path / "out").read_text() == "mine"
 
 
+@needs_full_disk
 def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, folder: Path, config: Path) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
     whole = OutputFolder.line_sinks
 
     def on_a_full_disk(results: OutputFolder) -> list[LineSink]:

@@ -14,6 +14,7 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import PNG, RESULTS, names, num_lines
+from tests.linux import needs_full_disk
 
 pytestmark = pytest.mark.process
 
@@ -97,14 +98,14 @@ def test_too_little_memory_to_begin() -> None:
     assert (done.returncode, done.stderr) == (2, "foreglow: not enough memory to begin\n")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@needs_full_disk
 def test_a_disk_that_is_full_for_the_version() -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(subprocess_command("--version"), stdout=full, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (2, "foreglow: standard output: No space left on device\n")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@needs_full_disk
 def test_a_disk_that_is_full_for_what_a_command_says(tmp_path: Path, folder: Path, config: Path) -> None:
     command = subprocess_command("run", folder, "--out", tmp_path / "out", "--config", config)
     with Path("/dev/full").open("w", encoding="utf-8") as full:

@@ -14,6 +14,7 @@ import pytest
 from foreglow.display.overlay import annotate
 from foreglow.display.video import PictureSink, VideoSink
 from foreglow.types import Frame
+from tests.linux import needs_full_disk
 from tests.stand_ins import night_frames, night_image, result_of
 
 
@@ -61,9 +62,8 @@ def test_unwritable_video_names_its_path(tmp_path: Path) -> None:
     assert caught.value.filename == str(tmp_path / "absent" / "overlay.mp4")
 
 
+@needs_full_disk
 def test_full_disk_names_the_video() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
     sink = VideoSink(Path("/dev/full"))
     frame = night_frames(1)[0]
     with pytest.raises(OSError, match="No space left"):  # noqa: PT012 - the encoder may notice at either place

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.parallel import MAX_DEATHS, Cluster, Local, workers_at
+from tests.linux import needs_processes
 from tests.parallel import tasks
 
 pytestmark = pytest.mark.process
@@ -126,7 +127,7 @@ list(Local(2).each(tasks.wait_for_stop, items, lambda *_: None))
 """
 
 
-@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+@needs_processes
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_a_parent_that_is_gone_takes_its_processes_with_it(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-c", SCRIPT, str(tmp_path)]  # a script needs no `if __name__ == "__main__":`

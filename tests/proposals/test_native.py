@@ -34,7 +34,7 @@ def test_generators_in_several_threads_do_not_disturb_one_another() -> None:
 def test_memory_does_not_grow() -> None:
     resident_before_mib = resident_mib()
     if resident_before_mib is None:
-        pytest.skip("this system does not tell the resident memory")
+        pytest.skip("memory is looked up in /proc, of Linux")
     generator = np.random.default_rng(6)
     proposer = NativeProposer(CONFIG)
     frames = (night_like_frame(generator, width_px, 200) for width_px in (320, 200, 257) * 40)

@@ -179,7 +179,9 @@ def test_bus_with_lamps(interface: str, channel: str) -> None:
     try:
         lamps_bus = can.Bus(interface=interface, channel=channel, fd=True)
     except (OSError, can.CanError) as error:
-        pytest.skip(f"no such bus on this machine: {error}")
+        if interface == "virtual":
+            raise
+        pytest.skip(f"multicast is not possible in this network: {error}")
     with lamps_bus:
         bus, lamps = CanBus(f"{interface}:{channel}"), LampReceiver()
         for number in range(6):

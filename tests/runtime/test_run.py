@@ -16,6 +16,7 @@ from foreglow.files import json_text
 from foreglow.pipeline import Pipeline
 from foreglow.runtime import OutputFolder, RunSummary, run
 from foreglow.types import Frame, FrameResult
+from tests.linux import needs_full_disk
 from tests.stand_ins import REFERENCE, ListSource, night_frames
 
 
@@ -166,9 +167,8 @@ def test_unreadable_frame_leaves_nothing(tmp_path: Path) -> None:
     assert names(tmp_path) == set()
 
 
+@needs_full_disk
 def test_full_disk_names_the_file(tmp_path: Path) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
     folder = OutputFolder(tmp_path / "out")
     folder.partial("frames.jsonl").unlink()
     folder.partial("frames.jsonl").symlink_to("/dev/full")

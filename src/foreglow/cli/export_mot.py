@@ -30,11 +30,8 @@ def export_mot(
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
     results = run / "frames.jsonl"
-    dataset, proposals, tracks = open_labelled(split), read_predictions(results), read_tracks(results)
-    missing = next((image_id for image_id in dataset.frame_ids if image_id not in tracks), None)
-    if missing is not None:
-        raise ValueError(f"{results}: expected all images of {split}, got a run without image {missing}")
-    mot.export_mot(dataset, proposals, tracks, out, name)
+    proposals, tracks = read_predictions(results), read_tracks(results)
+    mot.export_mot(open_labelled(split), proposals, tracks, out, name, origin=str(results))
     if score:
         scores = mot.score_mot(out, name)
         typer.echo(f"HOTA {scores.hota:.3f} (DetA {scores.det_a:.3f}, AssA {scores.ass_a:.3f}), IDF1 {scores.idf1:.3f}")

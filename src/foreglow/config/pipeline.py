@@ -78,7 +78,7 @@ PRESETS: dict[str, PipelineConfig] = {
             min_width_px=5.0,
             split_saddle=0.6,
         ),
-        # About 0.2 false boxes a frame are left in the validation images by PVDN's camera without vehicles.
+        # Leaves 0.2 false boxes per frame in lossless validation images without vehicles.
         classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.38),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,

@@ -235,7 +235,7 @@ class TrackerConfig(FrozenModel):
     min_hits: Annotated[int, Field(ge=1, le=1000)] = 5
     min_confidence: Annotated[float, Field(ge=0, lt=1)] = 0.5
     num_looks: Annotated[int, Field(ge=1, le=64)] = 7
-    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.54
+    neutral_score: Annotated[float, Field(gt=0, lt=1)] = 0.38
     detection_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
     confirm_evidence: Annotated[float, Field(ge=0, le=20)] = 1.5
     reject_evidence: Annotated[float, Field(ge=0, le=20)] = 0.0
@@ -268,6 +268,7 @@ OUR_TRACKER = TrackerConfig(
     compensate_yaw=True,
     max_misses=6,
     confirmation="evidence",
+    neutral_score=0.54,
     confirm_evidence=1.0,
     range_evidence=2.0,
     vehicle_gate=1.0,

@@ -19,7 +19,7 @@ from tests.lab.learning.networks import random_layers
 from tests.lab.learning.yolo.night_data import make_night_data
 
 if importlib.util.find_spec("onnx") is None:  # it is imported only where a model is made
-    pytest.skip("onnx is not installed", allow_module_level=True)
+    pytest.skip("models are made with onnx, of the extra train", allow_module_level=True)
 
 
 def make_data(folder: Path, splits: Sequence[str] = ("train", "val", "test")) -> Path:

@@ -25,6 +25,7 @@ pytest.importorskip("rclpy")
 from foreglow.runtime.ros2 import STAGE_NODES
 from foreglow.runtime.ros2.measurement import WHOLE, Answer, Network
 from foreglow.runtime.ros2.node import INPUT_MISSING
+from tests.linux import needs_processes
 
 pytestmark = [
     pytest.mark.ros,
@@ -152,7 +153,7 @@ def test_what_cannot_be_played_is_said_at_once(tmp_path: Path) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@needs_processes
 def test_no_node_outlives_the_command() -> None:
     with subprocess.Popen(foreglow("all", str(shipped_drive()), "--loop"), stderr=subprocess.DEVNULL) as command:
         children: list[str] = []

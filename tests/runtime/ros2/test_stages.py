@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,6 +30,7 @@ from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, Receiver, mak
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
 from foreglow.runtime.ros2.stages import PipelineNode, Setting
+from tests.linux import needs_processes
 
 pytestmark = [
     pytest.mark.ros,
@@ -130,7 +130,7 @@ def test_whatever_happens_there_is_low_beam_and_it_recovers(
     assert {state.name for state in bench.states} == {"foreglow: pipeline"}
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@needs_processes
 def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:
     bench.until("", frame)
     own = {link.readlink().name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}

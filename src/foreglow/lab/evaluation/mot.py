@@ -57,11 +57,17 @@ class MotScores:
 
 
 def export_mot(
-    dataset: LabelledSource, proposals: Predictions, tracks: Mapping[int, Tracks], folder: Path, name: str = "foreglow"
+    dataset: LabelledSource,
+    proposals: Predictions,
+    tracks: Mapping[int, Tracks],
+    folder: Path,
+    name: str = "foreglow",
+    *,
+    origin: str = "tracks",
 ) -> None:
     """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
 
-    Nothing is written unless all of it can be used.
+    Nothing is written unless all of it can be used. `origin` names the run in messages.
 
     Raises:
         FileNotFoundError: If a label file is missing.
@@ -75,7 +81,7 @@ def export_mot(
         image_ids = sorted(sequence.image_ids)
         for image_id in image_ids:
             if image_id not in tracks or image_id not in proposals.boxes_xyxy_px:
-                raise ValueError(f"tracks: expected image {image_id} of {sequence.directory}, the run does not have it")
+                raise ValueError(f"{origin}: expected all images of {dataset.root}, got a run without image {image_id}")
         lights = "".join(_light_rows(dataset, image_ids, proposals))
         if lights:
             truth = folder / "gt" / sequence.directory

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import ARRAYS, Samples
+from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
@@ -42,6 +42,20 @@ def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32
     found = counts[group] ** -float(group_balance)
     weights[is_positive] = found / found.mean()
     return weights.astype(np.float32)
+
+
+def kind_targets(samples: Samples, unmarked_light: float) -> NDArray[np.float32]:
+    """What is learnt of each sample's `KINDS`, shape (N, 5): shares of its light that sum to 1; NaN where unknown.
+
+    Args:
+        samples: The samples.
+        unmarked_light: How much of vehicles' light counts in a box without any key point; the rest counts as none.
+    """
+    targets = samples.kinds.copy()
+    is_unmarked = samples.groups == NO_GROUP
+    targets[is_unmarked, :-1] *= np.float32(unmarked_light)
+    targets[is_unmarked, -1] = 1.0 - targets[is_unmarked, :-1].sum(axis=1)
+    return targets
 
 
 def content_digest(samples: Samples) -> str:

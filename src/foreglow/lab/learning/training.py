@@ -30,13 +30,14 @@ from foreglow.lab.learning.batches import (
     batches,
     content_digest,
     epoch_indices,
+    kind_targets,
     learning_rate,
     sample_weights,
 )
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import NO_GROUP, Samples
+from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.scores import box_scores, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
@@ -197,6 +198,7 @@ class _Trainer:
         balance = num_seen[NEGATIVE] / num_seen[POSITIVE]
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
+        self._kinds = kind_targets(samples, recipe.unmarked_light)
         if recipe.kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
             raise ValueError("train samples: expected the kind of light of every labelled box, found NaN")
 
@@ -284,11 +286,7 @@ class _Trainer:
 
     def _kinds_loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
         """Cross entropy of the shares of each kind of light; vehicles' kinds are weighted as positive labels are."""
-        kinds = self._samples.kinds[batch]
-        is_unmarked = self._samples.groups[batch] == NO_GROUP
-        kinds[is_unmarked, :-1] *= np.float32(self._recipe.unmarked_light)
-        kinds[is_unmarked, -1] = 1.0 - kinds[is_unmarked, :-1].sum(axis=1)
-        shares = torch.from_numpy(kinds).to(self._device)
+        shares = torch.from_numpy(self._kinds[batch]).to(self._device)
         shares = shares * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / shares.shape[1]
         balance = torch.full_like(shares, self.positive_weight)
         balance[:, -1] = 1.0

@@ -354,6 +354,5 @@ def check_exposures(
     if presets:
         load_arrow()  # now, rather than at the end of the first drive
     for scene in scenes:
-        for profile in profiles:
-            if profile is not None:
-                View(profile, camera_of(scene.camera))
+        for profile in filter(None, profiles):
+            View(profile, camera_of(scene.camera))

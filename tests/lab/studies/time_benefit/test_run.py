@@ -96,6 +96,7 @@ def test_more_frames_confirm_later_and_less(results: TimeBenefitResults) -> None
     assert numbers == sorted(numbers, reverse=True)
     assert times == sorted(times)
     assert times[0] < times[-1]
+    assert numbers[0] > numbers[-1]
     assert any(frame.benefit.name == FIVE_FRAMES for frame in frames)
 
 

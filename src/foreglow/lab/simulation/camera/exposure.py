@@ -107,6 +107,12 @@ class LinearLight:
 class Exposure:
     """One exposure: the image, and the light on the pixels by source."""
 
+    _fixed: Image | None
+    _indirect: list[Image | None]
+    _direct: list[Image | None]
+    _rears: list[tuple[Image | None, Image | None]]
+    _red: Image | None
+
     def __init__(
         self,
         imager: Imager,
@@ -131,8 +137,8 @@ class Exposure:
         if beside is None:
             self._spread_others(light)
         else:
-            for name in ("_fixed", "_indirect", "_direct", "_rears", "_red"):
-                setattr(self, name, getattr(beside, name))
+            self._fixed, self._indirect, self._direct = beside._fixed, beside._indirect, beside._direct
+            self._rears, self._red = beside._rears, beside._red
         for spread in (self._fixed, *self._indirect, *self._direct):
             if spread is not None:
                 self._total += spread
@@ -142,13 +148,12 @@ class Exposure:
         """Passes the light of street lamps, windows and vehicles through the lens."""
         points, vehicles = light.fixed_points, light.vehicles
         self._fixed = self._lamps(points) if len(points.illuminances_lx) else None
-        self._indirect: list[Image | None] = []
-        self._direct: list[Image | None] = []
+        self._indirect, self._direct = [], []
         for layers in vehicles:
             self._indirect.append(None if layers is None else self._on_pixels(layers.surface_cd_m2 + layers.haze_cd_m2))
             self._direct.append(None if layers is None else self._points_on_pixels(layers.points))
-        self._rears: list[tuple[Image | None, Image | None]] = [(None, None)] * len(vehicles)
-        self._red: Image | None = None
+        self._rears = [(None, None)] * len(vehicles)
+        self._red = None
         if self._imager.sees_colour:
             self._rears = [(None, None) if layers is None else self._rear_on_pixels(layers) for layers in vehicles]
             for part in (part for parts in self._rears for part in parts if part is not None):

@@ -49,6 +49,7 @@ class Limits:
     """How much light may reach other drivers' eyes.
 
     Attributes:
+        name: Of the rule that sets them.
         oncoming: For drivers who come towards us.
         preceding: For drivers whom we follow, at their mirrors.
     """
