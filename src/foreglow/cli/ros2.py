@@ -57,6 +57,9 @@ class NodeOptions:
 
     calibration: CalibrationOption = None
     is_networked: NetworkOption = False
+    patience: Annotated[
+        float | None, option("S", "Wait up to S seconds for the vehicle's data of a frame (0.02).", min=0.0, max=10.0)
+    ] = None
     parent: ParentOption = None
 
 
@@ -256,7 +259,7 @@ def _run_node(
         make = MarkerNode
     else:
         make = NODES[name]
-    setting = Setting(config, camera, bus, output.deadline, ros_arguments)
+    setting = Setting(config, camera, bus, output.deadline, node.patience, ros_arguments)
     with InterruptFlag() as interrupt:
         make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
     _finish(interrupt)

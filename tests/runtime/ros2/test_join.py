@@ -99,6 +99,17 @@ def test_a_sample_is_waited_for_while_its_topic_lives() -> None:
     assert not join.is_waiting
 
 
+def test_a_patient_join_waits_for_a_sample_that_is_late() -> None:
+    join = Join(("image",), ("twist",), patience_ns=10_000 * MS)
+    join.put("twist", header(0), "old", 0)
+    join.put("image", header(1), "i", FRAME)
+    assert join.take(FRAME + Join.PATIENCE_NS + Join.HOLD_NS) is None
+    join.put("twist", header(1), "new", FRAME + 9_000 * MS)
+    joined = join.take(FRAME + 9_000 * MS)
+    assert joined is not None
+    assert joined.messages["twist"] == "new"
+
+
 def test_nothing_is_waited_for_too_long_or_held_too_long() -> None:
     join = Join(("image",), ("twist",))
     join.put("twist", header(0), "old", 0)

@@ -35,6 +35,7 @@ pytestmark = [
 
 # A busy machine is late; what is wanted here is what is computed, not when.
 STEP_NS = 55_555_556
+WAITING = ("--patience", "10")
 PATIENT = ("--deadline", "10")
 
 
@@ -88,7 +89,8 @@ def test_the_network_makes_what_the_pipeline_makes(nodes: tuple[str, ...], frame
     config = patient_config()
     again = [dataclasses.replace(frame, sequence="other", motion=None, road=None) for frame in frames[:5]]
     sent = [*frames, *again]
-    with Network(config, nodes, options={nodes[-1]: PATIENT}) as network:
+    options = dict.fromkeys(nodes, WAITING) | {nodes[-1]: (*WAITING, *PATIENT)}
+    with Network(config, nodes, options=options) as network:
         network.warm_up(frames[0])
         answers = network.run(sent, is_in_step=True)
     results = in_process(config, sent)

@@ -45,7 +45,7 @@ class Join:
     Messages on `exact` topics carry the frame's header; a frame is complete when it has one on each of them. Messages
     on `sampled` topics have times of their own: a frame takes the latest one that is not later than the frame and at
     most `HOLD_NS` older. If a sampled topic is active but its latest message is older than the frame, the frame waits
-    for the next one, `PATIENCE_NS` at most, so that all nodes take the same sample.
+    for the next one, `patience_ns` at most, so that all nodes take the same sample.
 
     When a frame is returned, all older ones are dropped: a frame with a lost message never delays those that follow.
     At most `CAPACITY` frames are kept. All times are by the caller's clock, except those in headers.
@@ -60,10 +60,11 @@ class Join:
     HOLD_NS = 500_000_000
     PATIENCE_NS = 20_000_000
 
-    def __init__(self, exact: Sequence[str], sampled: Sequence[str] = ()) -> None:
+    def __init__(self, exact: Sequence[str], sampled: Sequence[str] = (), *, patience_ns: int = PATIENCE_NS) -> None:
         """A join of messages on these topics."""
         self._exact = tuple(exact)
         self._frames: dict[Header, _Parts] = {}  # in the order of their first message
+        self._patience_ns = patience_ns
         self._sampled = {topic: _Samples(self.NUM_SAMPLES) for topic in sampled}
         self.num_dropped = 0
         self.is_waiting = False
@@ -112,9 +113,9 @@ class Join:
 
     def _is_awaited(self, samples: _Samples, header: Header, parts: _Parts, now_ns: int) -> bool:
         """Whether a sample nearer to the frame's time may still arrive."""
-        if not samples.messages or now_ns - samples.received_ns > self.HOLD_NS:
+        if not samples.messages or now_ns - samples.received_ns > max(self.HOLD_NS, self._patience_ns):
             return False
-        return samples.messages[-1][0] < header.timestamp_ns and now_ns - parts.received_ns < self.PATIENCE_NS
+        return samples.messages[-1][0] < header.timestamp_ns and now_ns - parts.received_ns < self._patience_ns
 
     def _drop(self, header: Header) -> None:
         del self._frames[header]

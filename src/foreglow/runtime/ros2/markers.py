@@ -28,7 +28,11 @@ class MarkerNode(FrameNode[tuple[Frame, Tracks]]):
             raise ModuleNotFoundError("markers: expected ROS 2's visualization_msgs or vision_msgs to be installed")
         exact, sampled = setting.camera_topics
         super().__init__(
-            "markers", (topics.TRACKS, *exact), (*sampled, topics.ROAD), ros_arguments=setting.ros_arguments
+            "markers",
+            (topics.TRACKS, *exact),
+            (*sampled, topics.ROAD),
+            ros_arguments=setting.ros_arguments,
+            patience_s=setting.patience_s,
         )
         self._reader = FrameReader(setting.calibration)
         self._outputs = {

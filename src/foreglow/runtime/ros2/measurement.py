@@ -98,6 +98,7 @@ class Network:
         self.processes: dict[str, Process] = {}
         self.commands: list[Command] = []
         self._config = config
+        self._keeps_results = keeps_results
         self._answers: dict[Header, Answer] = {}
         self._by_time: dict[int, Answer] = {}
         self._closing = contextlib.ExitStack()
@@ -110,7 +111,7 @@ class Network:
                 self.processes[name] = Process(name, arguments)
                 self._closing.callback(self.processes[name].wait)
                 self._closing.callback(self.processes[name].end)
-            self._join(keeps_results)
+            self._join()
         except BaseException:
             self._closing.close()
             raise
@@ -172,13 +173,13 @@ class Network:
         """The network's clock."""
         return int(self._ros.get_clock().now().nanoseconds)
 
-    def _join(self, keeps_results: bool) -> None:
+    def _join(self) -> None:
         self._ros = make_ros_node("source")
         self._closing.callback(rclpy.shutdown)
         self._closing.callback(self._ros.destroy_node)
         self._publisher = FramePublisher(self._ros)
         takers = {topics.BEAM: self._take_beam, topics.TIMING: self._take_timing}
-        if keeps_results:
+        if self._keeps_results:
             takers |= {
                 topics.DETECTIONS: self._take_detections,
                 topics.RANGES: self._take_ranges,
@@ -200,6 +201,8 @@ class Network:
         return answer
 
     def _is_done(self, answer: Answer) -> bool:
+        if self._keeps_results and (answer.detections is None or answer.tracks is None):
+            return False
         return answer.beam is not None and len(answer.times_ms) == len(self.processes)
 
     def _spin_until(self, is_done: Callable[[], bool], duration_s: float) -> None:

@@ -97,7 +97,13 @@ class FrameNode(ABC, Generic[Inputs]):
     """
 
     def __init__(
-        self, name: str, exact: Sequence[str], sampled: Sequence[str] = (), *, ros_arguments: Sequence[str] = ()
+        self,
+        name: str,
+        exact: Sequence[str],
+        sampled: Sequence[str] = (),
+        *,
+        ros_arguments: Sequence[str] = (),
+        patience_s: float | None = None,
     ) -> None:
         """Joins the network.
 
@@ -107,12 +113,14 @@ class FrameNode(ABC, Generic[Inputs]):
                 input, of which only the newest message is kept.
             sampled: Topics with times of their own; a frame takes the latest message that is not later than itself.
             ros_arguments: The command line from `--ros-args` on: names, namespace, remappings.
+            patience_s: How long a frame waits for messages on sampled topics; None for `Join.PATIENCE_NS`.
         """
         self.ros = make_ros_node(name, ros_arguments)
         self.name = name
         self.faults: set[str] = set()
         self.num_frames = 0
-        self._join = Join(exact, sampled)
+        patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
+        self._join = Join(exact, sampled, patience_ns=patience_ns)
         self._sequence: str | None = None
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._slowest_ms: dict[str, float] = {}

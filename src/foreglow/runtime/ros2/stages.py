@@ -39,6 +39,7 @@ class Setting(NamedTuple):
         calibration: The camera; None where `CameraInfo` and mount come as messages.
         can: The bus for beam commands; None without one.
         deadline_s: Longest time without input before low beam; None for just under two frames.
+        patience_s: How long a frame waits for the vehicle's data that belong to it; None for `Join.PATIENCE_NS`.
         ros_arguments: The command line from `--ros-args` on.
     """
 
@@ -46,6 +47,7 @@ class Setting(NamedTuple):
     calibration: Camera | None = None
     can: CanBus | None = None
     deadline_s: float | None = None
+    patience_s: float | None = None
     ros_arguments: Sequence[str] = ()
 
     @property
@@ -134,6 +136,7 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
             (topics.DETECTIONS, topics.IMAGE, *exact),
             (*sampled, topics.TWIST, topics.ATTITUDE, topics.ROAD),
             ros_arguments=setting.ros_arguments,
+            patience_s=setting.patience_s,
         )
         self._threshold = setting.config.classifier.score_threshold
         self._estimator = Stages(setting.config).estimator
@@ -167,7 +170,11 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
     def __init__(self, setting: Setting) -> None:
         exact, sampled = setting.camera_topics
         super().__init__(
-            "tracking", (topics.RANGES, *exact), (*sampled, topics.TWIST), ros_arguments=setting.ros_arguments
+            "tracking",
+            (topics.RANGES, *exact),
+            (*sampled, topics.TWIST),
+            ros_arguments=setting.ros_arguments,
+            patience_s=setting.patience_s,
         )
         self._threshold = setting.config.classifier.score_threshold
         self._tracker = needed("tracker.method", Stages(setting.config).tracker)
@@ -203,7 +210,7 @@ class CommandingNode(FrameNode[Inputs]):
         """Joins the network; subscribes to the camera's topics, too."""
         camera_exact, camera_sampled = setting.camera_topics
         exact, sampled = (*exact, *camera_exact), (*camera_sampled, *sampled)
-        super().__init__(name, exact, sampled, ros_arguments=setting.ros_arguments)
+        super().__init__(name, exact, sampled, ros_arguments=setting.ros_arguments, patience_s=setting.patience_s)
         self._reader = FrameReader(setting.calibration)
         self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
