@@ -1,4 +1,4 @@
-"""How well `calibrate auto` finds the mount: `python -m benchmarks.auto_calibration [--drives N] [--out DIR]`.
+"""How well `calibrate auto` finds the mount: `python -m benchmarks.auto_calibration [--drives N] [--seed N]`.
 
 Drives of the standard mixture, each with another mount of the camera, are rendered small and exposed for five camera
 profiles; a command that was stopped goes on with the first drive that is missing. `--splits` takes splits that were
@@ -41,7 +41,9 @@ from foreglow.lab.simulation.scenes.draw import Draw
 from foreglow.lab.studies.distance.lights import SimulatedLights
 
 PROFILES = ("dashcam", "town_dashcam", "phone", "action_cam", "webcam")
-SEED = 4022
+SEED = 4023
+"""Of drives that nothing was set by; the least standard deviations were set by those of seed 4022."""
+
 SPLIT: Literal["test"] = "test"
 SIZE_PX = (640, 480)
 RATE_HZ = 4.0
@@ -51,9 +53,9 @@ PAIR_S = 0.06
 QUALITY = "fast"
 
 
-def mounted(scene: Scene, number: int) -> Scene:
+def mounted(scene: Scene, seed: int, number: int) -> Scene:
     """`scene` with a camera that someone has fixed without a level."""
-    draw = Draw(SEED, number)
+    draw = Draw(seed, number)
     mount = {
         "pitch_deg": draw.uniform(-4.0, 3.0),
         "yaw_deg": draw.uniform(-3.0, 3.0),
@@ -70,12 +72,14 @@ def small(profile: CameraProfile) -> CameraProfile:
     return profile.model_copy(update={"view": profile.view.model_copy(update=view)})
 
 
-def render(out: Path, num_scenes: int) -> list[Path]:
+def render(out: Path, num_scenes: int, seed: int) -> list[Path]:
     """The splits of all profiles, rendered where they are missing."""
-    drawn = draw_scenes(num_scenes, SEED, SPLIT, "standard")
-    scenes = [adapted(mounted(scene, number), SIZE_PX, RATE_HZ, "night", PAIR_S) for number, scene in enumerate(drawn)]
+    drawn = draw_scenes(num_scenes, seed, SPLIT, "standard")
+    scenes = [
+        adapted(mounted(scene, seed, number), SIZE_PX, RATE_HZ, "night", PAIR_S) for number, scene in enumerate(drawn)
+    ]
     profiles = tuple(small(profile) for profile in read_profiles(",".join(PROFILES)))
-    config = DatasetConfig.of(seed=SEED, split=SPLIT, cycle="night", quality=QUALITY)
+    config = DatasetConfig.of(seed=seed, split=SPLIT, cycle="night", quality=QUALITY)
     targets = [Target(out / profile.name, config.exposed_for(profile)) for profile in profiles]
     expose = functools.partial(drive_exposures, profiles=profiles, num_variants=1, quality=QUALITY)
     with SceneProgress(len(scenes), sum(scene.num_frames for scene in scenes)) as progress:
@@ -172,11 +176,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=40, help="number of drives, shared by profiles or splits")
+    parser.add_argument("--seed", type=int, default=SEED, help="of the drives that are rendered")
     parser.add_argument("--splits", type=Path, nargs="+", help="splits that were simulated before")
     parser.add_argument("--out", type=Path, default=RESULTS / "auto_calibration")
     given = parser.parse_args()
     per_split = -(-given.drives // len(given.splits or PROFILES))
-    roots = given.splits or render(given.out, per_split)
+    roots = given.splits or render(given.out, per_split, given.seed)
     drives = [drive for root in roots for drive in sorted((root / "images").iterdir())[:per_split]]
     drives.sort(key=lambda drive: drive.name)  # a few of each profile if it is stopped
     rows = judged(drives, given.out / "drives.jsonl")

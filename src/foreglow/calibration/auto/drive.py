@@ -132,11 +132,11 @@ MAX_POINT_SIGMA = 0.05
 
 NUM_VOTERS = 40
 
-LINES_FLOOR_DEG = (0.14, 0.1)
-FLOW_FLOOR_DEG = (0.6, 0.6)
-"""Least standard deviations of yaw and pitch: of the lines, since roads bend, rise and bank, as found on 41 simulated
-drives; of the flow, since the light on the road goes with the car, and a camera in front of the rear axle moves
-sideways in a bend."""
+LINES_FLOOR_DEG = (0.14, 0.18)
+FLOW_FLOOR_DEG = (2.0, 0.6)
+"""Least standard deviations of yaw and pitch, as found on simulated drives: of the lines, since roads bend, rise and
+bank; of the flow, since the light on the road goes with the car, and a camera in front of the rear axle moves sideways
+in a bend."""
 
 MAX_YAW_RATE_RADPS = math.radians(3.0)
 """In sharper bends, the flow is not used for the direction."""
@@ -212,16 +212,14 @@ def calibrate_drive(
             f"{name}: expected a drive on which the road shows, streaks of snow or rain hide it in {num_streaked} of "
             f"{len(drive.segments)} frames"
         )
-    estimates = [
-        _Estimate.of(directions, floors_deg)
-        for directions, floors_deg in ((lines, LINES_FLOOR_DEG), (flows, FLOW_FLOOR_DEG))
-        if len(directions) >= MIN_DIRECTIONS
-    ]
-    if not estimates:
+    if len(lines) < MIN_DIRECTIONS:  # the flow alone tells the yaw too badly
         raise ValueError(
-            f"{name}: expected lane markings or moving lights in at least {MIN_DIRECTIONS} frames, the way ahead shows "
-            f"in {max(len(lines), len(flows))} of {len(drive.segments)}"
+            f"{name}: expected lane markings or edges of the road in at least {MIN_DIRECTIONS} frames, they show in "
+            f"{len(lines)} of {len(drive.segments)}"
         )
+    estimates = [_Estimate.of(lines, LINES_FLOOR_DEG)]
+    if len(flows) >= MIN_DIRECTIONS:
+        estimates.append(_Estimate.of(flows, FLOW_FLOOR_DEG))
     both = _joined(estimates)
     yaw_deg, pitch_deg = _angles_deg(both.point)
     yaw_sigma_deg, pitch_sigma_deg = np.degrees(both.sigmas).tolist()
