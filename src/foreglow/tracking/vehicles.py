@@ -10,7 +10,7 @@ New tracks that are near to each other by (1), also through others, begin one ve
 
 A vehicle is confirmed by the rule that would confirm a track, with the best score of its tracks in each frame: what is
 lit together is no independent evidence, and the best is not lost when a light moves on to another track. The tracks of
-a confirmed vehicle are plausible, except those whose own scores speak against light.
+a confirmed vehicle are plausible, except those whose own scores speak against light; its leading track always is.
 """
 
 from __future__ import annotations
@@ -128,9 +128,11 @@ class VehicleGroups:
         if states.is_plausible.any():
             self._plausible_s = now_s
         is_light = tracks.confidences > self._neutral_score
-        is_plausible = states.is_plausible[vehicles] & is_light
-        is_lamp = is_plausible & (direct_of_kinds(tracks.light_kinds) > 0.5)
+        is_confirmed = states.is_plausible[vehicles]
+        is_lamp = is_confirmed & (direct_of_kinds(tracks.light_kinds) > 0.5)
         leading = _leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp)
+        is_plausible = is_confirmed & is_light
+        is_plausible[leading] = is_confirmed[leading]
         shown = vehicles[leading]
         is_hit = ~np.isnan(best[shown])
         seen = np.where(is_hit, TrackState.CONFIRMED, TrackState.COASTING)
@@ -138,7 +140,7 @@ class VehicleGroups:
             ids=states.ids[shown],
             states=np.where(states.is_plausible[shown], seen, TrackState.TENTATIVE),
             confidences=states.confidences[shown],
-            is_in_sight=np.isin(shown, vehicles[is_lamp]),
+            is_in_sight=np.isin(shown, vehicles[is_plausible & is_lamp]),
             of_tracks=vehicle_ids,
             leading=leading,
         )
