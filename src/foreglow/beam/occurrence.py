@@ -136,7 +136,7 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
 
 @lru_cache(maxsize=1)
 def _views(road: RoadAhead, ahead_m: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Arc lengths s, azimuths and ranges of P(s), and Q(s) with a 0 at its end: the same for all vehicles of a frame."""
+    """Arc lengths s, azimuths and ranges of P(s), and Q(s) with a 0 at its end: the same for all vehicles."""
     centre_m, normals = _line(road, ahead_m)
     places_m = PLACES_M[: (len(centre_m) - 2) // EVERY]
     targets = 1 + EVERY * np.arange(1, len(places_m) + 1)
