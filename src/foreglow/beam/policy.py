@@ -281,7 +281,7 @@ class ForeglowPolicy(BeamPolicy):
         for track_id, vehicle in zip(tracks.ids.tolist(), vehicles.tolist(), strict=True):
             if track_id in acted:
                 by_vehicle.setdefault(vehicle, {})[track_id] = acted[track_id]
-        gaps = {}
+        gaps: dict[int, Gap] = {}
         for vehicle, lights in by_vehicle.items():
             expected = self._expected(frame, lights.values())
             if expected is None:
