@@ -13,7 +13,7 @@ from foreglow.beam import POLICIES, Gap, make_policy, occurrence
 from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, brightness
 from foreglow.config import BeamConfig
 from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles
 from foreglow.types.kinds import kinds_of_direct
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
@@ -178,6 +178,39 @@ def test_without_a_road_the_light_is_the_place(road: RoadAhead | None) -> None:
 def test_light_is_explained_by_a_lamp_in_sight() -> None:
     both = policy().gaps(frame(0), tracks_at(0, LAMP, LIGHT))
     assert both == policy().gaps(frame(0), tracks_at(0, LAMP))
+
+
+def of_vehicles(tracks: Tracks, *of_tracks: int, confidence: float) -> Tracks:
+    """The tracks as those of vehicles that are this sure, each led by its first track."""
+    ids, leading = np.unique(of_tracks, return_index=True)
+    vehicles = Vehicles(
+        ids=ids,
+        states=np.full(len(ids), CONFIRMED, np.int64),
+        confidences=np.full(len(ids), confidence),
+        is_in_sight=np.zeros(len(ids), np.bool_),
+        of_tracks=np.array(of_tracks),
+        leading=leading,
+    )
+    return dataclasses.replace(tracks, vehicles=vehicles)
+
+
+@pytest.mark.parametrize(("confidence", "num_gaps"), [(0.6, 1), (CONFIG.min_hidden_confidence - 0.01, 0)])
+def test_a_vehicle_is_as_sure_as_all_its_light_together(confidence: float, num_gaps: int) -> None:
+    """Its leading track alone is not."""
+    tracks = tracks_at(0, LIGHT._replace(confidence=0.3), LIGHT._replace(confidence=0.3, state=TENTATIVE, number=2))
+    assert not policy().gaps(frame(0), tracks)
+    assert len(policy().gaps(frame(0), of_vehicles(tracks, 4, 4, confidence=confidence))) == num_gaps
+
+
+def test_each_hidden_vehicle_has_a_gap_of_its_own_and_keeps_it_for_a_while() -> None:
+    near, far = LIGHT, LIGHT._replace(range_m=150.0, number=2)
+    of_near, of_far = policy().gaps(frame(0), tracks_at(0, near)), policy().gaps(frame(0), tracks_at(0, far))
+    assert of_near != of_far
+    made = policy()
+    assert made.gaps(frame(0), of_vehicles(tracks_at(0, near, far), 3, 7, confidence=0.9)) == of_near + of_far
+    assert made.gaps(frame(1), of_vehicles(tracks_at(1, far), 7, confidence=0.9)) == of_far + of_near
+    assert made.gaps(frame(20), of_vehicles(tracks_at(20, far), 7, confidence=0.9)) == of_far
+    assert policy().gaps(frame(0), of_vehicles(tracks_at(0, near, far), 3, 3, confidence=0.9)) == of_far
 
 
 def test_more_coverage_is_a_wider_gap() -> None:

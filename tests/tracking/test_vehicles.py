@@ -69,6 +69,18 @@ def test_what_speaks_against_light_is_not_plausible_beside_a_vehicle() -> None:
     assert tracks.is_plausible.tolist() == [True, False]
 
 
+def test_a_confirmed_vehicle_is_acted_on_by_its_leading_track_though_no_track_alone_is_sure() -> None:
+    """Two lights beside each other, of which one at a time is seen well: each scores .3 on average."""
+    frames = [
+        [(600, 400, 620, 416, left), (630, 400, 650, 416, right)]
+        for left, right in ((0.15, 0.15), (0.5, 0.15), (0.15, 0.5), (0.5, 0.15), (0.15, 0.5))
+    ]
+    tracks = followed(*frames)[-1]
+    assert (tracks.confidences < NEUTRAL.neutral_score).all()
+    assert vehicles_of(tracks).states.tolist() == [TrackState.CONFIRMED]
+    assert np.flatnonzero(tracks.is_plausible).tolist() == vehicles_of(tracks).leading.tolist()
+
+
 def test_the_best_score_counts_once_for_a_vehicle() -> None:
     """Ten boxes side by side are no more evidence than one."""
     row = [(100 + 30 * place, 400, 120 + 30 * place, 416, 0.5) for place in range(10)]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foreglow.geometry import Camera
+from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
 from foreglow.types import Frame, Tracks
 
@@ -41,7 +41,7 @@ class Bearing:
         range_m: Range; NaN where unknown.
         sigma_m: Its standard deviation; infinite where it is unknown.
         direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
-        confidence: The greatest confidence that the track ever had.
+        confidence: The greatest confidence that the track ever had; that of its vehicle while it leads it, if greater.
         is_plausible: Whether the track may be acted on.
         is_leaving: Whether its box is at the left or the right border of the image, or will be within `LEAVING_S`.
     """
@@ -86,7 +86,7 @@ class Bearings:
             tracks.ranges_m.tolist(),
             tracks.sigmas_m.tolist(),
             tracks.direct_probabilities.tolist(),
-            tracks.confidences.tolist(),
+            _confidences(tracks).tolist(),
             tracks.is_plausible.tolist(),
             tracks.boxes_xyxy_px[:, ::2].tolist(),
             strict=True,
@@ -117,6 +117,16 @@ class Bearings:
         lefts, rights = np.arctan2(left, forward).reshape(2, -1)
         elevations = np.arcsin(up[: len(boxes)])
         return (0.5 * (lefts + rights)).tolist(), elevations.tolist(), (0.5 * (lefts - rights)).tolist()
+
+
+def _confidences(tracks: Tracks) -> Floats:
+    """Those of `tracks`; a track that leads its vehicle is as sure as the vehicle is."""
+    vehicles = tracks.vehicles
+    if vehicles is None:
+        return tracks.confidences
+    confidences = tracks.confidences.copy()
+    confidences[vehicles.leading] = np.maximum(confidences[vehicles.leading], vehicles.confidences)
+    return confidences
 
 
 def _from_origin(camera: Camera, azimuth_rad: float, range_m: float) -> tuple[float, float]:

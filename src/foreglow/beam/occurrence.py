@@ -40,6 +40,7 @@ Source: our own; decision 10 has the drives on which the constants were chosen.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -124,13 +125,21 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
         speed_mps: Ours; 0 where unknown.
     """
     ahead_m = max(speed_mps, 0.0) * AHEAD_S
-    centre_m, normals = _line(road, ahead_m)
-    places_m = PLACES_M[: (len(centre_m) - 2) // EVERY]
-    targets = 1 + EVERY * np.arange(1, len(places_m) + 1)
+    places_m, azimuths, ranges_m, in_view = _views(road, ahead_m)
     lead_m = light_range_m + MIN_LEAD_M - ahead_m - OTHER_MPS * AHEAD_S  # (5)
     is_beyond = places_m >= (-math.inf if math.isnan(lead_m) else lead_m)
     if not is_beyond.any():
         return None
+    weights = (in_view[:-1] - in_view[1:] + EPSILON)[is_beyond]  # (4)
+    return Occurrence(azimuths[is_beyond], ranges_m[is_beyond], weights / weights.sum())
+
+
+@lru_cache(maxsize=1)
+def _views(road: RoadAhead, ahead_m: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Arc lengths s, azimuths and ranges of P(s), and Q(s) with a 0 at its end: the same for all vehicles."""
+    centre_m, normals = _line(road, ahead_m)
+    places_m = PLACES_M[: (len(centre_m) - 2) // EVERY]
+    targets = 1 + EVERY * np.arange(1, len(places_m) + 1)
     eye_m = centre_m[1, :2] - normals[1] * (normals[0] @ centre_m[0, :2])
     lanes_m = centre_m[targets, :2] + 0.5 * road.half_width_m * normals[targets]  # (1)
     beside_m, above_m = _clearances(centre_m[1:], targets - 1, eye_m, lanes_m)
@@ -140,11 +149,10 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
         * _normal((FAR_M - places_m) / FAR_SIGMA_M)
     )  # (3)
     in_view = np.append(np.maximum.accumulate(in_view[::-1])[::-1], 0.0)
-    weights = (in_view[:-1] - in_view[1:] + EPSILON)[is_beyond]  # (4)
-    forward, left = (lanes_m - eye_m)[is_beyond].T
+    forward, left = (lanes_m - eye_m).T
     (nx, ny), (nx_now, ny_now) = normals[1], normals[0]
     turned_rad = math.atan2(nx_now * ny - ny_now * nx, nx_now * nx + ny_now * ny)
-    return Occurrence(np.arctan2(left, forward) - turned_rad, np.hypot(left, forward), weights / weights.sum())  # (6)
+    return places_m, np.arctan2(left, forward) - turned_rad, np.hypot(left, forward), in_view  # (6)
 
 
 def _line(road: RoadAhead, ahead_m: float) -> tuple[Floats, Floats]:
@@ -153,12 +161,10 @@ def _line(road: RoadAhead, ahead_m: float) -> tuple[Floats, Floats]:
     arcs_m = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
     arcs_m -= arcs_m[int((x * x + y * y).argmin())]
     wanted_m = np.append(0.0, np.arange(ahead_m, min(arcs_m[-1], ahead_m + PLACES_M[-1]) + 1e-6, STEP_M))
-    before_m, points_m, after_m = (
-        np.stack([np.interp(wanted_m + shift_m, arcs_m, axis_m) for axis_m in road.points_m.T], axis=1)
-        for shift_m in (-1.0, 0.0, 1.0)
-    )
-    forward, left = (after_m - before_m)[:, :2].T
-    return points_m, np.stack([-left, forward], axis=1) / np.hypot(forward, left)[:, None]
+    wanted_m = wanted_m + np.array([[-1.0], [0.0], [1.0]])
+    points_m = np.stack([np.interp(wanted_m, arcs_m, axis_m) for axis_m in road.points_m.T], axis=-1)
+    forward, left = (points_m[2] - points_m[0])[:, :2].T
+    return points_m[1], np.stack([-left, forward], axis=1) / np.hypot(forward, left)[:, None]
 
 
 def _clearances(centre_m: Floats, targets: NDArray[np.int64], eye_m: Floats, lanes_m: Floats) -> tuple[Floats, Floats]:

@@ -46,7 +46,7 @@ EXPLAINED_S = 3.0
 until then what reflects it has passed us as well."""
 
 HIDDEN = -1
-"""Stands for the track id in a gap for a hidden vehicle; smaller numbers stand for further such gaps."""
+"""The key of a hidden vehicle's gap is this less the id of the vehicle, or of the track whose light the gap is at."""
 
 
 class BeamPolicy(Protocol):
@@ -147,7 +147,9 @@ class PaperPolicy(BeamPolicy):
 
 
 class ForeglowPolicy(BeamPolicy):
-    """Our policy: a gap for every tracked lamp, and one where a vehicle is expected that shows only by its light.
+    """Our policy: a gap for every tracked lamp, and one where each vehicle is expected that shows only by its light.
+
+    A vehicle is acted on as soon as it is confirmed, by its leading track, however sure each of its tracks is.
 
     * The gap of a lamp leads it by the latency, and covers the whole vehicle. Rear lamps count as front lamps: mirrors
       dazzle, too.
@@ -224,9 +226,7 @@ class ForeglowPolicy(BeamPolicy):
                 believed = self._questions.believed(now_ns, unexplained, is_open=is_open)
                 self._dips = [self._light_gap(bearing) for bearing in self._questions.dipped(now_ns, bearings)]
                 unexplained = believed
-        self._held |= {
-            HIDDEN - number: (now_ns, gap) for number, gap in enumerate(self._hidden_gaps(frame, unexplained.values()))
-        }
+        self._held |= {key: (now_ns, gap) for key, gap in self._hidden_gaps(frame, tracks, unexplained).items()}
         for track_id, (since_ns, gap) in held.items():
             if track_id not in self._held and track_id not in passed and 0 <= now_ns - since_ns <= self._hold_ns:
                 self._held[track_id] = since_ns, gap
@@ -269,23 +269,39 @@ class ForeglowPolicy(BeamPolicy):
         lead_rad = bearing.rate_radps * self._config.latency_s
         return gap._replace(right_rad=gap.right_rad + min(lead_rad, 0.0), left_rad=gap.left_rad + max(lead_rad, 0.0))
 
-    def _hidden_gaps(self, frame: Frame, acted: Collection[Bearing]) -> list[Gap]:
-        """The gap for a hidden vehicle, if there is light but no lamp in sight."""
-        if any(bearing.direct > self._config.min_direct for bearing in acted):
-            return []
-        if not acted:
-            return []
-        if frame.road is not None:
-            ranges_m = [bearing.range_m - bearing.sigma_m for bearing in acted if not math.isnan(bearing.range_m)]
-            speed_mps = 0.0 if frame.motion is None else frame.motion.speed_mps
-            expected = self.expected = occurrence(frame.road, max(ranges_m, default=math.nan), speed_mps)
-            if expected is not None:
-                tail = 0.5 * (1.0 - self._config.coverage)
-                right, left = expected.quantiles_rad((tail, 1.0 - tail))
-                near_m = expected.nearest_m(tail)
-                half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
-                return [Gap(right - half_rad, left + half_rad, near_m, math.inf)]
-        return [self._light_gap(bearing) for bearing in acted]
+    def _hidden_gaps(self, frame: Frame, tracks: Tracks, acted: Mapping[int, Bearing]) -> dict[int, Gap]:
+        """A gap for each hidden vehicle, if there is light but no lamp in sight; their keys are `HIDDEN` or smaller.
+
+        Where no vehicles are known, all light is one vehicle's.
+        """
+        if any(bearing.direct > self._config.min_direct for bearing in acted.values()):
+            return {}
+        vehicles = np.zeros(len(tracks), np.int64) if tracks.vehicles is None else tracks.vehicles.of_tracks
+        by_vehicle: dict[int, dict[int, Bearing]] = {}
+        for track_id, vehicle in zip(tracks.ids.tolist(), vehicles.tolist(), strict=True):
+            if track_id in acted:
+                by_vehicle.setdefault(vehicle, {})[track_id] = acted[track_id]
+        gaps: dict[int, Gap] = {}
+        for vehicle, lights in by_vehicle.items():
+            expected = self._expected(frame, lights.values())
+            if expected is None:
+                gaps |= {HIDDEN - track_id: self._light_gap(bearing) for track_id, bearing in lights.items()}
+                continue
+            self.expected = self.expected or expected
+            tail = 0.5 * (1.0 - self._config.coverage)
+            right, left = expected.quantiles_rad((tail, 1.0 - tail))
+            near_m = expected.nearest_m(tail)
+            half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
+            gaps[HIDDEN - vehicle] = Gap(right - half_rad, left + half_rad, near_m, math.inf)
+        return gaps
+
+    def _expected(self, frame: Frame, lights: Collection[Bearing]) -> Occurrence | None:
+        """Where the vehicle of these lights will come into sight; None without a road."""
+        if frame.road is None:
+            return None
+        ranges_m = [bearing.range_m - bearing.sigma_m for bearing in lights if not math.isnan(bearing.range_m)]
+        speed_mps = 0.0 if frame.motion is None else frame.motion.speed_mps
+        return occurrence(frame.road, max(ranges_m, default=math.nan), speed_mps)
 
     def _light_gap(self, bearing: Bearing) -> Gap:
         return _around(bearing, bearing.half_width_rad + self._margin_rad)

@@ -290,8 +290,8 @@ class BeamConfig(FrozenModel):
         led_limit_lx: Largest illuminance by a single LED at the eyes that a gap protects.
         coverage: The gap for a hidden vehicle covers this share of the probability of where it will appear.
         min_direct: A track is taken for a lamp in sight, front or rear, if its probability of that is above this.
-        min_confidence: A gap for a lamp opens when its track has this confidence.
-        min_hidden_confidence: A gap for a hidden vehicle opens when the track of its light has this confidence.
+        min_confidence: A gap for a lamp opens when its track, or the vehicle that it leads, has this confidence.
+        min_hidden_confidence: The same for a hidden vehicle, by the track of its light.
         hold_s: A gap stays so long after its track was last seen, and an LED stays dark so long after its gap has gone.
         restore_s: Time in which an LED brightens from off to full.
         ask: Whether a shallow, short dip asks of light without a lamp in sight if it is our own, before a gap opens.

@@ -142,8 +142,9 @@ class EvidenceRule:
         """As `ConfirmationRule.update`."""
         with np.errstate(divide="ignore"):
             logits = np.log(observed.scores) - np.log1p(-observed.scores)
-        hits = np.clip(logits, -MAX_SCORE_EVIDENCE, MAX_SCORE_EVIDENCE) - self._neutral  # (1)
-        evidence = np.clip(memory[:, 0] + np.where(np.isnan(hits), self._miss, hits), 0.0, MAX_EVIDENCE)  # (3)
+        hits = np.minimum(np.maximum(logits, -MAX_SCORE_EVIDENCE), MAX_SCORE_EVIDENCE) - self._neutral  # (1)
+        evidence = memory[:, 0] + np.where(np.isnan(hits), self._miss, hits)
+        evidence = np.minimum(np.maximum(evidence, 0.0), MAX_EVIDENCE)  # (3)
         is_second = observed.since_plausible_s <= self._company_s
         needed = self._confirm + (self._company if is_second else 0.0)
         return evidence[:, None], (evidence > needed) | (observed.was_plausible & (evidence > self._reject))  # (4)

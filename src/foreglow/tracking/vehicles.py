@@ -10,7 +10,7 @@ New tracks that are near to each other by (1), also through others, begin one ve
 
 A vehicle is confirmed by the rule that would confirm a track, with the best score of its tracks in each frame: what is
 lit together is no independent evidence, and the best is not lost when a light moves on to another track. The tracks of
-a confirmed vehicle are plausible, except those whose own scores speak against light.
+a confirmed vehicle are plausible, except those whose own scores speak against light; its leading track always is.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class VehicleGroups:
             scores: Shape (M,), of their detections, as evidence; NaN where a track was missed.
         """
         vehicle_ids = self._vehicles_of(now_s, tracks.ids, corners(tracks.values))
-        states = self._states = self._states.of(np.unique(self._lights.vehicle_ids), self._rule.memory_size)
+        states = self._states
         vehicles = states.ids.searchsorted(vehicle_ids)
         best = np.full(len(states.ids), np.nan)
         np.fmax.at(best, vehicles, scores)
@@ -128,23 +128,27 @@ class VehicleGroups:
         if states.is_plausible.any():
             self._plausible_s = now_s
         is_light = tracks.confidences > self._neutral_score
-        is_plausible = states.is_plausible[vehicles] & is_light
-        is_lamp = is_plausible & (direct_of_kinds(tracks.light_kinds) > 0.5)
+        is_confirmed = states.is_plausible[vehicles]
+        is_lamp = is_confirmed & (direct_of_kinds(tracks.light_kinds) > 0.5)
         leading = _leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp)
+        is_plausible = is_confirmed & is_light
+        is_plausible[leading] = is_confirmed[leading]
         shown = vehicles[leading]
+        is_in_sight = np.zeros(len(states.ids), np.bool_)
+        is_in_sight[vehicles[is_plausible & is_lamp]] = True
         is_hit = ~np.isnan(best[shown])
         seen = np.where(is_hit, TrackState.CONFIRMED, TrackState.COASTING)
         return is_plausible, Vehicles(
             ids=states.ids[shown],
             states=np.where(states.is_plausible[shown], seen, TrackState.TENTATIVE),
             confidences=states.confidences[shown],
-            is_in_sight=np.isin(shown, vehicles[is_lamp]),
+            is_in_sight=is_in_sight[shown],
             of_tracks=vehicle_ids,
             leading=leading,
         )
 
     def _vehicles_of(self, now_s: float, track_ids: NDArray[np.int64], boxes_xyxy_px: Floats) -> NDArray[np.int64]:
-        """The id of each track's vehicle, shape (M,); remembers where the light of each is."""
+        """The id of each track's vehicle, shape (M,); remembers where the light of each is, and which there are."""
         lights = self._lights
         num_old = int(track_ids.searchsorted(lights.track_ids[-1], "right")) if len(lights.track_ids) else 0
         rows = lights.track_ids.searchsorted(track_ids[:num_old])
@@ -157,7 +161,9 @@ class VehicleGroups:
             new = boxes_xyxy_px[num_old:]
             begun = self._joining(lights, new)
             lights = lights.joined(_Lights(track_ids[num_old:], begun, new, np.full(len(new), now_s)))
-        self._lights = lights
+        if lights is not self._lights:
+            self._lights = lights
+            self._states = self._states.of(np.unique(lights.vehicle_ids), self._rule.memory_size)
         return lights.vehicle_ids[lights.track_ids.searchsorted(track_ids)]
 
     def _joining(self, lights: _Lights, boxes_xyxy_px: Floats) -> NDArray[np.int64]:
@@ -182,8 +188,10 @@ def _leading(
 ) -> NDArray[np.int64]:
     """The index of each vehicle's leading track, shape (V,), in the order of `vehicles`, shape (M,); see `Vehicles`."""
     nearness = np.where(is_lamp, -ranges_m, ranges_m)
-    order = np.lexsort((nearness, ~np.isnan(ranges_m), is_lamp, is_light, vehicles))[::-1]
-    return order[np.unique(vehicles[order], return_index=True)[1]]
+    order = np.lexsort((nearness, ~np.isnan(ranges_m), is_lamp, is_light, vehicles))
+    is_last = np.ones(len(order), np.bool_)
+    is_last[:-1] = np.diff(vehicles[order]) > 0
+    return order[is_last]
 
 
 def gaps_between(boxes_xyxy: Floats, others_xyxy: Floats) -> Floats:

@@ -49,7 +49,7 @@ class Vehicles:
             object.__setattr__(self, name, frozen_view(array))
         if not (self.ids[1:] > self.ids[:-1]).all():
             raise ValueError(f"Vehicles.ids: expected ascending numbers, got {self.ids.tolist()}")
-        if self.of_tracks.ndim != 1 or not np.isin(self.of_tracks, self.ids).all():
+        if self.of_tracks.ndim != 1 or not set(self.of_tracks.tolist()) <= set(self.ids.tolist()):
             raise ValueError(f"Vehicles.of_tracks: expected ids of vehicles, got {self.of_tracks.tolist()}")
         is_index = (self.leading >= 0) & (self.leading < len(self.of_tracks))
         if not is_index.all() or (self.of_tracks[self.leading] != self.ids).any():
