@@ -1,4 +1,4 @@
-"""Every stage of the detector on one frame, and the road in the image."""
+"""Every stage of the detector on one frame."""
 
 from __future__ import annotations
 
@@ -10,38 +10,8 @@ import pytest
 
 from foreglow.config import preset
 from foreglow.datasets import shipped_drive
-from foreglow.geometry import Camera, Pose
-from foreglow.lab.reports.stage_picture import road_px
 from foreglow.proposals import ReferenceProposer
-from foreglow.types import RoadAhead
 from tests.cli.commands import PNG, complaint, foreglow_command
-
-HEIGHT_M, FOCAL_PX, HALF_WIDTH_M = 1.5, 1000.0, 3.5
-
-
-def camera(yaw: np.ndarray | None = None) -> Camera:
-    mount = Pose(np.array([0.0, 0.0, HEIGHT_M]), np.eye(3) if yaw is None else yaw)
-    return Camera(1280, 960, (FOCAL_PX, FOCAL_PX), (640.0, 480.0), (0.0,) * 5, mount)
-
-
-def straight(*ahead_m: float) -> RoadAhead:
-    return RoadAhead(np.array([[x, 0.0, 0.0] for x in ahead_m]), HALF_WIDTH_M)
-
-
-def test_the_edges_of_a_straight_flat_road_run_to_the_vanishing_point() -> None:
-    left, right = road_px(camera(), straight(10.0, 50.0, 1e6))
-    for index, ahead_m in enumerate((10.0, 50.0)):
-        across_px, down_px = FOCAL_PX * HALF_WIDTH_M / ahead_m, FOCAL_PX * HEIGHT_M / ahead_m
-        np.testing.assert_allclose(left[index], [640.0 - across_px, 480.0 + down_px])
-        np.testing.assert_allclose(right[index], [640.0 + across_px, 480.0 + down_px])
-    np.testing.assert_allclose([left[2], right[2]], [[640.0, 480.0]] * 2, atol=0.01)
-
-
-def test_what_is_beside_or_behind_us_is_not_in_the_image() -> None:
-    left, right = road_px(camera(), straight(-5.0, 0.5, 2.0, 30.0))
-    assert np.isnan(left[:3]).all()
-    assert np.isnan(right[:3]).all()
-    assert np.isfinite([left[3], right[3]]).all()
 
 
 def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:

@@ -67,6 +67,13 @@ def box_plot(
     return boxes
 
 
+def show_image(axes: Any, image: NDArray[Any], title: str, **how: Any) -> None:
+    """Shows a picture with its title, and without axes; `how` is passed on to matplotlib's `imshow`."""
+    axes.imshow(image, cmap="gray", interpolation="antialiased", **how)
+    axes.set_title(title, fontsize=10)
+    axes.set_axis_off()
+
+
 def legend_above(figure: Any, axes: Any, **options: Any) -> None:
     """Puts the legend of `axes` above all axes, in one row unless `options` say otherwise."""
     handles, labels = axes.get_legend_handles_labels()

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import PipelineConfig
-from foreglow.geometry import Camera, Floats
-from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, png
+from foreglow.geometry import Floats
+from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, png, show_image
+from foreglow.lab.reports.road_picture import show_road
 from foreglow.proposals import ReferenceProposer
 from foreglow.proposals.reference import Verdict
-from foreglow.types import Frame, FrameResult, RoadAhead
+from foreglow.types import Frame, FrameResult
 
 VERDICTS: dict[Verdict, tuple[str, str]] = {
     "kept": ("kept", AMBER),
@@ -25,10 +26,6 @@ VERDICTS: dict[Verdict, tuple[str, str]] = {
 GAMMA = 0.4
 """Working images are shown with this exponent: most of a night frame is dark."""
 
-NEAREST_M = 1.0
-"""Points of the road that are less far in front of the camera are not drawn."""
-
-ROAD = "#4fc3f7"
 PANEL_IN = (4.2, 3.3)
 
 
@@ -48,12 +45,12 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     figure = Figure(figsize=(3 * PANEL_IN[0], 3 * PANEL_IN[1]), layout="constrained")
     panels = iter(figure.subplots(3, 3).flat)
 
-    _show(next(panels), frame.image, "frame", norm="asinh")
+    show_image(next(panels), frame.image, "frame", norm="asinh")
     _show_working(next(panels), stages.blurred, "I: reduced, stretched, blurred")
     _show_working(next(panels), stages.mean, "local mean of I")
     _show_working(next(panels), stages.threshold, "threshold T")
-    _show(next(panels), stages.binary, f"I > T: {np.count_nonzero(stages.binary)} pixels")
-    _show(next(panels), _coloured(stages.labels), f"{int(stages.labels.max())} blobs")
+    show_image(next(panels), stages.binary, f"I > T: {np.count_nonzero(stages.binary)} pixels")
+    show_image(next(panels), _coloured(stages.labels), f"{int(stages.labels.max())} blobs")
     judged = proposer.judged(stages, frame.width_px)
     axes = next(panels)
     _show_working(axes, stages.blurred, f"{len(judged)} boxes: {len(result.proposals)} pass the filters")
@@ -67,31 +64,8 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     return png(figure)
 
 
-def road_px(camera: Camera, road: RoadAhead) -> tuple[Floats, Floats]:
-    """Left and right edge of the road in the image, each of shape (N, 2), full-frame pixels; NaN where out of sight."""
-    along = np.gradient(road.points_m, axis=0)
-    left = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
-    edges = []
-    for side in (1.0, -1.0):
-        offset_m = side * road.half_width_m
-        edge_m = road.points_m + np.column_stack([offset_m * left, offset_m * road.cross_slopes])
-        points = camera.vehicle_from_camera.to_body(edge_m)
-        pixels = np.full((len(points), 2), np.nan)
-        is_ahead = points[:, 0] >= NEAREST_M
-        pixels[is_ahead] = camera.project(points[is_ahead])
-        pixels[np.asarray(((pixels < 0) | (pixels >= [camera.width_px, camera.height_px])).any(axis=1))] = np.nan
-        edges.append(pixels)
-    return edges[0], edges[1]
-
-
-def _show(axes: Any, image: NDArray[Any], title: str, **how: Any) -> None:
-    axes.imshow(image, cmap="gray", interpolation="antialiased", **how)
-    axes.set_title(title, fontsize=10)
-    axes.set_axis_off()
-
-
 def _show_working(axes: Any, image: Floats, title: str) -> None:
-    _show(axes, np.clip(image, 0.0, 1.0) ** GAMMA, title, vmin=0.0, vmax=1.0)
+    show_image(axes, np.clip(image, 0.0, 1.0) ** GAMMA, title, vmin=0.0, vmax=1.0)
 
 
 def _coloured(labels: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -114,10 +88,10 @@ def _show_scores(axes: Any, frame: Frame, result: FrameResult, config: PipelineC
     """The proposals with their scores, and around accepted ones the part of the frame that the classifier sees."""
     detections = result.detections
     if detections is None:
-        _show(axes, frame.image, "no classifier", norm="asinh")
+        show_image(axes, frame.image, "no classifier", norm="asinh")
         return
     accepted = detections.is_accepted
-    _show(axes, frame.image, f"enlarged boxes and scores: {np.count_nonzero(accepted)} accepted", norm="asinh")
+    show_image(axes, frame.image, f"enlarged boxes and scores: {np.count_nonzero(accepted)} accepted", norm="asinh")
     boxes = detections.boxes_xyxy_px
     centres, sizes = boxes[:, :2] + (boxes[:, 2:] - boxes[:, :2]) // 2, boxes[:, 2:] - boxes[:, :2]
     support = OnnxClassifier(config.classifier).spec.support
@@ -134,6 +108,4 @@ def _show_road(axes: Any, frame: Frame) -> None:
     if frame.camera is None or frame.road is None:
         axes.set_axis_off()
         return
-    _show(axes, frame.image, "the road ahead, by the car's street data", norm="asinh")
-    for edge_px in road_px(frame.camera, frame.road):
-        axes.plot(edge_px[:, 0] - 0.5, edge_px[:, 1] - 0.5, color=ROAD, linewidth=1.2)
+    show_road(axes, frame.image, frame.camera, frame.road)

@@ -72,6 +72,9 @@ def test_six_moments_are_two_rows_and_show_the_dark_gap() -> None:
     assert picture.shape[1] == three.shape[1]
     assert picture.shape[0] - three.shape[0] > TILE_PX[1] / 2
     assert share_of(picture, BEAM_BGR) > share_of(three, BEAM_BGR) == 0.0
+    two = moments_picture(whole, its_frames, BOXES, 0.5, ("light", "sight"))
+    assert share_of(two, LIGHT_BGR) > 1e-3 < share_of(two, SIGHT_BGR)
+    assert two.shape[1] < 2.2 * TILE_PX[0] / 2
 
 
 def test_a_missed_vehicle_has_two_moments_and_no_green() -> None:

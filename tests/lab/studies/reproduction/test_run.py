@@ -198,6 +198,9 @@ def test_the_page(reproduced: Reproduced) -> None:
     files = {path.name: path.read_bytes() for path in (reproduced.out / "images").iterdir()}
     assert {base64.b64decode(data) for data in shown} == set(files.values())
     assert {"reproduction_7.png", "reproduction_8.png", "reproduction_9.png"} <= set(files)
+    own = re.findall(r"^Fig\. (\d+)\..*\n\n!\[.*\]\(images/reproduction_(\w+)\.", markdown, re.MULTILINE)
+    assert {"1", "3", "4", "12"} <= {number for number, _ in own}
+    assert all(number == file for number, file in own)
     record = json.loads((reproduced.out / "results.json").read_text())
     assert [found["id"] for found in record["claims"]] == [claim.id for claim in read_claims()]
 

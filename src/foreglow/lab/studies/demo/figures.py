@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,6 +47,9 @@ BEAM_BGR = (220, 130, 235)
 FADED_BGR = (112, 100, 90)
 """Colour of rejected boxes."""
 
+MOMENTS = ("light", "found", "confirmed", "dimmed", "sight", "reported")
+"""What may be shown of a story."""
+
 _FONT = cv2.FONT_HERSHEY_DUPLEX
 
 
@@ -70,20 +73,39 @@ class _Scene:
 
 
 def write_moments(
-    path: Path, story: Story, frames: Sequence[Frame], predictions: Predictions, threshold: float
+    path: Path,
+    story: Story,
+    frames: Sequence[Frame],
+    predictions: Predictions,
+    threshold: float,
+    names: Collection[str] = MOMENTS,
 ) -> None:
     """Writes the picture of `story` to `path`, as PNG.
 
     Raises:
         OSError: If the file cannot be written.
     """
-    picture = moments_picture(story, frames, predictions, threshold)
+    picture = moments_picture(story, frames, predictions, threshold, names)
     write_atomic(path, cv2.imencode(".png", picture)[1].tobytes())
 
 
-def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predictions, threshold: float) -> Picture:
-    """The picture of `story`; arguments as for `write_moments`."""
-    scenes = _scenes(story, frames, is_classified=predictions.is_scored)
+def moments_picture(
+    story: Story,
+    frames: Sequence[Frame],
+    predictions: Predictions,
+    threshold: float,
+    names: Collection[str] = MOMENTS,
+) -> Picture:
+    """The picture of `story`.
+
+    Args:
+        story: What happens.
+        frames: Those of all its moments.
+        predictions: Of the run; for the boxes.
+        threshold: Boxes with a score above this are accepted.
+        names: The moments to show, of `MOMENTS`.
+    """
+    scenes = _scenes(story, frames, names, is_classified=predictions.is_scored)
     num_columns, num_rows = min(len(scenes), NUM_COLUMNS), -(-len(scenes) // NUM_COLUMNS)
     width_px = 2 * MARGIN_PX + num_columns * TILE_PX[0] + (num_columns - 1) * GAP_PX
     row_px = TILE_PX[1] + CAPTION_PX
@@ -106,7 +128,7 @@ def moments_picture(story: Story, frames: Sequence[Frame], predictions: Predicti
     return np.asarray(cv2.resize(sheet, small, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> list[_Scene]:
+def _scenes(story: Story, frames: Sequence[Frame], names: Collection[str], *, is_classified: bool) -> list[_Scene]:
     looks = {
         "light": (first_words(story), LIGHT_BGR),
         "found": (found_word(is_classified), ACCEPTED_BGR),
@@ -117,6 +139,8 @@ def _scenes(story: Story, frames: Sequence[Frame], *, is_classified: bool) -> li
     }
     scenes = []
     for (name, moment), frame in zip(story.moments.items(), frames, strict=True):
+        if name not in names:
+            continue
         note = "" if name == "sight" else PLACES.get(moment.light.kind, f"on {moment.light.kind}")
         if name == "found" and not math.isnan(moment.score):
             note += f", score {moment.score:.2f}"

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from foreglow.beam.policy import brightness
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import (
     SPLIT_NAMES,
@@ -24,22 +21,18 @@ from foreglow.datasets import (
 from foreglow.datasets.pvdn import is_split
 from foreglow.display.summary_lines import counted as counted_words
 from foreglow.files import to_json, write_atomic, write_json_results
-from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.evaluation.ratios import share
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.models import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
-from foreglow.lab.studies.progress import Progress, counted
+from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.plan import TRAINED, ReproductionPlan
 from foreglow.lab.studies.time_benefit.metrics import HUMAN_AFTER_PRODUCTION_S
 from foreglow.models import model_path
 from foreglow.parallel import Workers
 from foreglow.provenance import provenance
 from foreglow.runtime.ros2 import STAGE_NODES
-from foreglow.types import Frame, Tracks
 
 if TYPE_CHECKING:
-    from foreglow.geometry import Floats
     from foreglow.lab.learning.training_progress import Epoch
 
 
@@ -210,58 +203,9 @@ def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
 
 
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
-    """The drive with the longest lead, of those in which all happens that the paper's scene shows, if there are any."""
-    from foreglow.lab.evaluation import Predictions, read_split_labels
-    from foreglow.lab.reports.stage_picture import stage_picture
-    from foreglow.lab.studies.demo.figures import write_moments
-    from foreglow.lab.studies.demo.metrics import best_story, tell_stories
-    from foreglow.pipeline import Pipeline
+    from foreglow.lab.studies.reproduction.drive import run_drive
 
-    dataset = open_labelled(plan.split("test"))
-    pipeline = Pipeline(plan.config.commanding())
-    boxes, scores, tracks, gaps_rad = {}, {}, {}, {}
-    lights, on_lamps = read_split_labels(dataset).lights, []
-    sequence = None
-    for frame in counted(dataset, "images", len(dataset), progress):
-        if frame.sequence != sequence:
-            pipeline.reset()
-            sequence = frame.sequence
-        result = pipeline.step(frame)
-        assert result.detections is not None  # commands are made from tracks
-        assert result.tracks is not None
-        assert result.beam is not None
-        boxes[frame.frame] = result.detections.boxes_xyxy_px.astype(np.float64)
-        scores[frame.frame] = result.detections.scores.astype(np.float64)
-        tracks[frame.frame], gaps_rad[frame.frame] = result.tracks, result.beam.gaps_rad
-        lamps_px = np.array([light.position_px for light in lights[frame.frame] if light.is_direct])
-        if len(lamps_px) and result.tracks.is_plausible.any():
-            on_lamps.append(_brightest_holds(frame, result.tracks, lamps_px))
-    predictions, threshold = Predictions(boxes, scores), plan.config.classifier.score_threshold
-    stories = tell_stories(dataset, predictions, threshold, tracks, gaps_rad)
-    whole = [story for story in stories if story.confirmed_s < story.production_s and story.gaps_rad]
-    story = best_story(whole or stories)
-    if story is None:
-        raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
-    frames = [dataset.read(moment.light.image_id) for moment in story.moments.values()]
-    write_moments(folder / "moments.png", story, frames, predictions, threshold)
-    shown = dataset.read((story.found or story.light).light.image_id)
-    detector = Pipeline(plan.config.detector_only)
-    write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
-    light_s = story.times.light_s
-    times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
-    record = {
-        "sequence": story.sequence,
-        **{name: time_s - light_s for name, time_s in times.items()},
-        "brightest": {"num": len(on_lamps), "share": share(on_lamps)},
-    }
-    write_json_results(folder / "results.json", {"made_with": provenance(), **record})
-
-
-def _brightest_holds(frame: Frame, tracks: Tracks, points_px: Floats) -> bool:
-    """Whether the brightest plausible track, which alone the paper acts on, holds one of the points."""
-    boxes_xyxy_px = tracks.boxes_xyxy_px[tracks.is_plausible]
-    brightest = max(boxes_xyxy_px, key=lambda box: brightness(frame.image, box))
-    return bool(lies_in(points_px, brightest).any())
+    run_drive(plan.split("test"), plan.config.commanding(), folder, progress)
 
 
 def _detection_range(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001

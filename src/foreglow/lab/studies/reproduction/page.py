@@ -227,17 +227,14 @@ COLUMNS: Mapping[str, Callable[[Answer], str]] = {
 
 
 def _figures(found: Sequence[Answer], out: Path) -> Iterator[tuple[str, Figure]]:
-    """Our figures that are there, by their claim, reduced to the page's width; one that shows two is one file."""
-    known: dict[Path, Figure] = {}
+    """Our figures that are there, by their claim, reduced to the page's width."""
     for result in found:
         claim = result.claim
         file = out / claim.study / claim.image
         if claim.image and result.ours != NO_VALUE and file.is_file():
-            if file not in known:
-                data, suffix = _reduced(file)
-                name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
-                known[file] = Figure(data, f"{claim.place}, made here", f"{FIGURES}/{name}")
-            yield claim.id, known[file]
+            data, suffix = _reduced(file)
+            name = f"reproduction_{claim.id.removeprefix('figure-')}.{suffix}"
+            yield claim.id, Figure(data, f"{claim.place}, made here", f"{FIGURES}/{name}")
 
 
 def _reduced(file: Path) -> tuple[bytes, str]:
