@@ -169,6 +169,21 @@ def test_the_readme_is_short_and_says_how_to_test() -> None:
     assert {"`make demo`", "`make test`"} <= set(re.findall(r"`make \w+`", "\n".join(lines)))
 
 
+def cells(page: str, heading: str) -> list[list[str]]:
+    """The rows of the first table under a heading, without links."""
+    table = re.search(rf"^## {heading}\n(?:[^|#\n].*\n|\n)*((?:\|.*\n)+)", page, re.MULTILINE)
+    assert table is not None
+    plain = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", table[1])
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in plain.splitlines()[2:]]
+
+
+def test_the_readme_s_results_are_those_of_the_page_of_the_paper() -> None:
+    told = cells((ROOT / "README.md").read_text(encoding="utf-8"), "Results")
+    measured = cells((ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8"), "In short")
+    assert told
+    assert not [row for row in told if row not in measured]
+
+
 @pytest.mark.slow
 def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     readme = (ROOT / "README.md").read_text()

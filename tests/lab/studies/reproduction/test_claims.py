@@ -81,6 +81,8 @@ def test_verdicts() -> None:
     assert told(0.7, rule="at least").verdict == DIFFERS
     assert told(0.9, rule="at least").verdict == REPRODUCED
     assert told(0.7, rule="", value=math.nan).verdict == TOLD
+    assert told(0.83, holds_by="by construction").because == "by construction"
+    assert (told(0.83, study="settings").verdict, told(0.7, study="settings").verdict) == (TOLD, DIFFERS)
     assert told(0.83, only_pvdn=True).verdict == NEEDS
     assert told(0.83, only_pvdn=True, is_pvdn=True).verdict == REPRODUCED
 

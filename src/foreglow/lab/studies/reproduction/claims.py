@@ -43,6 +43,7 @@ class Claim:
     Attributes:
         image: The study's file that is shown instead of a value; empty for none.
         network: The row of the paper's table whose network our value is of; empty for none.
+        holds_by: Why our value agrees with the paper's on any data; empty where it depends on them.
         row: Of a table of the paper, the row that it is in; empty outside of them.
         column: Of that table.
     """
@@ -63,6 +64,7 @@ class Claim:
     is_timed: bool = False
     is_figure: bool = False
     network: str = ""
+    holds_by: str = ""
     row: str = ""
     column: str = ""
 
@@ -136,7 +138,10 @@ def answer(
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
     if holds(claim, [_numbers(text, results) for text in told]):
-        return Answer(claim, ours, REPRODUCED, "" if is_pvdn or claim.study == "settings" else "on simulated drives")
+        if claim.study == "settings":
+            return Answer(claim, ours, TOLD, "the same setting")
+        on_data = "" if is_pvdn else "on simulated drives"
+        return Answer(claim, ours, REPRODUCED, claim.holds_by or on_data)
     because = claim.why or ("" if is_pvdn else "simulated drives, not PVDN")
     return Answer(claim, ours, DIFFERS, f"contradicts the paper; {because}" if claim.rule == "least" else because)
 
@@ -183,7 +188,7 @@ def _numbers(text: str, results: Any) -> list[float]:
 def filled(text: str, results: Any) -> str:
     """`text` with its fields filled in; empty if one has no value.
 
-    Formats are Python's, and `p` for percentage points.
+    Formats are Python's, `p` for percentage points, and `m` for milliseconds of seconds.
 
     >>> filled("{num} of {of.num:.1f}", {"num": 1, "of": {"num": 2}}), filled("{num}", {})
     ('1 of 2.0', '')
@@ -202,6 +207,8 @@ def _shown(value: Any, form: str) -> str:
         return " x ".join(map(str, value))
     if form.endswith("p"):
         return f"{format(100 * value, form[:-1] + 'f')} points"
+    if form.endswith("m"):
+        return f"{format(1000 * value, form[:-1] + 'f')} ms"
     return format(value, form)
 
 
@@ -217,6 +224,31 @@ def _computed(expression: str, results: Any) -> Any:
     return value
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A row of our own: our pipeline beside the paper's whole chain, both measured here.
+
+    Attributes:
+        says: What is compared.
+        study: The experiment whose results hold both.
+        ours: Our value, as `Claim.ours` has it.
+        chain: That of the paper's chain.
+        on: What they are measured on.
+    """
+
+    says: str
+    study: str
+    ours: str
+    chain: str
+    on: str
+
+
+@functools.cache
+def read_comparisons() -> tuple[Comparison, ...]:
+    """All rows of our own, in the order of `claims.toml`."""
+    return tuple(Comparison(**fields) for fields in _read()["comparison"])
+
+
 @functools.cache
 def read_claims() -> tuple[Claim, ...]:
     """All claims, in the order of `claims.toml`.
@@ -224,9 +256,9 @@ def read_claims() -> tuple[Claim, ...]:
     Raises:
         ValueError: If one lacks something, or two have the same id.
     """
-    told = read_toml(Path(__file__).with_name("claims.toml"))
+    told = _read()
     claims = [_claim(fields) for fields in told["claim"]]
-    first_after = next(index for index, claim in enumerate(claims) if claim.id == "table3-ours")
+    first_after = next(index for index, claim in enumerate(claims) if claim.place.startswith("6.2"))
     claims[first_after:first_after] = [claim for table in told["table"] for claim in _columns(table, told["columns"])]
     claims += [_claim(fields | {"is_figure": True}) for fields in told["figure"]]
     ids = [claim.id for claim in claims]
@@ -234,6 +266,10 @@ def read_claims() -> tuple[Claim, ...]:
     if twice:
         raise ValueError(f"claims.toml: expected each id once, got {', '.join(sorted(twice))} again")
     return tuple(claims)
+
+
+def _read() -> dict[str, Any]:
+    return read_toml(Path(__file__).with_name("claims.toml"))
 
 
 def _claim(fields: Mapping[str, Any]) -> Claim:
@@ -248,12 +284,14 @@ def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[C
         is_compared = "rule" in column or "tolerance" in column
         compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
         is_label = name.startswith("most_")
-        row = table["says"] + (LABELLED if is_label else "")
+        row = table["says"] + (table.get("labelled", LABELLED) if is_label else "")
+        why = {"why": table["why"]} if "why" in table and name.endswith("size") else {}
         found = table.get("labels", table["row"]) if is_label else table["row"]
         yield _claim(
             {
-                **{key: table[key] for key in ("place", "study", "reason", "why") if key in table},
+                **{key: table[key] for key in ("place", "study", "reason") if key in table},
                 **compared,
+                **why,
                 **{key: value for key, value in column.items() if key not in ("says", "is_scored")},
                 "network": table.get("network", "") if column.get("is_scored") else "",
                 "row": row,

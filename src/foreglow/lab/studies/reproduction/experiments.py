@@ -316,7 +316,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "results.json",
         lambda plan, folder: ("experiment", "distance", plan.root, "--out", folder),
         _distance,
-        "{num_images} images, {num_lights} lights, {split}",
+        "{num_images} images, {num_lights} lights with a box and a known range, {split}",
         is_simulated=True,
     ),
     "drive": Experiment(
