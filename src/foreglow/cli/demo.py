@@ -73,9 +73,11 @@ def _print_stories(stories: tuple[Story, ...], *, is_classified: bool) -> None:
     """Prints what happened: a single story in full, several as a table."""
     import rich
 
-    from foreglow.lab.studies.demo.page import story_lines, story_table
+    from foreglow.lab.studies.demo.page import papers_scene, story_lines, story_table
 
     if len(stories) == 1:
         typer.echo("\n".join(["", *story_lines(stories[0], is_classified=is_classified)]))
     elif stories:
         rich.print(story_table(stories, is_classified=is_classified))
+    if stories and is_classified:
+        typer.echo(papers_scene())

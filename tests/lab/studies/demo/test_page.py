@@ -11,7 +11,8 @@ from rich.console import Console
 
 from foreglow.lab.evaluation.vehicles import FirstFound
 from foreglow.lab.studies.demo.metrics import Moment, Story
-from foreglow.lab.studies.demo.page import MAX_ROWS, conclusion, story_lines, story_table
+from foreglow.lab.studies.demo.page import MAX_ROWS, conclusion, papers_scene, story_lines, story_table
+from foreglow.lab.studies.reproduction.claims import paper_words
 from tests.lab.evaluation.scored_boxes import light
 
 NEVER = math.nan
@@ -124,3 +125,8 @@ def test_a_long_table_is_cut() -> None:
     assert "and 3 more sequences" in text
     assert f"S{MAX_ROWS - 1:05d}" in text
     assert f"S{MAX_ROWS:05d}" not in text
+
+
+def test_the_papers_scene_is_what_its_claims_say() -> None:
+    for name in ("single", "tracker", "production"):
+        assert f" {paper_words(f'scene-{name}')}" in papers_scene()

@@ -11,10 +11,11 @@ from foreglow.lab.studies.occurrence.run import report_lines
 def test_a_row_for_each_lead() -> None:
     expected = Sighting(0, 1.0, 1.0, 0.25, 3.0, is_covered=True)
     unexpected = Sighting(1, 0.5, math.nan, math.nan, math.nan, is_covered=False)
-    remark, table = report_lines([expected, unexpected])
+    remark, table, papers = report_lines([expected, unexpected])
     assert remark.startswith("Where a vehicle comes into sight")
     assert table.splitlines()[2:] == [
         "| 1 s | 1 | 1 | 1.00 deg | 100% | 100% | 3.0 deg | 0.25 s |",
         "| 0.5 s | 1 | 0 | – deg | – | – | – deg | – s |",
     ]
+    assert papers.startswith("The paper has no value")
     assert report_lines([]) == []

@@ -11,6 +11,7 @@ from rich.table import Table
 from foreglow.lab.evaluation.vehicles import UNKNOWN_VEHICLE, share_found_ahead
 from foreglow.lab.reports.page import number
 from foreglow.lab.studies.demo.metrics import Moment, Story
+from foreglow.lab.studies.reproduction.claims import paper_words
 
 PLACES = {
     "lamp": "its lamp",
@@ -56,6 +57,12 @@ def story_lines(story: Story, *, is_classified: bool) -> list[str]:
             f"   {boxes} before its first light: {_per_image(story.num_boxes_before, story.num_images_before)}"
         )
     return lines
+
+
+def papers_scene() -> str:
+    """What the paper states of its own scene."""
+    single, tracker, production = (paper_words(f"scene-{name}") for name in ("single", "tracker", "production"))
+    return f"   the paper's scene, after first light: detected {single}, confirmed {tracker}, reported {production}"
 
 
 def first_words(story: Story) -> str:

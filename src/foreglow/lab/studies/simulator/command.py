@@ -19,7 +19,9 @@ def command(
     real_image: Annotated[Path | None, file("Real image to compare with, of the same exposure.")] = None,
 ) -> None:
     """Compare simulated drives with real ones: labels, pixels, and the lead time of indirect light."""
-    from foreglow.lab.studies.simulator.page import write_report
+    from foreglow.lab.studies.simulator.page import summary_lines, write_report
     from foreglow.lab.studies.simulator.run import examine
 
-    typer.echo(f"look in {write_report(examine(data, real_labels, real_image), out)}")
+    results = examine(data, real_labels, real_image)
+    report = write_report(results, out)
+    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))

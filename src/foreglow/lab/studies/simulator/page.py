@@ -12,6 +12,7 @@ import numpy as np
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table
+from foreglow.lab.studies.reproduction.claims import paper_words
 from foreglow.lab.studies.simulator.metrics import LAMP_RADII_PX, PERCENTILES, RuleEffect
 from foreglow.lab.studies.simulator.run import SimulatorResults
 
@@ -72,13 +73,20 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
     return page.write(folder / "report.md", results=results)
 
 
-def _add_leads(page: Page, results: SimulatorResults) -> None:
-    production = "The modelled production system reports after the first indirect light by"
-    page.section(
-        "Time that indirect light leads",
+def summary_lines(results: SimulatorResults) -> list[str]:
+    """What the command says: both leads, and what the paper states of them."""
+    return [
         _in_words("Indirect light comes before the first lamp by", results.leads_s),
-        _in_words(production, results.production_delays_s),
-    )
+        _in_words(
+            "The modelled production system reports after the first indirect light by", results.production_delays_s
+        ),
+        f"In the paper a human tells a vehicle {paper_words('human-reaction')} after its first light, "
+        f"and {paper_words('human-lead')} before a production system does.",
+    ]
+
+
+def _add_leads(page: Page, results: SimulatorResults) -> None:
+    page.section("Time that indirect light leads", *summary_lines(results))
     page.figure(Figure(leads_figure(results), "Time from the first indirect light", "leads.png"))
     page.text(
         "How first times move with the rule of what is perceivable: both thresholds are multiplied by the factor."
