@@ -17,6 +17,7 @@ from foreglow.datasets import PVDN
 from foreglow.datasets.simulated.files import encoded_depth
 from foreglow.lab.studies.distance.lights import LidarLights, lidar_range_m
 from foreglow.lab.studies.distance.metrics import beside_paper, find
+from foreglow.lab.studies.distance.page import distance_figures
 from foreglow.lab.studies.distance.run import DistancePlan, DistanceResults, run_experiment
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.studies.ranged_drives import HEIGHT_PX, WIDTH_PX, make_split
@@ -67,6 +68,16 @@ def test_simulated_light_has_the_depth_of_the_scanner(simulated: DistanceResults
     assert found[0].errors.median == pytest.approx(np.nanmedian(ranges_m[~np.isnan(lidar_m)] / 20.0 - 1), abs=0.01)
     assert simulated.example is not None
     assert simulated.example.depth_m is not None
+
+
+def test_the_picture_of_the_lidar_is_cut_around_the_boxes(simulated: DistanceResults) -> None:
+    pytest.importorskip("matplotlib")
+    files = {figure.file: figure.data for figure in distance_figures(simulated, find(simulated))}
+    picture = cv2.imdecode(np.frombuffer(files["lidar.jpg"], np.uint8), cv2.IMREAD_COLOR)
+    height_px, width_px = picture.shape[:2]
+    assert width_px / height_px == pytest.approx(4.0, rel=0.02)
+    middle = np.array_split(picture, 3, axis=1)[1].astype(int)
+    assert (np.ptp(middle, axis=2) > 80).any()  # coloured boxes on a grey image
 
 
 def test_a_split_without_depth_images(split: Path, tmp_path: Path) -> None:

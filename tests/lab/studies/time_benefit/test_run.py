@@ -15,7 +15,7 @@ from foreglow.datasets import PVDN, shipped_drive
 from foreglow.files import to_json
 from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.lab.studies.time_benefit.metrics import FalseTracks, Method, least_delay_s, time_benefit
-from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
+from foreglow.lab.studies.time_benefit.page import benefit_figure, summary_lines, write_report
 from foreglow.lab.studies.time_benefit.run import (
     FIVE_FRAMES,
     RULES,
@@ -196,5 +196,6 @@ def test_the_papers_whole_chain_has_rows(tmp_path: Path) -> None:
         np.testing.assert_array_equal(both.method(method.benefit.name).benefit.detected_s, method.benefit.detected_s)
     pytest.importorskip("matplotlib")
     assert "| tracker, paper's whole chain |" in write_report(both, tmp_path / "report").read_text()
+    assert benefit_figure(both) != benefit_figure(alone)
     with pytest.raises(FileNotFoundError, match=r"none\.onnx: no such model, given with --paper-model"):
         paper_chain(tmp_path / "none.onnx")

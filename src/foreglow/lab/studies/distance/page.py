@@ -35,6 +35,13 @@ LIGHTS = {"direct": AMBER, "indirect": BLUE}
 CURVES = (AMBER, BLUE, "#4c9a57", "#9a4c8f", GREY, INK)
 WHISKERS = (5, 95)
 LIMITS = (-1.05, 2.5)
+PAPERS_NAMES = {"gp": "GP", "psd_3d": "PSD-3D", "psd_3d_plus": "PSD-3D+", "psd_2d": "PSD-2D"}
+"""What the paper calls its estimators."""
+
+IN_SERIES = ("gp", "road_surface")
+"""Estimators of which series of frames are drawn: that of the paper's figure, and ours; the tables have all."""
+
+CROP_MARGIN_PX = 60
 DIRECT_BGR, INDIRECT_BGR = (80, 220, 80), (200, 100, 255)
 PICTURE_WIDTH_PX, JPEG_QUALITY = 1920, 85
 
@@ -50,7 +57,10 @@ def distance_figures(results: DistanceResults, findings: Sequence[Finding]) -> l
     ranges_m = results.ranges_m
     methods, series = {}, {}
     for main in results.main_methods:
-        methods[main.estimator] = series[f"{main.estimator}\nsingle"] = ranges_m[main]
+        methods[PAPERS_NAMES.get(main.estimator, main.estimator)] = ranges_m[main]
+        if main.estimator not in IN_SERIES:
+            continue
+        series[f"{main.estimator}\nsingle"] = ranges_m[main]
         for (name, method), series_m in results.series_m.items():
             if method == main:
                 series[f"{main.estimator}\n{name.removesuffix(' of five frames')} of 5"] = series_m
@@ -88,7 +98,7 @@ def _error_boxes(
     Args:
         results: Of the experiment.
         columns: Ranges by the name of the box.
-        papers_gp: By light, the paper's median for the column `gp`; None marks nothing.
+        papers_gp: By light, the paper's median for the column `GP`; None marks nothing.
     """
     figure, (axes,) = subplots(1, width_in=2.0 + 1.1 * len(columns), height_in=4.0)
     truth_m, sorts = results.column("truth_m"), light_sorts(results)
@@ -102,8 +112,8 @@ def _error_boxes(
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set(ylim=LIMITS, ylabel="(estimate - truth) / truth")
     axes.set_xticks(positions, list(columns))
-    if papers_gp and "gp" in columns:
-        at_gp = list(columns).index("gp") + np.array((-0.19, 0.19))
+    if papers_gp and "GP" in columns:
+        at_gp = list(columns).index("GP") + np.array((-0.19, 0.19))
         handles.append(
             axes.scatter(at_gp, [papers_gp[light] for light in LIGHTS], marker="D", s=24, color=INK, zorder=3)
         )
@@ -115,19 +125,35 @@ def _error_boxes(
 def _lidar_picture(sample: Sample) -> bytes:
     """The image with depths drawn over it, with its lights' boxes, and the depths alone, side by side."""
     assert sample.depth_m is not None
-    grey = Tone.of(sample.frame.image).apply(sample.frame.image)
+    x1, y1, x2, y2 = _cropped(sample)
+    tone = Tone.of(sample.frame.image)
+    grey = tone.apply(sample.frame.image)[y1:y2, x1:x2]
+    depth_m = np.nan_to_num(sample.depth_m[y1:y2, x1:x2])
+    levels = np.where(depth_m > 0, 75.0 + 180.0 * np.sqrt(depth_m / depth_m.max(initial=1.0)), 0.0).astype(np.uint8)
+    depths = cv2.dilate(levels, np.ones((2, 2), np.uint8))
     panels = [np.repeat(grey[..., None], 3, axis=2) for _ in range(2)]
-    farthest_m = np.nan_to_num(sample.depth_m).max(initial=1.0)
-    levels = np.nan_to_num(sample.depth_m / farthest_m * 200.0 + 55.0).astype(np.uint8)
-    thick_px = max(1, grey.shape[1] // 640)
-    depths = cv2.dilate(levels, np.ones((thick_px + 1, thick_px + 1), np.uint8))
-    panels[0][depths > 0] = depths[depths > 0][:, None] * np.array([0, 1, 0], np.uint8)
+    panels[0][depths > 0] = cv2.applyColorMap(depths, cv2.COLORMAP_VIRIDIS)[depths > 0]
     for light in sample.lights:
-        x1, y1, x2, y2 = light.box_xyxy_px
+        left, top, right, bottom = np.array(light.box_xyxy_px) - (x1, y1, x1, y1)
         colour = DIRECT_BGR if light.is_direct else INDIRECT_BGR
-        cv2.rectangle(panels[1], (x1, y1), (x2 - 1, y2 - 1), colour, thick_px)
+        cv2.rectangle(panels[1], (int(left), int(top)), (int(right) - 1, int(bottom) - 1), colour, 1)
     panels.append(np.repeat(depths[..., None], 3, axis=2))
-    return jpeg(np.hstack(panels), PICTURE_WIDTH_PX, JPEG_QUALITY)
+    factor = max(1, PICTURE_WIDTH_PX // (3 * (x2 - x1)))
+    picture = cv2.resize(np.hstack(panels), None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
+    return jpeg(np.asarray(picture, np.uint8), PICTURE_WIDTH_PX, JPEG_QUALITY)
+
+
+def _cropped(sample: Sample) -> tuple[int, int, int, int]:
+    """The part of the image around the boxes, 4:3: left, top, right, bottom."""
+    height_px, width_px = sample.frame.image.shape
+    boxes = np.array([light.box_xyxy_px for light in sample.lights] or [(0, 0, width_px, height_px)])
+    spread = np.array([boxes[:, 0].min(), boxes[:, 1].min(), boxes[:, 2].max(), boxes[:, 3].max()])
+    across_px = max(spread[2] - spread[0], (spread[3] - spread[1]) * 4 // 3) + 2 * CROP_MARGIN_PX
+    wide_px = int(min(across_px, width_px, height_px * 4 // 3))
+    high_px = wide_px * 3 // 4
+    left = int(np.clip((spread[0] + spread[2] - wide_px) // 2, 0, width_px - wide_px))
+    top = int(np.clip((spread[1] + spread[3] - high_px) // 2, 0, height_px - high_px))
+    return left, top, left + wide_px, top + high_px
 
 
 def _pitch(findings: Sequence[Finding]) -> bytes:
@@ -159,7 +185,7 @@ def _bars(findings: Sequence[Finding], axis: str) -> bytes:
             heights = [values.get(group, np.nan) for group in numbers]
             colour = CURVES[index % len(CURVES)]
             axes.bar(np.arange(len(numbers)) + shift, heights, width, color=colour, label=estimator)
-        axes.set_xticks(range(len(numbers)), [f"{group}\n{num}" for group, num in numbers.items()], fontsize=8)
+        axes.set_xticks(range(len(numbers)), [f"{group}\n{num} lights" for group, num in numbers.items()], fontsize=8)
         axes.set_title(light)
     panels[0].set_ylabel("median |relative error|")
     legend_above(figure, panels[0])

@@ -23,9 +23,13 @@ from foreglow.lab.studies.time_benefit.metrics import (
     least_delay_s,
     mean_timeline,
 )
-from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, TimeBenefitResults
+from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, PAPER_CHAIN, PAPER_SINGLE_FRAME, TimeBenefitResults
 
 COLOURS = {"single frame": AMBER, "tracker, paper": BLUE, "tracker, ours": GREEN}
+CHAIN_COLOURS = {PAPER_SINGLE_FRAME: "#f0d0a8", PAPER_CHAIN: "#b5c9e6"}
+MEAN = {"marker": "^", "markerfacecolor": INK, "markeredgecolor": INK}
+"""How the mean of a box is drawn."""
+
 CURVE_COLOURS = {"frames": BLUE, "m_of_n": GREY, "evidence": GREEN}
 SHOWN = (*COLOURS, "first lamp in sight", "production system")
 """The methods that figures and the table of sequences show."""
@@ -63,25 +67,30 @@ PAPER_TIMELINE_S = {
 
 def benefit_figure(results: TimeBenefitResults) -> bytes:
     """Box plots: seconds after the first light, as the paper draws them, and seconds before the production system."""
-    figure, panels = subplots(2)
-    rows = {"production system": GREY} | COLOURS
+    measured = {method.benefit.name for method in results.methods}
+    systems = COLOURS | {name: colour for name, colour in CHAIN_COLOURS.items() if name in measured}
+    figure, panels = subplots(2, width_in=6.0)
+    rows = {"production system": GREY} | systems
     light_s, production_s = np.array([(met.light_s, met.production_s) for met in results.encounters]).T
     detected = {name: np.array(results.method(name).benefit.detected_s) for name in (*rows, "human")}
     after = {name: detected[name] - light_s for name in rows}
-    before = {name: production_s - detected[name] for name in (*COLOURS, "human")}
+    before = {name: production_s - detected[name] for name in (*systems, "human")}
     for axes, seconds, label in zip(
         panels, (after, before), ("after the first light", "before the production system"), strict=True
     ):
         values = [times[~np.isnan(times)] for times in seconds.values()]
         colours = [rows.get(name, PALE) for name in seconds]
-        options: dict[str, Any] = {"tick_labels": list(seconds), "widths": 0.5, "medianprops": None}
+        labels = [name.replace(", ", ",\n").replace(" whole", "\nwhole") for name in seconds]
+        options: dict[str, Any] = {"tick_labels": labels, "widths": 0.5, "medianprops": None, "meanprops": MEAN}
         box_plot(axes, values, colours, alpha=0.6, showmeans=True, showfliers=True, **options)
         axes.axhline(0.0, color=INK, linewidth=0.8)
         axes.set(ylabel=f"seconds {label}")
         axes.tick_params(axis="x", rotation=20)
     panels[0].axhline(HUMAN_DELAY_S, color=INK, linewidth=0.8, linestyle="--", label="human, mean (paper)")
     places = [list(after).index(name) + 1 for name in PAPER_AFTER_LIGHT_S]
-    panels[0].scatter(places, PAPER_AFTER_LIGHT_S.values(), marker="D", s=24, color=INK, zorder=3, label="mean (paper)")
+    papers = {"marker": "D", "s": 24, "color": INK, "zorder": 3, "label": "mean, from the paper's text"}
+    panels[0].scatter(places, PAPER_AFTER_LIGHT_S.values(), **papers)
+    panels[0].plot([], [], linestyle="", label="mean, here", **MEAN)
     panels[0].legend(frameon=False)
     return png(figure)
 
