@@ -30,6 +30,9 @@ RangeLimit: TypeAlias = Annotated[
 """The range from which a limit holds, metres, and the limit."""
 
 
+WorkingSide = Annotated[int, Field(ge=64, le=4096)]
+
+
 class ProposalConfig(FrozenModel):
     """Parameters of the proposal stage; the defaults are the paper's optimum with the published code's unstated steps.
 
@@ -53,6 +56,8 @@ class ProposalConfig(FrozenModel):
             the lower one, above the frame's black; 0 never splits (published). `proposals.splitting` has the rule.
         reduction: How many frame pixels make one working pixel along each axis at the reference width.
         reference_width_px: Width of the frame that all sizes are relative to.
+        working_size_px: Width and height that every frame is resized to, bilinearly and whatever its shape, in place of
+            the reduction by a whole factor; all sizes are then pixels of that image. None to reduce.
         normalise: Stretch every frame to [0, 1] by its own minimum and maximum (published code only).
         blur_width_px: Columns of the Gaussian kernel, 1, 3 or 5; 1 switches off. Does not scale.
         blur_height_px: Rows of the Gaussian kernel, 1 or 3; 1 switches off. Does not scale.
@@ -76,6 +81,7 @@ class ProposalConfig(FrozenModel):
     split_saddle: Annotated[float, Field(ge=0, le=1)] = 0.0
     reduction: Annotated[int, Field(ge=1, le=16)] = 2
     reference_width_px: Annotated[int, Field(ge=64, le=16384)] = 1280
+    working_size_px: Annotated[tuple[WorkingSide, WorkingSide], Field(strict=False)] | None = None
     normalise: bool = True
     blur_width_px: Literal[1, 3, 5] = 5
     blur_height_px: Literal[1, 3] = 3
@@ -91,6 +97,8 @@ class ProposalConfig(FrozenModel):
             x1, y1, x2, y2 = self.region_xyxy_px
             if not (0 <= x1 < x2 and 0 <= y1 < y2):
                 raise ValueError(f"region_xyxy_px: expected 0 <= x1 < x2 and 0 <= y1 < y2, got {self.region_xyxy_px}")
+            if self.working_size_px is not None:
+                raise ValueError("region_xyxy_px: expected none with working_size_px, which takes the whole frame")
         if self.min_area_px > self.max_area_px:
             raise ValueError(
                 f"min_area_px: expected at most max_area_px, {self.max_area_px:g}, got {self.min_area_px:g}"

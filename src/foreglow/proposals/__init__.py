@@ -11,10 +11,19 @@ from typing import Protocol
 from foreglow.config import ProposalConfig
 from foreglow.proposals.native import NativeProposer
 from foreglow.proposals.reference import ReferenceProposer
+from foreglow.proposals.resizing import ResizingProposer
 from foreglow.proposals.standing import StandingLight
 from foreglow.types import Image, Proposals
 
-__all__ = ["BACKENDS", "NativeProposer", "Proposer", "ReferenceProposer", "StandingLight", "make_proposer"]
+__all__ = [
+    "BACKENDS",
+    "NativeProposer",
+    "Proposer",
+    "ReferenceProposer",
+    "ResizingProposer",
+    "StandingLight",
+    "make_proposer",
+]
 
 
 class Proposer(Protocol):
@@ -36,5 +45,6 @@ BACKENDS: dict[str, type[NativeProposer] | type[ReferenceProposer]] = {
 
 
 def make_proposer(config: ProposalConfig) -> Proposer:
-    """The back end that `config.backend` names, ready to use."""
-    return BACKENDS[config.backend](config)
+    """The back end that `config.backend` names, ready to use; on resized frames where `config` asks for a size."""
+    back_end = BACKENDS[config.backend]
+    return back_end(config) if config.working_size_px is None else ResizingProposer(config, back_end)

@@ -15,7 +15,7 @@ class NativeProposer:
 
     def __init__(self, config: ProposalConfig) -> None:
         self.config = config
-        parameters = config.model_dump(exclude={"backend", "dispatch"})
+        parameters = config.model_dump(exclude={"backend", "dispatch", "working_size_px"})
         self._generator = _native.ProposalGenerator(parameters, config.dispatch)
 
     @property

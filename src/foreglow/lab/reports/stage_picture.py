@@ -14,6 +14,7 @@ from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, png, show_ima
 from foreglow.lab.reports.road_picture import show_road
 from foreglow.proposals import ReferenceProposer
 from foreglow.proposals.reference import Verdict
+from foreglow.proposals.resizing import in_working_pixels, resized
 from foreglow.types import Frame, FrameResult
 
 VERDICTS: dict[Verdict, tuple[str, str]] = {
@@ -38,8 +39,9 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     """
     from matplotlib.figure import Figure
 
-    proposer = ReferenceProposer(config.proposals)
-    stages = proposer.stages(frame.image)
+    proposer = ReferenceProposer(in_working_pixels(config.proposals))
+    image = resized(frame.image, config.proposals)
+    stages = proposer.stages(image)
     if stages is None:
         raise ValueError(f"{frame.path}: expected an image of at least one working pixel, got {frame.image.shape}")
     figure = Figure(figsize=(3 * PANEL_IN[0], 3 * PANEL_IN[1]), layout="constrained")
@@ -51,7 +53,7 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     _show_working(next(panels), stages.threshold, "threshold T")
     show_image(next(panels), stages.binary, f"I > T: {np.count_nonzero(stages.binary)} pixels")
     show_image(next(panels), _coloured(stages.labels), f"{int(stages.labels.max())} blobs")
-    judged = proposer.judged(stages, frame.width_px)
+    judged = proposer.judged(stages, image.shape[1])
     axes = next(panels)
     _show_working(axes, stages.blurred, f"{len(judged)} boxes: {len(result.proposals)} pass the filters")
     for verdict, (words, colour) in VERDICTS.items():

@@ -39,7 +39,7 @@ class RowSpec:
         recipe: How the classifier is trained here, a name of `learning.recipes`; empty where it is only ever given.
         size: The YOLO's.
         option: The option of the command that gives a trained model.
-        reduction: Frame pixels per working pixel; 0 for the preset's.
+        working_size_px: Width and height at which proposals are found; None for the preset's reduction.
     """
 
     title: str
@@ -48,24 +48,22 @@ class RowSpec:
     option: str
     recipe: str = ""
     size: Literal["", "s", "x"] = ""
-    reduction: int = 0
+    working_size_px: tuple[int, int] | None = None
 
     @property
     def configuration(self) -> PipelineConfig:
         """The preset, at the row's size of the image."""
-        configured = preset(self.preset)
-        return configured.changed("proposals", reduction=self.reduction) if self.reduction else configured
+        return preset(self.preset).changed("proposals", working_size_px=self.working_size_px)
 
 
 ROWS: dict[str, RowSpec] = {
-    # The paper prints 345 x 240, which does not keep the camera's 4:3.
     "baseline-small": RowSpec(
-        "Baseline's preset at 320 x 240, paper's network",
+        "Baseline's preset at 345 x 240, paper's network",
         "classifier",
         "baseline",
         "--baseline-small-model",
         "paper",
-        reduction=4,
+        working_size_px=(345, 240),
     ),
     "baseline": RowSpec("Baseline's preset, paper's network", "classifier", "baseline", "--baseline-model", "paper"),
     "paper": RowSpec("Paper's preset and network", "classifier", "paper", "--paper-model", "paper"),

@@ -204,6 +204,8 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
 
 def _working_size_px(config: ProposalConfig, frame: Frame) -> tuple[int, int]:
     """Width and height of the reduced image, in which proposals are found."""
+    if config.working_size_px is not None:
+        return config.working_size_px
     reduction = working_sizes(config, frame.width_px).reduction
     return frame.width_px // reduction, frame.height_px // reduction
 
