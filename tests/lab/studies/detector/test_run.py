@@ -110,8 +110,8 @@ def test_rows_are_trained_where_none_is_given(trainings: Trainings, tmp_path: Pa
         assert (asked["recipe"].seed, asked["recipe"].patience) == (5, 3)
     assert trainings.asked[0]["recipe"].epochs == 7
     small, baseline = (trainings.asked[index]["config"].proposals for index in (0, 1))
-    assert (small.reduction, baseline.reduction) == (4, 2)
-    assert small.model_copy(update={"reduction": 2}) == baseline
+    assert (small.working_size_px, baseline.working_size_px) == ((345, 240), None)
+    assert small.model_copy(update={"working_size_px": None}) == baseline
     assert by_name["paper"].note == "network paper, 2 of 7 epochs, best 1, seed 5"
     assert by_name["yolo-small"].reason == by_name["yolo-large"].reason == "left out (--no-yolo)"
     assert {(comparison["row"], comparison["other"]) for comparison in results.comparisons} == {

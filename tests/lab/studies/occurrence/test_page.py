@@ -18,4 +18,4 @@ def test_a_row_for_each_lead() -> None:
         "| 0.5 s | 1 | 0 | – deg | – | – | – deg | – s |",
     ]
     assert papers.startswith("The paper has no value")
-    assert report_lines([]) == []
+    assert report_lines([]) == ["No vehicle comes into sight after it was hidden."]

@@ -50,8 +50,10 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
 
 
 def report_lines(sightings: Sequence[Sighting]) -> list[str]:
-    """A remark, a table in Markdown, and what the paper says of it; nothing without sightings."""
-    return [REMARK, occurrence_table(lead_scores(sightings)).markdown(), PAPERS] if sightings else []
+    """A remark, a table in Markdown, and what the paper says of it."""
+    if not sightings:
+        return ["No vehicle comes into sight after it was hidden."]
+    return [REMARK, occurrence_table(lead_scores(sightings)).markdown(), PAPERS]
 
 
 PAPERS = "The paper has no value beside these: where a vehicle appears is among what it leaves open."
