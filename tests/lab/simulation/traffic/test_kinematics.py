@@ -30,6 +30,20 @@ def test_yaw_rate_is_speed_times_curvature(curvature: float) -> None:
     assert state.yaw_rate_radps == pytest.approx(20.0 * curvature, rel=1e-3)
 
 
+def test_a_driver_who_strays_points_where_the_car_goes() -> None:
+    ego = EgoSpec(timetable=((0.0, 0.0), (10.0, 200.0)), stray_m=0.5)
+    states = [ego_state(ego, STRAIGHT, SMOOTH, time_s) for time_s in np.arange(1.0, 9.0, 0.05)]
+    positions_m = np.array([state.pose.position_m for state in states])
+    aside_m = positions_m[:, 1] + 1.75
+    assert (aside_m.min(), aside_m.max()) == pytest.approx((-0.5, 0.5), abs=0.01)
+    ahead = np.array([state.pose.rotation[:2, 0] for state in states])
+    steps = np.gradient(positions_m[:, :2], axis=0)
+    headings, courses = (np.arctan2(vectors[:, 1], vectors[:, 0]) for vectors in (ahead, steps))
+    np.testing.assert_allclose(headings[1:-1], courses[1:-1], atol=1e-4)
+    turned = np.gradient(headings, 0.05)
+    np.testing.assert_allclose([state.yaw_rate_radps for state in states[1:-1]], turned[1:-1], atol=2e-4)
+
+
 def test_oncoming_cars_face_us_on_their_lane() -> None:
     car = VehicleSpec(timetable=((0.0, 300.0), (10.0, 100.0)))
     state = vehicle_state(car, STRAIGHT, (), 2.7, 5.0)

@@ -182,6 +182,7 @@ class EgoSpec(SpecModel):
         yaw_aim_deg: Misalignment of the headlamps to the left.
         pitch_aim_deg: Misalignment of the headlamps upwards.
         body_motion: Factor on pitch, roll and heave of the body on its springs; 0 for a smooth ride.
+        stray_m: How far we stray from the middle of our lane, to either side in turn; the map does not know.
     """
 
     timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
@@ -193,6 +194,7 @@ class EgoSpec(SpecModel):
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     body_motion: Annotated[float, Field(ge=0, le=10)] = 1.0
+    stray_m: Annotated[float, Field(ge=0, le=1.5)] = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> EgoSpec:

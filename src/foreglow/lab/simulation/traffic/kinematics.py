@@ -19,6 +19,9 @@ PITCH_DEG, ROLL_DEG, HEAVE_M = 0.12, 0.10, 0.008
 
 NUM_WAVES = 12
 
+STRAY_WAVE_M = 150.0
+"""Way in which a driver who strays is back: about 7 s at 80 km/h."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleState:
@@ -62,10 +65,15 @@ class BodyMotion:
 
 
 def ego_state(ego: EgoSpec, road: Road, body: BodyMotion, time_s: float) -> VehicleState:
-    """Our own vehicle at `time_s`, in the middle of its lane."""
+    """Our own vehicle at `time_s`, in the middle of its lane or straying to either side of it."""
     s, speed = (float(value) for value in interpolated(ego.timetable, time_s))
-    steady = road.pose(s, -road.spec.mirror * road.spec.lane_m(ego.lane_number), 1, EGO_WHEELBASE_M)
-    return VehicleState(steady @ body.at(time_s), s, speed, speed * float(road.curvature_per_m(s)))
+    phase = 2.0 * np.pi * s / STRAY_WAVE_M
+    slope, bend_per_m = (ego.stray_m * (2.0 * np.pi / STRAY_WAVE_M) ** order for order in (1, 2))
+    heading_rad = float(np.arctan(slope * np.cos(phase)))
+    left_m = -road.spec.mirror * road.spec.lane_m(ego.lane_number) + ego.stray_m * float(np.sin(phase))
+    steady = road.pose(s, left_m, 1, EGO_WHEELBASE_M) @ Pose(np.zeros(3), rotation(heading_rad, 0.0, 0.0))
+    curvature_per_m = float(road.curvature_per_m(s)) - bend_per_m * float(np.sin(phase))
+    return VehicleState(steady @ body.at(time_s), s, speed, speed * curvature_per_m)
 
 
 def vehicle_state(
