@@ -131,3 +131,12 @@ def test_the_time_is_linear_in_the_poses(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr("scipy.spatial.transform.Rotation.from_quat", counting)
     read_poses(write(tmp_path, "".join(f"{k} 0 0 0 0 0 0 1\n" for k in range(1000)), "drive.tum"))
     assert calls == 1
+
+
+def test_a_column_tells_what_the_production_system_reports(tmp_path: Path) -> None:
+    text = "timestamp_s,x_m,y_m,z_m,qx,qy,qz,qw,reported\n1,0,0,0,0,0,0,1,0\n2,9,0,0,0,0,0,1,1\n9,99,0,0,0,0,0,1,0\n"
+    track = read_poses(write(tmp_path, text))
+    said = [track.is_reported(int(time_s * 1e9)) for time_s in (0.5, 1.0, 1.9, 2.0, 3.0, 3.1, 9.0)]
+    assert said == [None, False, False, True, True, None, False]
+    with pytest.raises(ValueError, match=r"drive.csv: line 3: reported: expected 0 or 1, got 2"):
+        read_poses(write(tmp_path, text.replace("1,1", "1,2")))

@@ -10,14 +10,15 @@ or on the earth, with optional columns in brackets
 
 heading clockwise from north, pitch upwards, roll to the right. Any other ending is TUM's format: `t x y z qx qy qz qw`
 in seconds and metres, separated by blanks; `#` begins a comment. All are poses of the vehicle's frame: x forward,
-y left, z up, origin on the road under the middle of the rear axle. Positions of an antenna must be converted first.
+y left, z up, origin on the road under the middle of the rear axle. Positions of an antenna must be converted first. A
+column `reported` of a CSV file is 1 while the car's production system reports a vehicle, and 0 otherwise.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,6 +46,9 @@ TUM_COLUMNS = ("timestamp_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 METRIC_COLUMNS = TUM_COLUMNS[1:]
 EARTH_COLUMNS = ("lat_deg", "lon_deg", "heading_deg")
 EARTH_OPTIONS = ("height_m", "pitch_deg", "roll_deg")
+REPORTED = "reported"
+"""Column with 1 while the car's production system reports a vehicle, and 0 otherwise."""
+
 TIMES = {"timestamp_ns": 1, "timestamp_s": 1_000_000_000}
 
 
@@ -55,10 +59,17 @@ class PoseTrack:
         times_ns: Shape (N,), int64, rising.
         has_attitude: Whether height, pitch and roll are known; otherwise they are 0, and should be taken from the road
             of a map.
+        reports: Shape (N,), bool, whether the car's production system reports a vehicle then; None where unknown.
     """
 
     def __init__(
-        self, times_ns: NDArray[np.int64], positions_m: Floats, turns: Rotation, *, has_attitude: bool
+        self,
+        times_ns: NDArray[np.int64],
+        positions_m: Floats,
+        turns: Rotation,
+        *,
+        has_attitude: bool,
+        reports: NDArray[np.bool_] | None = None,
     ) -> None:
         """Takes the poses: positions of shape (N, 3), and as many rotations.
 
@@ -74,7 +85,15 @@ class PoseTrack:
         self.times_ns = np.asarray(times_ns, np.int64)
         self.has_attitude = has_attitude
         self.positions_m = positions_m
+        self.reports = reports
         self._turn = Slerp((self.times_ns - self.times_ns[0]) / 1e9, turns)
+
+    def is_reported(self, timestamp_ns: int) -> bool | None:
+        """Whether the production system reports a vehicle, by the latest pose; None where unknown, outside, in gaps."""
+        latest = int(np.searchsorted(self.times_ns, timestamp_ns, side="right")) - 1
+        if self.reports is None or latest < 0 or timestamp_ns - self.times_ns[latest] > MAX_GAP_S * 1e9:
+            return None
+        return bool(self.reports[latest])
 
     def pose(self, timestamp_ns: int) -> Pose | None:
         """The pose at a time, between its neighbours; None outside, and in gaps of more than `MAX_GAP_S`."""
@@ -108,13 +127,13 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
     if len(time_columns) != 1:
         raise ValueError(f"{path}: header: expected one of the columns {', '.join(TIMES)}, got {', '.join(columns)}")
     kind = EARTH_COLUMNS if "lat_deg" in columns else METRIC_COLUMNS
-    options = EARTH_OPTIONS if kind == EARTH_COLUMNS else ()
+    options = (*(EARTH_OPTIONS if kind == EARTH_COLUMNS else ()), REPORTED)
     missing = [name for name in kind if name not in columns]
     unknown = [name for name in columns if name not in (*kind, *options, *time_columns)]
     if missing or unknown or len(set(columns)) < len(columns):
         raise ValueError(
             f"{path}: header: expected the columns {time_columns[0]}, {', '.join(kind)}"
-            f"{' and perhaps ' + ', '.join(options) if options else ''}, each once, got {', '.join(columns)}"
+            f" and perhaps {', '.join(options)}, each once, got {', '.join(columns)}"
         )
     if (kind == EARTH_COLUMNS) != (origin is not None):
         needed = "lat_deg, lon_deg, heading_deg" if origin is not None else "x_m, y_m, z_m, qx, qy, qz, qw"
@@ -130,7 +149,16 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
         raise ValueError(f"{path}: line {lines[row + 1]}: {columns[index]}: {expected}")
     positions_m, turned = _metric(path, values, lines) if origin is None else _on_earth(path, values, lines, origin)
     has_attitude = origin is None or all(name in columns for name in EARTH_OPTIONS)
-    return PoseTrack(times_ns, positions_m, turned, has_attitude=has_attitude)
+    return PoseTrack(times_ns, positions_m, turned, has_attitude=has_attitude, reports=_reports(path, values, lines))
+
+
+def _reports(path: Path, values: Mapping[str, Floats], lines: Sequence[int]) -> NDArray[np.bool_] | None:
+    reports = values.get(REPORTED)
+    if reports is None:
+        return None
+    for row in np.flatnonzero((reports != 0) & (reports != 1))[:1].tolist():
+        raise ValueError(f"{path}: line {lines[row]}: {REPORTED}: expected 0 or 1, got {reports[row]:g}")
+    return np.asarray(reports == 1)
 
 
 def _csv(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

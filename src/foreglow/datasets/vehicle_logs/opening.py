@@ -83,11 +83,14 @@ class VehicleFiles(VehicleData):
         return self._road_by_map(frame) or self._road_by_message(frame)
 
     def is_reported(self, frame: Frame) -> bool | None:
-        """Whether the production system reports a vehicle, by the latest message in the log; None where there is none.
+        """Whether the production system reports a vehicle: by the poses, or the log's latest message; None if unknown.
 
         Raises:
-            ValueError: If the log has another clock.
+            ValueError: If poses or log have another clock.
         """
+        if self._poses is not None and self._poses.reports is not None:
+            first_ns, last_ns = int(self._poses.times_ns[0]), int(self._poses.times_ns[-1])
+            return self._poses.is_reported(self._time_ns(frame, first_ns, last_ns, self._names[2]))
         if self._log is None or self._log.is_empty:
             return None
         return self._log.is_reported(self._log_time_ns(frame, self._log))
