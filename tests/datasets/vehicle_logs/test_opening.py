@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from foreglow.calibration import calibration_to_toml
 from foreglow.datasets.vehicle_data import Equipped
 from foreglow.datasets.vehicle_logs import CanLog, VehicleFiles, open_vehicle_data, write_can_log
 from foreglow.geometry import Camera, Pose
+from foreglow.maps import PoseTrack
 from foreglow.types import EgoMotion, Frame
 from tests.datasets.vehicle_logs.messages import message
 from tests.stand_ins import ListSource
@@ -154,3 +156,11 @@ def test_poses_beside_the_map(tmp_path: Path, road_map: Path) -> None:
     poses = poses_at(tmp_path, latitude_deg=48.01)
     with pytest.raises(ValueError, match=r"drive\.csv: expected poses along the roads of .*town\.geojson.* 1112 m"):
         open_vehicle_data(road_map=road_map, poses=poses)
+
+
+def test_reports_of_the_poses_come_with_the_frames() -> None:
+    rotations = Rotation.from_matrix(np.stack([np.eye(3)] * 2))
+    times_ns, reports = np.array([0, SECOND]), np.array([False, True])
+    poses = PoseTrack(times_ns, np.zeros((2, 3)), rotations, has_attitude=True, reports=reports)
+    equipped = Equipped(ListSource([frame(0.5), frame(1.0)]), VehicleFiles(poses=poses))
+    assert [seen.is_reported for seen in equipped] == [False, True]
