@@ -50,5 +50,6 @@ def test_the_picture_has_the_road_in_both_halves() -> None:
     picture = cv2.imdecode(
         np.frombuffer(road_picture(dataclasses.replace(frame, road=bend)), np.uint8), cv2.IMREAD_COLOR
     )
+    assert picture is not None
     near = cv2.inRange(picture, np.array([225, 175, 60]), np.array([255, 205, 100]))  # the colour of the road
     assert min((half > 0).sum() for half in np.array_split(near, 2, axis=1)) > 50

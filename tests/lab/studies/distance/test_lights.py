@@ -74,6 +74,7 @@ def test_the_picture_of_the_lidar_is_cut_around_the_boxes(simulated: DistanceRes
     pytest.importorskip("matplotlib")
     files = {figure.file: figure.data for figure in distance_figures(simulated, find(simulated))}
     picture = cv2.imdecode(np.frombuffer(files["lidar.jpg"], np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
     height_px, width_px = picture.shape[:2]
     assert width_px / height_px == pytest.approx(4.0, rel=0.02)
     middle = np.array_split(picture, 3, axis=1)[1].astype(int)
