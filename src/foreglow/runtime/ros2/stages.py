@@ -248,7 +248,7 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     def step(self, header: Header, inputs: tuple[Frame, Tracks], stopwatch: Stopwatch) -> None:
         """Commands the beam that follows from a frame."""
         stopwatch.begin("beam")
-        command = self._stage.command(*inputs, time_ns=self.clock_ns(), faults=self._output.arrived())
+        command = self._stage.command(*inputs, now_ns=self.clock_ns, faults=self._output.arrived())
         stopwatch.begin("send")
         self._output.send(header, command)
 
