@@ -20,7 +20,7 @@ from foreglow.types import BeamCommand, BeamMode, Frame, Image
 RATE_HZ = 18.0
 PERIOD_S = 1.0 / RATE_HZ
 
-Step: TypeAlias = Frame | Exception | float
+Step: TypeAlias = Frame | BaseException | float
 """What a scripted camera does next: bring a frame, raise, or wait so many seconds."""
 
 STAGES = {

@@ -349,6 +349,15 @@ def test_pipeline_that_cannot_be_made_leaves_nothing(drive: list[Frame]) -> None
 
 
 @pytest.mark.process
+def test_a_replay_that_hardly_moves_ends_when_it_shall(drive: list[Frame]) -> None:
+    camera = ScriptedCamera(drive[:3], is_live=True)
+    camera.speed = 1e-9
+    running = threading.Thread(target=run_live, args=(camera, live_config()), kwargs={"limit": 1}, daemon=True)
+    running.start()
+    running.join(60.0)
+    assert not running.is_alive()
+
+
 def test_a_process_that_was_stopped_blames_no_stage() -> None:
     """As a machine that was asleep: low beam, but the pipeline that is asked to go on at once need not be replaced."""
     process = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True)

@@ -155,7 +155,6 @@ class LiveLoop:
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
-        is_complete = False
         self._watched_s = self._woken_s = time.monotonic()
         try:
             with settled_memory(), InterruptFlag(PATIENCE_S) as interrupt:
@@ -166,10 +165,16 @@ class LiveLoop:
                     is_complete = not (interrupt.is_set or self._end)
                 finally:
                     self._stop(reader)
+                if self._error is not None:
+                    raise self._error
+                summary = self._summary(pipeline, is_complete=is_complete)
         finally:
             sys.setswitchinterval(switch_s)
-        if self._error is not None:
-            raise self._error
+        if self._end:
+            raise LiveEndedError(self._end, summary)
+        return summary
+
+    def _summary(self, pipeline: LivePipeline, *, is_complete: bool) -> LiveSummary:
         run = self._tally.summary(
             self._source.name,
             self._source.skipped,
@@ -177,7 +182,7 @@ class LiveLoop:
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
         )
-        summary = LiveSummary(
+        return LiveSummary(
             run=run,
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
@@ -186,9 +191,6 @@ class LiveLoop:
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
-        if self._end:
-            raise LiveEndedError(self._end, summary)
-        return summary
 
     @property
     def _is_enough(self) -> bool:
