@@ -152,6 +152,12 @@ def test_an_option_without_effect_is_an_error(source: str, option: str, value: o
     assert line == f"foreglow: {option}: expected with another kind of SOURCE: no effect on {named}\n"
 
 
+@pytest.mark.parametrize("command", ["source", "all"])
+def test_an_option_without_effect_on_a_source_of_ros_2(command: str) -> None:
+    assert "--loop: expected with another kind" in complaint("ros2", command, "camera:0", "--loop")
+    assert "--rate: expected with another kind" in complaint("ros2", command, shipped_drive(), "--rate", 5)
+
+
 def test_numbers_without_effect_are_errors() -> None:
     for option, value in (("--time-offset", 1), ("--pose-error", 2)):
         assert f"{option}: expected with" in complaint("live", shipped_drive(), option, value)

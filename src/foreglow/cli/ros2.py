@@ -188,6 +188,7 @@ def everything(
     from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
+    _check_source(frames, capture, SourceOptions(), VehicleOptions(), speed, loop=loop)
     ros_arguments = _prepare(context, is_networked)
     from foreglow.runtime.ros2 import STAGE_NODES
     from foreglow.runtime.ros2.supervisor import supervise
