@@ -126,7 +126,7 @@ class CameraWatch:
         is_saturated = num_white > self._config.max_saturated * sample.size
         is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
         change = self._comparer.compare(image)
-        checksum = zlib.crc32(np.ascontiguousarray(image[::SUM_ROWS]))
+        checksum = zlib.crc32(image[::SUM_ROWS].tobytes())
         is_repeated = checksum in self._recent_sums
         self._recent_sums.append(checksum)
         if self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated):

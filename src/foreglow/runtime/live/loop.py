@@ -213,7 +213,9 @@ class LiveLoop:
             self._is_ended = True
             if self._beam is not None:
                 self._send(BeamCommand.low(self._source.now_ns(), self._num_leds))
-        self._note_bus([error for output in self._outputs if (error := _failure(output.close))])
+        errors = [error for output in self._outputs if (error := _failure(output.close))]
+        if errors:
+            self._note_bus(errors)
         for sink in self._sinks:
             sink.close()
 
