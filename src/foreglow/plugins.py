@@ -15,8 +15,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numpy as np
-
 Entry = TypeVar("Entry")
 
 _modules: set[str] = set()
@@ -111,6 +109,8 @@ def checked(field: str, result: object, expected: type[Entry]) -> Entry:
     """
     if not isinstance(result, expected):
         raise ValueError(f"{field}: expected {expected.__name__} for each frame, got {type(result).__name__}")
+    import numpy as np  # not when this module is loaded, as the command line is with it
+
     values = {part.name: getattr(result, part.name) for part in dataclasses.fields(cast("Any", result))}
     arrays = {name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)}
     return cast("Entry", dataclasses.replace(cast("Any", result), **arrays))
