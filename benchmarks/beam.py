@@ -15,6 +15,7 @@ from rich.table import Table
 
 from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, options, table, write_results
 from foreglow.beam import make_policy
+from foreglow.beam.camera_watch import NUM_RECENT
 from foreglow.beam.guard import Guard
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, OWN_DBC, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
@@ -38,7 +39,7 @@ ROAD = RoadAhead(np.stack([np.arange(0.0, 400.0, 5.0), np.arange(0.0, 400.0, 5.0
 def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
     """Lights that come nearer: lamps, two a vehicle, by their probability `direct`, or light on things."""
     random = np.random.default_rng(0)
-    images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(3)]
+    images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(NUM_RECENT + 1)]
     drawn = []
     for number in range(NUM_FRAMES):
         ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lights, dtype=np.float64)
@@ -47,7 +48,9 @@ def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
         )
         half_px = 1350.0 * 0.4 / ranges_m
         boxes = np.stack([lefts - half_px, 500 - half_px, lefts + half_px, 500 + half_px], -1)
-        frame = Frame(images[number % 3], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0), road=ROAD)
+        frame = Frame(
+            images[number % len(images)], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0), road=ROAD
+        )
         tracks = Tracks(
             ids=np.arange(num_lights),
             states=np.full(num_lights, TrackState.CONFIRMED, np.int64),

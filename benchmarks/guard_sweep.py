@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
+from foreglow.beam.camera_watch import NUM_RECENT
 from foreglow.beam.guard import Guard
 from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
@@ -33,7 +34,8 @@ NUM_BEFORE = 30
 MOUNT = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.004, -0.008, 0.002))
 CAMERA = Camera(1280, 960, (1350.0, 1350.0), (640.0, 490.0), (-0.07, 0.015, 1e-4, -2e-5, 0.0), MOUNT)
 IMAGES = [
-    np.random.default_rng(seed).integers(5, 60, (96, 128), np.uint8).repeat(10, 0).repeat(10, 1) for seed in (0, 1)
+    np.random.default_rng(seed).integers(5, 60, (96, 128), np.uint8).repeat(10, 0).repeat(10, 1)
+    for seed in range(NUM_RECENT + 1)  # so that none comes again soon
 ]
 
 EXCESS = 1.02
@@ -196,7 +198,7 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
     for where, place in places(lamps, grid):
         lit, states = [], []
         for before, command, same_but_images, age_s, fault in conditions:
-            frame = same_but_images[outcome.num_states % 2]  # copies of a guard share the eye on the camera
+            frame = same_but_images[outcome.num_states % len(IMAGES)]  # copies of a guard share the eye on the camera
             checked = copy.copy(prepared[before]).check(
                 command,
                 place.tracks,
@@ -245,7 +247,7 @@ def _prepared(guard: Guard, levels: Floats) -> Guard:
     """The guard after it has let `levels` through."""
     guard.reset()
     for number in range(NUM_BEFORE):
-        frame = Frame(IMAGES[(number + 1) % 2], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0))
+        frame = Frame(IMAGES[(number + 1) % len(IMAGES)], number * FRAME_NS, camera=CAMERA, motion=EgoMotion(20.0, 0.0))
         result = guard.check(BeamCommand(frame.timestamp_ns, BeamMode.FULL, levels), _no_tracks(), frame)
     assert not result.faults
     np.testing.assert_allclose(result.levels, levels)

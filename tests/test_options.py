@@ -100,7 +100,13 @@ def test_a_model_overrides_the_file_and_the_file_the_preset(tmp_path: Path) -> N
 
 
 def test_without_files_nothing_is_read() -> None:
-    assert VehicleOptions(time_offset=3.0).read() is None
+    assert VehicleOptions().read() is None
+
+
+@pytest.mark.parametrize(("field", "option"), [("time_offset", "--time-offset"), ("pose_error", "--pose-error")])
+def test_numbers_without_their_files_are_refused(field: str, option: str) -> None:
+    with pytest.raises(ValueError, match=f"{option}: expected with "):
+        VehicleOptions(**{field: 3.0}).read()  # type: ignore[arg-type]
 
 
 def test_work_is_parallel_with_jobs_or_a_cluster() -> None:

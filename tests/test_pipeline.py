@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foreglow.beam import BeamPolicy
+from foreglow.beam.faults import GuardFault
 from foreglow.config import DistanceConfig, PipelineConfig, TrackerConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
+from foreglow.distance import RangeEstimator
 from foreglow.pipeline import Pipeline, Stages
 from foreglow.proposals import BACKENDS
 from foreglow.stopwatch import Stopwatch
-from foreglow.types import Frame, FrameResult
+from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Ranges, Tracks
 from tests.stand_ins import REFERENCE, night_frames, night_image
 
 
@@ -177,3 +180,76 @@ def test_a_second_thread_inside_is_refused() -> None:
     leave.set()
     thread.join()
     assert pipeline.step(image).frame == 0
+
+
+def test_a_reset_while_a_frame_is_under_way_is_refused() -> None:
+    pipeline = Pipeline(preset("foreglow").commanding())
+
+    def now_ns() -> int:
+        with pytest.raises(RuntimeError, match=r"Pipeline\.reset: another thread is inside"):
+            pipeline.reset()
+        return 0
+
+    assert pipeline.step(np.zeros((96, 128), np.uint8), now_ns=now_ns).frame == 0
+
+
+def test_tracks_end_with_their_sequence() -> None:
+    frames = shipped_frames(60, 6)
+    alone = [identity(result) for result in Pipeline().run(frames)]
+    others = [replace(frame, sequence="another") for frame in frames]
+    assert [identity(result) for result in Pipeline().run([*others, *frames])][len(others) :] == alone
+
+
+class Thinking(BeamPolicy):
+    """A policy whose every command takes a second of the frames' clock."""
+
+    def __init__(self) -> None:
+        self.clock_ns = 0
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        self.clock_ns += 1_000_000_000
+        return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, 84)))
+
+
+def test_the_guard_sees_how_long_the_policy_took() -> None:
+    policy = Thinking()
+    pipeline = Pipeline(policy=policy)
+    for frame in shipped_frames(60, 4):
+        policy.clock_ns = frame.timestamp_ns
+        beam = pipeline.step(frame, now_ns=lambda: policy.clock_ns).beam
+        assert beam is not None
+        assert GuardFault.TOO_OLD in beam.faults
+
+
+class Reusing(RangeEstimator):
+    """An estimator that uses the same arrays for each frame."""
+
+    def __init__(self) -> None:
+        self.ranges_m, self.sigmas_m = np.ones(100), np.ones(100)
+
+    def estimate(self, frame: Frame, detections: Detections) -> Ranges:  # noqa: ARG002
+        self.ranges_m += 1.0
+        return Ranges(detections, self.ranges_m[: len(detections)], self.sigmas_m[: len(detections)])
+
+
+def test_a_plug_in_that_uses_its_arrays_again_changes_no_earlier_result() -> None:
+    results = list(Pipeline(estimator=Reusing()).run(shipped_frames(60, 3)))
+    assert [result.ranges.ranges_m[0] for result in results if result.ranges is not None] == [2.0, 3.0, 4.0]
+
+
+class Late(Reusing):
+    """An estimator that returns the ranges of the frame before."""
+
+    before: Detections | None = None
+
+    def estimate(self, frame: Frame, detections: Detections) -> Ranges:
+        known, self.before = self.before or detections, detections
+        return super().estimate(frame, known)
+
+
+def test_ranges_of_another_frame_are_refused() -> None:
+    pipeline = Pipeline(estimator=Late())
+    frame = shipped_frames(60, 1)[0]  # twice, so that there are as many boxes
+    pipeline.step(frame)
+    with pytest.raises(ValueError, match=r"distance\.estimator: expected ranges of the detections it was given"):
+        pipeline.step(frame)

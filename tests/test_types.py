@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,16 @@ BOXES = np.array([[0, 0, 4, 4], [2, 3, 9, 8]], np.int32)
 def test_frame_refuses_unfit_images(image: Any, complaint: str) -> None:
     with pytest.raises(ValueError, match=f"a.png: Frame.image: {complaint}"):
         Frame(image, timestamp_ns=0, path="a.png")
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf, 1.5, 2**63, "now", None])
+def test_frame_refuses_what_is_no_time(time: Any) -> None:
+    with pytest.raises(ValueError, match=r"a\.png: Frame\.timestamp_ns: expected nanoseconds as a whole number"):
+        Frame(np.zeros((3, 5), np.uint8), timestamp_ns=time, path="a.png")
+
+
+def test_frame_keeps_a_plain_number_as_its_time() -> None:
+    assert type(Frame(np.zeros((3, 5), np.uint8), timestamp_ns=np.uint64(7)).timestamp_ns) is int  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -218,6 +229,10 @@ def test_tracks_say_which_are_plausible() -> None:
         ({"num_hits": np.ones(2)}, "Tracks.num_hits: expected int64"),
         ({"boxes_xyxy_px": np.zeros((2, 4))}, "Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2"),
         ({"boxes_xyxy_px": np.full((2, 4), np.nan)}, "Tracks.boxes_xyxy_px: expected finite boxes"),
+        ({"ranges_m": np.array([60.0, np.inf])}, "Tracks.ranges_m: expected positive numbers or NaN"),
+        ({"ranges_m": np.array([60.0, 0.0])}, "Tracks.ranges_m: expected positive numbers or NaN"),
+        ({"sigmas_m": np.array([1.0, -1.0])}, "Tracks.sigmas_m: expected numbers of at least 0"),
+        ({"sigmas_m": np.array([1.0, np.nan])}, "Tracks.sigmas_m: expected numbers of at least 0"),
     ],
 )
 def test_tracks_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:

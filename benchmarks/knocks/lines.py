@@ -86,6 +86,11 @@ beam @results --out out --policy os:system
 beam @results --out out --policy json:tool
 live @images --speed 0 --can nothing:x
 live @images --speed 0 --can :::
+live @images --speed 0 --rate 5
+live @images --speed 0 --time-offset 3
+live camera:0 --speed 2
+live simulate:curve --calibration @camera.toml
+beam @results --out out --on-error mark
 run @night.png --out out --limit 1.5
 run / --out out
 run /dev/null --out out

@@ -98,6 +98,17 @@ def _with_role(info: Any, role: str) -> Any:
     return info
 
 
+def refuse_unused(source: str, given: Mapping[str, bool]) -> None:
+    """Refuses options that have no effect on a source: those of `given`, by name, that were given.
+
+    Raises:
+        ValueError: If there is one; the message names it.
+    """
+    unused = ", ".join(name for name, is_given in given.items() if is_given)
+    if unused:
+        raise ValueError(f"{unused}: expected with another kind of SOURCE: no effect on {source}")
+
+
 def with_options(function: Callable[..., None]) -> Callable[..., None]:
     """`function` as a command that checks what it writes, and takes groups of options.
 
@@ -212,6 +223,9 @@ ModelOption = Annotated[Path | None, file("ONNX model of the classifier; overrid
 CalibrationOption = Annotated[
     Path | None, file("Calibration of the camera (TOML), so that boxes and tracks get ranges.")
 ]
+POSE_ERROR_M = 5.0
+"""Of `--pose-error`, if it is not given."""
+
 AUTO = Path("auto")
 """Instead of a calibration file: a calibration from the drive itself."""
 
@@ -295,10 +309,24 @@ class VehicleOptions:
         float,
         option("S", "Added to the times of log and poses, to get the times of the frames.", min=-1e10, max=1e10),
     ] = 0.0
-    pose_error: Annotated[float, option("M", "Largest error of the poses along the road.", min=0.0, max=1000.0)] = 5.0
+    pose_error: Annotated[float, option("M", "Largest error of the poses along the road.", min=0.0, max=1000.0)] = (
+        POSE_ERROR_M
+    )
+
+    def check(self) -> None:
+        """Checks that each number that was given has an effect.
+
+        Raises:
+            ValueError: If one has none.
+        """
+        if self.time_offset != 0.0 and self.can_log is None and self.poses is None:
+            raise ValueError("--time-offset: expected with --can-log or --poses, whose times it shifts")
+        if self.pose_error != POSE_ERROR_M and self.poses is None:
+            raise ValueError("--pose-error: expected with --poses")
 
     def read(self) -> VehicleFiles | None:
         """What the files say about each frame; None if no file is given."""
+        self.check()
         if self.calibration == AUTO:
             raise ValueError(
                 "--calibration auto: expected with `foreglow run`, which reads the drive twice; make a file with "

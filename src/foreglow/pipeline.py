@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
@@ -174,12 +175,8 @@ class Pipeline:
             ValueError: If a plain image is not grey uint8 or uint16, or a plug-in returns something of another kind.
             RuntimeError: If another thread is inside `step` of this pipeline.
         """
-        if not self._lock.acquire(blocking=False):
-            raise RuntimeError("Pipeline.step: another thread is inside: use one pipeline per thread")
-        try:
+        with self._alone("step"):
             return self._step(frame if isinstance(frame, Frame) else Frame(frame, timestamp_ns=0), now_ns, faults)
-        finally:
-            self._lock.release()
 
     def _step(self, frame: Frame, now_ns: Callable[[], int] | None, faults: Sequence[str]) -> FrameResult:
         stages = self._stages
@@ -199,21 +196,41 @@ class Pipeline:
             if stages.estimator is not None and frame.camera is not None:
                 stopwatch.begin("distance")
                 ranges = checked("distance.estimator", stages.estimator.estimate(frame, detections), Ranges)
+                if ranges.detections is not detections:
+                    raise ValueError("distance.estimator: expected ranges of the detections it was given, got others")
             if stages.tracker is not None:
                 stopwatch.begin("tracking")
                 tracks = checked("tracker.method", stages.tracker.update(frame, detections, ranges), Tracks)
                 if stages.beam is not None:
                     stopwatch.begin("beam")
-                    beam = stages.beam.command(frame, tracks, time_ns=now_ns and now_ns(), faults=faults)
+                    beam = stages.beam.command(frame, tracks, now_ns=now_ns, faults=faults)
         stopwatch.end()
         times_ms = stopwatch.times_ms
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The results of `frames`, one by one, in order."""
+        """The results of `frames`, one by one, in order; forgets earlier frames where a new sequence begins."""
+        sequence: str | None = None
         for frame in frames:
+            if sequence not in (None, frame.sequence):
+                self.reset()
+            sequence = frame.sequence
             yield self.step(frame)
 
     def reset(self) -> None:
-        """Forgets what earlier frames left behind, as at the start of a sequence."""
-        self._stages.reset()
+        """Forgets what earlier frames left behind, as at the start of a sequence.
+
+        Raises:
+            RuntimeError: If another thread is inside `step` of this pipeline.
+        """
+        with self._alone("reset"):
+            self._stages.reset()
+
+    @contextlib.contextmanager
+    def _alone(self, method: str) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError(f"Pipeline.{method}: another thread is inside: use one pipeline per thread")
+        try:
+            yield
+        finally:
+            self._lock.release()

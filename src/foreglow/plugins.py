@@ -6,6 +6,7 @@ be an entry point of an installed package. `docs/extending.md` has examples.
 
 from __future__ import annotations
 
+import dataclasses
 import pkgutil
 import sys
 import traceback
@@ -100,14 +101,19 @@ def name_of(plugin: object) -> str:
 
 
 def checked(field: str, result: object, expected: type[Entry]) -> Entry:
-    """The `result` of a plug-in, as what it has to be.
+    """The `result` of a plug-in, a dataclass, as what it has to be, with arrays of its own: a plug-in may use its own
+    arrays again for the next frame, while this result still waits to be recorded.
 
     Raises:
         ValueError: If it is something else; the message starts with `field`.
     """
     if not isinstance(result, expected):
         raise ValueError(f"{field}: expected {expected.__name__} for each frame, got {type(result).__name__}")
-    return result
+    import numpy as np  # not when this module is loaded, as the command line is with it
+
+    values = {part.name: getattr(result, part.name) for part in dataclasses.fields(cast("Any", result))}
+    arrays = {name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)}
+    return cast("Entry", dataclasses.replace(cast("Any", result), **arrays))
 
 
 def raising(error: BaseException) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.beam.camera_watch import NUM_RECENT
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
@@ -64,7 +65,7 @@ def noisy_image(seed: int) -> Image:
     return np.random.default_rng(seed).integers(5, 60, (960, 1280), np.uint8)
 
 
-IMAGES = [noisy_image(seed) for seed in range(3)]
+IMAGES = [noisy_image(seed) for seed in range(NUM_RECENT + 1)]
 
 
 def frame_at(

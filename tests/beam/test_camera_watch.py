@@ -83,6 +83,14 @@ def test_damage_in_images_of_a_small_camera(small_camera: list[Image], fault: st
     assert all(set(found) & NAMES[fault] for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("num_buffers", [2, 3, 8])
+def test_a_driver_that_shows_its_old_buffers_in_turn(drive: list[Image], num_buffers: int) -> None:
+    good = drive[:NUM_GOOD]
+    faults = faults_of([*good, *(good[-num_buffers:] * 8)[:NUM_WRONG]])
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 1 :])
+
+
 def test_rows_repeated_from_the_second_on(drive: list[Image]) -> None:
     good, later = drive[:NUM_GOOD], [image.copy() for image in drive[NUM_GOOD:]]
     for image in later:

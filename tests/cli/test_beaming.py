@@ -202,6 +202,7 @@ def test_other_lamps(tmp_path: Path, run: Path) -> None:
         (["--preset", "paper"], "expected neither --preset nor --model with a run"),
         (["--model", "foreglow"], "expected neither --preset nor --model with a run"),
         (["--config", "absent.toml"], "absent.toml: no such file"),
+        (["--on-error", "mark"], "--on-error: expected without a run"),
     ],
 )
 def test_bad_option_is_one_line(tmp_path: Path, run: Path, options: list[str], expected: str) -> None:

@@ -201,6 +201,9 @@ def test_a_model_is_run_on_the_split(tmp_path: Path, split: Path, model: Path, c
     again = ("--predictions", out / "frames.jsonl", "--threshold", 0.01, "--json", file)
     assert foreglow_command("evaluate", split, *again).exit_code == 0
     assert json.loads(file.read_text()) == results["quality"]
+    # Its threshold is that of the run, where nobody names another.
+    assert foreglow_command("evaluate", split, "--predictions", out / "frames.jsonl", "--json", file).exit_code == 0
+    assert json.loads(file.read_text()) == results["quality"]
 
 
 def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model: Path, config: Path) -> None:

@@ -124,8 +124,43 @@ def test_bad_input(tmp_path: Path) -> None:
     assert "--speed" in complaint("live", shipped_drive(), "--speed", -1)
     assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
     assert "--can-in: expected neither" in complaint(
-        "live", shipped_drive(), "--can-in", "virtual:x", "--map", "a", "--poses", "b"
+        "live", "camera:0", "--can-in", "virtual:x", "--map", "a", "--poses", "b"
     )
+
+
+@pytest.mark.parametrize(
+    ("source", "option", "value"),
+    [
+        ("a drive", "--size", "640x480"),
+        ("a drive", "--rate", 5),
+        ("a drive", "--seed", 5),
+        ("a drive", "--quality", "fast"),
+        ("a drive", "--can-in", "virtual:x"),
+        ("a drive", "--camera-delay", 0.1),
+        ("camera:0", "--topic", "/image"),
+        ("camera:0", "--speed", 2),
+        ("camera:0", "--seed", 5),
+        ("rtsp://127.0.0.1:1/night", "--size", "640x480"),
+        ("simulate:curve", "--speed", 2),
+        ("simulate:curve", "--calibration", "camera.toml"),
+        ("simulate:curve", "--rate", 5),
+    ],
+)
+def test_an_option_without_effect_is_an_error(source: str, option: str, value: object) -> None:
+    named = str(shipped_drive()) if source == "a drive" else source
+    line = complaint("live", named, option, value)
+    assert line == f"foreglow: {option}: expected with another kind of SOURCE: no effect on {named}\n"
+
+
+@pytest.mark.parametrize("command", ["source", "all"])
+def test_an_option_without_effect_on_a_source_of_ros_2(command: str) -> None:
+    assert "--loop: expected with another kind" in complaint("ros2", command, "camera:0", "--loop")
+    assert "--rate: expected with another kind" in complaint("ros2", command, shipped_drive(), "--rate", 5)
+
+
+def test_numbers_without_effect_are_errors() -> None:
+    for option, value in (("--time-offset", 1), ("--pose-error", 2)):
+        assert f"{option}: expected with" in complaint("live", shipped_drive(), option, value)
 
 
 def test_damaged_recording_ends_with_an_error(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+import zlib
 from collections import deque
 
 import numpy as np
@@ -19,6 +20,9 @@ NUM_SAMPLES = 1200
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
+
+SUM_ROWS = 16
+"""One row of so many goes into the checksum by which an image is known again."""
 
 NEAR_TOP = 0.9
 """A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
@@ -94,6 +98,7 @@ class CameraWatch:
     def reset(self) -> None:
         """Forgets the images so far."""
         self._brightest = 0
+        self._recent_sums: deque[int] = deque(maxlen=NUM_RECENT)
         self._comparer.reset()
         self._stillness.reset()
         self._damage.reset()
@@ -111,7 +116,8 @@ class CameraWatch:
         """
         faults = []
         step = max(1, math.isqrt(image.size // NUM_SAMPLES))
-        sample = image[step // 2 :: step, step // 2 :: step].ravel()
+        row, column = (min(step // 2, side - 1) for side in image.shape)
+        sample = image[row::step, column::step].ravel()
         brightest = int(sample.max())
         self._brightest = max(self._brightest, brightest)
         top = _top(image, self._brightest)
@@ -120,7 +126,10 @@ class CameraWatch:
         is_saturated = num_white > self._config.max_saturated * sample.size
         is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
         change = self._comparer.compare(image)
-        if self._stillness.update(change, timestamp_ns, is_moving):
+        checksum = zlib.crc32(image[::SUM_ROWS].tobytes())
+        is_repeated = checksum in self._recent_sums
+        self._recent_sums.append(checksum)
+        if self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
@@ -152,8 +161,10 @@ class _Stillness:
         """Whether the latest image was like the one before."""
         return self._num_still > 0
 
-    def update(self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None) -> bool:
-        """Whether the camera is frozen, by how the next image has changed.
+    def update(
+        self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None, *, is_repeated: bool = False
+    ) -> bool:
+        """Whether the camera is frozen, by how the next image has changed, or as it repeats one of the recent images.
 
         A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
         not known, as long as the noise is new.
@@ -167,7 +178,7 @@ class _Stillness:
         limit = STAYS_STILL_LEVELS if self._num_still else STILL_LEVELS
         if len(self._recent) == NUM_RECENT and not is_fresh:
             limit = max(limit, min(STILL_SHARE * min(self._recent), REFINED_AT_MOST_LEVELS))
-        if change.strongest > limit or self._num_released == NUM_RELEASED:
+        if not is_repeated and (change.strongest > limit or self._num_released == NUM_RELEASED):
             if change.strongest <= limit:
                 self._recent.clear()
             self._recent.append(change.strongest)

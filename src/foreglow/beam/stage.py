@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -44,9 +44,20 @@ class BeamStage:
         self._guard = Guard(guard, headlamps)
 
     def command(
-        self, frame: Frame, tracks: Tracks, *, time_ns: int | None = None, faults: Sequence[str] = ()
+        self,
+        frame: Frame,
+        tracks: Tracks,
+        *,
+        now_ns: Callable[[], int] | None = None,
+        faults: Sequence[str] = (),
     ) -> BeamCommand:
-        """The beam command after `frame`; `time_ns` and `faults` go to the guard, see `Guard.check`.
+        """The beam command after `frame`.
+
+        Args:
+            frame: The frame.
+            tracks: Its tracks.
+            now_ns: The frames' clock, which the guard reads when the policy is done; None off line.
+            faults: As `pipeline_faults` of `Guard.check`.
 
         Raises:
             ValueError: If a plug-in returns something that is no command.
@@ -57,7 +68,12 @@ class BeamStage:
         if self._lit_street.update(frame):
             faults = (*faults, ROAD_LIT)
         passed = self._guard.check(
-            wanted, tracks, frame, time_ns=time_ns, pipeline_faults=faults, is_vehicle=is_vehicle
+            wanted,
+            tracks,
+            frame,
+            time_ns=now_ns and now_ns(),
+            pipeline_faults=faults,
+            is_vehicle=is_vehicle,
         )
         self._policy.shone(passed)
         return passed

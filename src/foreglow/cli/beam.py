@@ -59,6 +59,8 @@ def beam(
     _check_can(can, headlamps, is_compact=compact)
     stepper: Stepper
     if is_run:
+        if reading.on_error != "stop":
+            raise ValueError(f"--on-error: expected without a run: the frames that {source} has are taken, as they are")
         stepper, images, num_frames = _replay(source, configuration)
         limit = min(num_frames, reading.limit or num_frames)
         reading = dataclasses.replace(reading, limit=limit, on_error="skip")

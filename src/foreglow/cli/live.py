@@ -26,6 +26,7 @@ from foreglow.options import (
     folder,
     option,
     output_file,
+    refuse_unused,
     with_options,
 )
 
@@ -83,8 +84,23 @@ def live(
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
     from foreglow.runtime.live import ClosedLoop
     from foreglow.runtime.live.cameras import CameraOptions
-    from foreglow.runtime.live.opening import open_live
+    from foreglow.runtime.live.opening import open_live, options_of
 
+    given = {
+        "--size": capture.size is not None,
+        "--rate": capture.rate is not None,
+        "--camera-delay": camera_delay != 0.0,
+        "--can-in": can_in is not None,
+        "--calibration": vehicle.calibration is not None,
+        "--can-log": vehicle.can_log is not None,
+        "--map": vehicle.road_map is not None,
+        "--topic": topic is not None,
+        "--speed": speed != 1.0,
+        "--seed": seed != 0,
+        "--quality": quality != "training",
+    }
+    known = options_of(source)
+    refuse_unused(source, {name: is_given for name, is_given in given.items() if name not in known})
     configuration = lamps.commanding(pipeline.configuration())
     with contextlib.ExitStack() as closing:
         data = vehicle.read() if can_in is None else _bus_data(vehicle, can_in, closing)
@@ -114,9 +130,10 @@ def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitSta
 
     if any(path is not None for path in (vehicle.can_log, vehicle.road_map, vehicle.poses)):
         raise ValueError("--can-in: expected neither --can-log nor --map with it: motion and road come from the bus")
+    vehicle.check()
     camera = None if vehicle.calibration is None else read_calibration(vehicle.calibration)
     bus = closing.enter_context(contextlib.closing(VehicleBus(channel, vehicle.dbc, vehicle.mapping)))
-    return VehicleFiles(camera=camera, log=bus.log, names=(str(vehicle.calibration), channel, ""))
+    return VehicleFiles(camera=camera, log=bus.log, names=(str(vehicle.calibration), channel, ""), is_live=True)
 
 
 def _run(
@@ -139,6 +156,7 @@ def _run(
     from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import LiveEndedError, LiveLoop
     from foreglow.runtime.live.notify import ServiceNotifier
+    from foreglow.runtime.run import PATIENCE_S, InterruptFlag
 
     all_sinks: list[LiveSink] = [LiveStatus(), *sinks]
     notifier = ServiceNotifier()
@@ -159,9 +177,10 @@ def _run(
             summary = loop.run(limit)
         except LiveEndedError as ended:
             summary, error = ended.summary, ended
-        notifier.stop()
-        if results is not None:
-            results.publish(configuration, summary)
+        with InterruptFlag(PATIENCE_S):
+            notifier.stop()
+            if results is not None:
+                results.publish(configuration, summary)
     return summary, error
 
 

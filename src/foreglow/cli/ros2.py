@@ -26,6 +26,7 @@ from foreglow.options import (
     argument,
     flag,
     option,
+    refuse_unused,
     with_options,
 )
 
@@ -93,6 +94,7 @@ def source(
     from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
+    _check_source(frames, capture, reading, vehicle, speed, loop=loop)
     data = None if vehicle.calibration is None else open_vehicle_data(vehicle.calibration)
     camera = open_camera(frames, CameraOptions(size_px=capture.size_px, rate_hz=capture.rate, data=data))
     if camera is None:
@@ -109,6 +111,26 @@ def source(
         else:
             player.play(repeated(played, reading.limit, is_endless=loop), speed=speed)
     _finish(interrupt)
+
+
+def _check_source(
+    text: str, capture: CaptureOptions, reading: SourceOptions, vehicle: VehicleOptions, speed: float, *, loop: bool
+) -> None:
+    """Checks that each option has an effect on the source called `text`."""
+    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.opening import open_camera
+
+    given = {"--size": capture.size is not None, "--rate": capture.rate is not None}
+    if open_camera(text, CameraOptions()) is not None:
+        given = {
+            "--topic": reading.topic is not None,
+            "--on-error": reading.on_error != "stop",
+            "--speed": speed != 1.0,
+            "--loop": loop,
+            "--can-log": vehicle.can_log is not None,
+            "--map": vehicle.road_map is not None,
+        }
+    refuse_unused(text, given)
 
 
 def _add_stage(name: str, text: str) -> None:
@@ -166,6 +188,7 @@ def everything(
     from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
+    _check_source(frames, capture, SourceOptions(), VehicleOptions(), speed, loop=loop)
     ros_arguments = _prepare(context, is_networked)
     from foreglow.runtime.ros2 import STAGE_NODES
     from foreglow.runtime.ros2.supervisor import supervise

@@ -23,6 +23,9 @@ from foreglow.runs.summary import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
 
+PATIENCE_S = 2.0
+"""Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
+
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
 
@@ -66,12 +69,15 @@ class InterruptFlag:
     """In its `with` block a first Ctrl-C only sets a flag, so that the current frame is finished; a second one raises.
 
     Any of `INTERRUPTS` counts as Ctrl-C; a second one raises if it is of the same kind, as the end of a session sends
-    several kinds at once. SIGHUP stays ignored under `nohup`. Outside the main thread, where Python delivers no
-    signals, it does nothing.
+    several kinds at once, and comes later than `patience_s`. SIGHUP stays ignored under `nohup`. Outside the main
+    thread, where Python delivers no signals, it does nothing.
     """
 
     is_set = False
     _first: int | None = None
+
+    def __init__(self, patience_s: float = 0.0) -> None:
+        self._patience_s = patience_s
 
     def __enter__(self) -> InterruptFlag:
         self._is_main = threading.current_thread() is threading.main_thread()
@@ -87,9 +93,11 @@ class InterruptFlag:
                 signal.signal(number, handler)
 
     def _interrupt(self, number: int, _frame: FrameType | None) -> None:
-        if number == self._first:
+        now_s = time.monotonic()
+        if self._first is None:
+            self._first, self._first_s = number, now_s
+        elif number == self._first and now_s - self._first_s >= self._patience_s:
             raise KeyboardInterrupt
-        self._first = self._first or number
         self.is_set = True
 
 

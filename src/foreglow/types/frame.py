@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from foreglow.geometry import Camera
 from foreglow.types.arrays import Image, frozen_view
 
-MAX_SPEED_MPS, MAX_YAW_RATE_RADPS = 150.0, 3.0
-"""No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2."""
+MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
+"""No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
+dives or squats by 20 degrees."""
 
 MIN_STEP_S = 1e-3
 """No camera takes images in shorter intervals."""
@@ -38,8 +39,9 @@ class EgoMotion:
 
     @property
     def is_possible(self) -> bool:
-        """Whether a car can move so: not faster than `MAX_SPEED_MPS`, not turning faster than `MAX_YAW_RATE_RADPS`."""
-        return abs(self.speed_mps) <= MAX_SPEED_MPS and abs(self.yaw_rate_radps) <= MAX_YAW_RATE_RADPS
+        """Whether a car can move so: within `MAX_SPEED_MPS`, `MAX_YAW_RATE_RADPS` and, if known, `MAX_PITCH_RAD`."""
+        is_level = not abs(self.pitch_rad) > MAX_PITCH_RAD
+        return is_level and abs(self.speed_mps) <= MAX_SPEED_MPS and abs(self.yaw_rate_radps) <= MAX_YAW_RATE_RADPS
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):
@@ -105,7 +107,7 @@ class Frame:
 
     Attributes:
         image: Shape (height, width), uint8 or uint16, at least 1x1; any strides.
-        timestamp_ns: Time of exposure in nanoseconds; the zero is the source's own.
+        timestamp_ns: Time of exposure in nanoseconds, of 64 bits; the zero is the source's own.
         frame: Number that identifies the image in its source (PVDN: the image id; otherwise its index from 0).
         sequence: Name of the sequence; empty if the source has none.
         path: Origin of the image, for messages; empty for an array in memory.
@@ -116,8 +118,8 @@ class Frame:
         is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
 
     Raises:
-        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, or the camera is for
-            images of another size.
+        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for
+            images of another size, or the time is no whole number of 64 bits.
     """
 
     image: Image
@@ -150,6 +152,12 @@ class Frame:
                 f"{origin}Frame.camera: expected a calibration for images of {self.image.shape[1]}x"
                 f"{self.image.shape[0]} px, got one for {self.camera.width_px}x{self.camera.height_px} px"
             )
+        if not isinstance(self.timestamp_ns, int | np.integer) or not -(2**63) <= self.timestamp_ns < 2**63:
+            raise ValueError(
+                f"{origin}Frame.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got "
+                f"{self.timestamp_ns!r:.40}"
+            )
+        object.__setattr__(self, "timestamp_ns", int(self.timestamp_ns))
         object.__setattr__(self, "image", frozen_view(self.image))
 
     @property

@@ -38,16 +38,16 @@ class Tracks:
         num_hits: Shape (M,), int64, number of detections so far, at least 1.
         num_misses: Shape (M,), int64, frames in a row without a detection, up to this frame.
         ages_s: Shape (M,), float64, time since its first detection.
-        ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray; NaN where unknown.
-        sigmas_m: Shape (M,), float64, standard deviation of the range; infinite where unknown.
+        ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray, positive; NaN where unknown.
+        sigmas_m: Shape (M,), float64, standard deviation of the range, not negative; infinite where unknown.
         detections: Shape (M,), int64, index of the box in this frame's `Detections`; -1 without one.
         light_kinds: Shape (M, 4), float64, the filtered probabilities of the kinds of `LIGHT_KINDS`, which sum to 1;
             NaN where unknown. An empty array becomes NaNs.
         vehicles: The vehicles that they belong to; None without them.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, ids do not ascend, a box is not in order or not finite, or kinds do
-            not sum to 1.
+        ValueError: If a shape or a dtype is wrong, ids do not ascend, a box is not in order or not finite, a range is
+            not positive, a standard deviation is negative or NaN, or kinds do not sum to 1.
     """
 
     ids: NDArray[np.int64]
@@ -83,6 +83,10 @@ class Tracks:
             raise ValueError(f"Tracks.ids: expected ascending numbers, got {self.ids.tolist()}")
         if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
             raise ValueError("Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2 and y1 < y2")
+        if (self.ranges_m <= 0).any() or np.isinf(self.ranges_m).any():
+            raise ValueError("Tracks.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
+        if not (self.sigmas_m >= 0).all():
+            raise ValueError("Tracks.sigmas_m: expected numbers of at least 0, got NaN or a negative")
 
     def __len__(self) -> int:
         return len(self.ids)

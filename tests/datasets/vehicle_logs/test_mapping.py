@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from foreglow.datasets.vehicle_logs import CanLog, read_can_log
+from foreglow.datasets.vehicle_logs import CanDecoder, CanLog, read_can_log
 from foreglow.datasets.vehicle_logs.mapping import CurvatureMeaning
 from foreglow.street import curvature_code, curvature_from_code
 
@@ -222,6 +222,15 @@ def test_broken_mappings(tmp_path: Path, old: str, new: str, message: str) -> No
     assert old in MAPPING
     with pytest.raises(ValueError, match=message):
         log_of(tmp_path, [here(7)], MAPPING.replace(old, new, 1))
+
+
+def test_numbers_that_cannot_be_computed_with(tmp_path: Path) -> None:
+    (tmp_path / "car.dbc").write_text(DBC.replace("BendIn : 24|8@1+", "BendIn : 24|8@1-"))
+    (tmp_path / "car.toml").write_text(MAPPING.replace("[curvature]", "[curvature]\nstraight_code = 2"))
+    decoder = CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml")
+    key = next(key for key in decoder.keys if key[1])  # of the message Piece
+    with pytest.raises(ValueError, match="bus: Piece: expected numbers that can be computed with"):
+        decoder.take(0, key, bytes([7, 6, 50, 128, 0, 0, 2, 0]), "bus")
 
 
 def test_broken_descriptions(tmp_path: Path) -> None:

@@ -46,4 +46,6 @@ def run_live(
     """Runs the loop to its end; the summary, and what the lamps got."""
     lamps = lamps or Lamps()
     loop = LiveLoop(source, make or (lambda: Pipeline(configuration)), configuration, outputs=[lamps], sinks=sinks)
-    return loop.run(limit), lamps
+    summary = loop.run(limit)
+    assert lamps.is_low[-1:] in ([], [True])  # whatever happened, they are left so
+    return summary, lamps

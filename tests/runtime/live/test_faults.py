@@ -201,6 +201,13 @@ def test_lost_camera_is_opened_anew(drive: list[Frame]) -> None:
     assert not lamps.is_low[-2]
 
 
+def test_camera_that_wants_to_end_the_program_is_opened_anew(drive: list[Frame]) -> None:
+    source = ScriptedCamera([*drive[:10], SystemExit(3)], drive[10:], is_live=True, is_endless=True)
+    summary, _ = run_live(source, live_config(retry_s=0.1), limit=15)
+    assert summary.run.num_frames == 15
+    assert any(event.detail == "SystemExit: 3" for event in summary.faults)
+
+
 def test_slow_camera(drive: list[Frame]) -> None:
     frames = [*drive[:BEGIN], *drive[BEGIN:50:2], *drive[50:70]]  # half the rate: 9 Hz
     summary, lamps = run_live(ScriptedCamera(frames), live_config())
@@ -234,6 +241,44 @@ def test_bus_that_fails_for_a_while(drive: list[Frame]) -> None:
     assert summary.faults[0].detail == "can0: buffer full"
     assert summary.faults[0].until_ns is not None
     assert summary.run.num_frames == 60
+
+
+@pytest.mark.parametrize("method", ["send", "close"])
+def test_bus_whose_driver_raises_what_it_likes(method: str, drive: list[Frame]) -> None:
+    class Broken(Lamps):
+        pass
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("unplugged")
+
+    broken, keeper, second = Broken(), Keeper(), Lamps()
+    setattr(broken, method, fail)
+    configuration = live_config()
+    source = ScriptedCamera(drive[:10])
+    make, outputs = (lambda: Pipeline(configuration)), [broken, second]
+    summary = LiveLoop(source, make, configuration, outputs=outputs, sinks=[keeper]).run()
+    assert summary.run.num_frames == len(keeper.results) == 10
+    assert keeper.ends == ["close"]
+    assert summary.fault_counts == {LiveFault.BUS: 1}
+    assert summary.faults[0].detail == "unplugged"
+    assert second.commands[-1].mode == BeamMode.LOW
+
+
+def test_signals_in_a_row_do_not_disturb_the_end(drive: list[Frame]) -> None:
+    class Pressing(Keeper):
+        """Somebody who presses Ctrl-C again and again until the sinks are closed."""
+
+        def close(self) -> None:
+            for _ in range(5):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.02)
+            super().close()
+
+    first, second = Pressing(), Keeper()
+    summary, lamps = run_live(ScriptedCamera(drive[:5]), live_config(), sinks=[first, second])
+    assert summary.run.num_frames == 5
+    assert (first.ends, second.ends) == (["close"], ["close"])
+    assert lamps.is_low[-1]
 
 
 def test_recording_that_fails(drive: list[Frame]) -> None:
@@ -304,6 +349,15 @@ def test_pipeline_that_cannot_be_made_leaves_nothing(drive: list[Frame]) -> None
 
 
 @pytest.mark.process
+def test_a_replay_that_hardly_moves_ends_when_it_shall(drive: list[Frame]) -> None:
+    camera = ScriptedCamera(drive[:3], is_live=True)
+    camera.speed = 1e-9
+    running = threading.Thread(target=run_live, args=(camera, live_config()), kwargs={"limit": 1}, daemon=True)
+    running.start()
+    running.join(60.0)
+    assert not running.is_alive()
+
+
 def test_a_process_that_was_stopped_blames_no_stage() -> None:
     """As a machine that was asleep: low beam, but the pipeline that is asked to go on at once need not be replaced."""
     process = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True)

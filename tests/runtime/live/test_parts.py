@@ -135,6 +135,26 @@ def test_watch_of_the_order() -> None:
     assert watch.arrived(other)  # sequences share no time
 
 
+def test_watch_of_a_frame_with_a_wrong_time() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(), 0.05, book, max_silence_s=None)
+    an_hour = 3600e9 / PERIOD_NS
+    frames = frames_at(0, 1, an_hour, 3, 4, 5)
+    assert [watch.arrived(frame) for frame in frames] == [True, True, True, False, True, True]
+    assert not [fault for fault in book.active if fault != "camera_slow"]
+
+
+def test_watch_of_what_is_no_frame() -> None:
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(), 0.05, book, max_silence_s=None)
+    watch.arrived(frames_at(0)[0])
+    time.sleep(0.02)
+    silent_s = watch.silent_s
+    with pytest.raises(AttributeError):
+        watch.arrived("a line")  # type: ignore[arg-type]
+    assert watch.silent_s >= silent_s
+
+
 def test_watch_of_silence() -> None:
     book = FaultBook(lambda: 0, ("camera",))
     watch = FrameWatch(LiveConfig(retry_s=0.01), 0.001, book, max_silence_s=None)
@@ -170,6 +190,32 @@ def test_sink_that_falls_behind() -> None:
     background.close()
     assert len(sink.results) == len(frames) - background.num_lost
     assert [frame.frame for frame, _ in sink.results] == [frame.frame for frame in frames][: len(sink.results)]
+    assert sink.ends == ["close"]
+
+
+def test_sink_that_is_stuck_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foreglow.runtime.live.background.STUCK_S", 0.05)
+    sink = Blocked()
+    background = Background(sink)
+    for frame in night_frames(NUM_WAITING + 2):
+        background.write(frame, result_of(frame, []))
+    background.close()
+    assert isinstance(background.error, TimeoutError)
+    sink.released.set()
+
+
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+def test_sink_that_ends_its_thread_does_not(error: type[BaseException]) -> None:
+    class Ending(Keeper):
+        def write(self, frame: Frame, result: object) -> None:  # noqa: ARG002
+            raise error
+
+    sink = Ending()
+    background = Background(sink)
+    for frame in night_frames(NUM_WAITING + 2):
+        background.write(frame, result_of(frame, []))
+    background.close()
+    assert isinstance(background.error, error)
     assert sink.ends == ["close"]
 
 

@@ -78,3 +78,19 @@ def test_old_values_are_forgotten() -> None:
         log.add_number("speed", number * 100_000_000, float(number))
     assert len(log._numbers["speed"].times_ns) == 11
     assert (log.first_ns, log.last_ns) == (0, 9_900_000_000)
+
+
+def test_a_bus_that_is_silent_for_hours_ends_no_camera() -> None:
+    from foreglow.datasets.vehicle_logs import CanLog
+
+    log, two_hours_ns = CanLog(keep_s=1.0), 7200 * 10**9
+    log.add_number("speed", 0, 20.0)
+    log.add_number("yaw_rate", 0, 0.0)
+    late = Frame(np.zeros((96, 128), np.uint8), two_hours_ns)
+    data = VehicleFiles(log=log, is_live=True)
+    assert (data.motion(late), data.road(late), data.is_reported(late)) == (None, None, None)
+    log.add_number("speed", two_hours_ns, 20.0)
+    log.add_number("yaw_rate", two_hours_ns, 0.0)
+    motion = data.motion(late)
+    assert motion is not None
+    assert motion.speed_mps == 20.0

@@ -160,8 +160,14 @@ def test_a_part_of_the_sensor_is_refused() -> None:
         read_camera_info(message, "info")
 
 
+def test_a_mount_is_on_a_vehicle() -> None:
+    message = mount_message(HEADER, Pose(np.array([2.0, 0.0, 1e6]), np.eye(3)))
+    with pytest.raises(ValueError, match=r"mount: position_m\.2: .*10"):
+        read_mount(message, "mount")
+
+
 def test_no_mount_is_no_rotation() -> None:
-    pose = Pose(np.zeros(3), np.eye(3))
+    pose = Pose(np.array([2.0, 0.0, 1.3]), np.eye(3))
     message = mount_message(HEADER, pose)
     message.data[24:32] = array.array("B", np.float64(2.0).tobytes())
     with pytest.raises(ValueError, match=r"mount: Pose\.rotation"):

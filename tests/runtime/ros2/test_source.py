@@ -116,7 +116,8 @@ def test_a_live_camera_is_stamped_with_its_exposure_and_opened_anew(monkeypatch:
         sent.extend((due, player.clock_ns()) for _, due in messages)
 
     player._publisher = SimpleNamespace(messages=lambda due: [("", due)], publish=keep)  # type: ignore[assignment]
-    camera = ScriptedCamera([*frames[:3], OSError("unplugged")], frames[3:], is_live=True, is_endless=True)
+    scripts = [*frames[:2], OSError("unplugged")], [frames[2], RuntimeError("driver")], frames[3:4], frames[4:]
+    camera = ScriptedCamera(*scripts, is_live=True, is_endless=True)
     assert player.stream(camera, limit=5) == 5
     rclpy.shutdown()
     assert [due.frame.frame for due, _ in sent] == [frame.frame for frame in frames]

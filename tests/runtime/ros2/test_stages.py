@@ -117,6 +117,12 @@ def test_whatever_happens_there_is_low_beam_and_it_recovers(
         patch.setattr(bench.node._pipeline, "step", lambda *_, **__: 1 / 0)
         bench.until(LiveFault.STAGE_FAILED, frame)
     bench.until("", frame)
+    with monkeypatch.context() as patch:
+        patch.setattr(bench.node._pipeline, "step", lambda *_, **__: 1 / 0)
+        patch.setattr(bench.node._pipeline, "reset", lambda: 1 / 0)
+        bench.until(LiveFault.STAGE_FAILED, frame)
+        bench.until(LiveFault.STAGE_FAILED, frame)
+    bench.until("", frame)
     assert not bench.node.faults
     bench.until(GuardFault.DAMAGED, dataclasses.replace(frame, is_damaged=True))
     bench.until("", frame)

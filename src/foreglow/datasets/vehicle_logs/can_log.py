@@ -292,10 +292,13 @@ class CanDecoder:
             ValueError: If the frame is not as the DBC says; the message begins with `where`.
         """
         message, sections = self._sections[key]
-        decoded = _decoded(message, data, where)
-        for name, signals in sections:
-            if all(signal in decoded for signal in signals.values()):
-                self._add(time_ns, name, {field: decoded[signal] for field, signal in signals.items()})
+        try:
+            decoded = _decoded(message, data, where)
+            for name, signals in sections:
+                if all(signal in decoded for signal in signals.values()):
+                    self._add(time_ns, name, {field: decoded[signal] for field, signal in signals.items()})
+        except OverflowError as error:
+            raise ValueError(f"{where}: {message.name}: expected numbers that can be computed with: {error}") from None
 
     def _add(self, time_ns: int, section: str, values: dict[str, float]) -> None:
         if section == "segment":

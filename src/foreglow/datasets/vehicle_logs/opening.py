@@ -38,6 +38,7 @@ class VehicleFiles(VehicleData):
         time_offset_s: float = 0.0,
         pose_error_m: float = POSE_ERROR_M,
         names: Sequence[str] = ("calibration", "CAN log", "poses"),
+        is_live: bool = False,
     ) -> None:
         """Takes the contents of the files; `open_vehicle_data` describes the arguments.
 
@@ -49,11 +50,13 @@ class VehicleFiles(VehicleData):
             time_offset_s: Is added to the times of log and poses to get the frames' times.
             pose_error_m: Largest error of a pose along the road.
             names: The paths of calibration, log and poses, for messages.
+            is_live: Whether the log grows by the frames' own clock, however long its bus is silent.
         """
         self._camera, self._log, self._road_map, self._poses = camera, log, road_map, poses
         self._offset_ns = round(time_offset_s * 1e9)
         self._pose_error_m = pose_error_m
         self._names = names
+        self._is_live = is_live
         self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators keep results by camera
 
     def camera(self, frame: Frame) -> Camera | None:
@@ -127,7 +130,7 @@ class VehicleFiles(VehicleData):
 
     def _time_ns(self, frame: Frame, first_ns: int, last_ns: int, name: str) -> int:
         time_ns = frame.timestamp_ns - self._offset_ns
-        if max(first_ns - time_ns, time_ns - last_ns) > MAX_CLOCK_GAP_S * 1e9:
+        if not self._is_live and max(first_ns - time_ns, time_ns - last_ns) > MAX_CLOCK_GAP_S * 1e9:
             raise ValueError(
                 f"{name}: time: expected data of the frames' time, got data from {first_ns / 1e9:.3f} to "
                 f"{last_ns / 1e9:.3f} s and a frame at {time_ns / 1e9:.3f} s; give the time offset between the clocks"

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from collections.abc import Callable
 
 from foreglow.runtime.health import Health, LiveSink
+from foreglow.runtime.live.worker import THREADS
 from foreglow.types import Frame, FrameResult
 
 NUM_WAITING = 64
 """Frames that may wait for a sink, 3.6 s at 18 Hz; further ones are lost to it."""
+
+STUCK_S = 60.0
+"""A sink that takes longer for a frame, or for its end, is left at the end of the run."""
 
 
 class Background:
@@ -31,10 +36,11 @@ class Background:
         """
         self.sink = sink
         self.num_lost = 0
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         self._is_lossless = is_lossless
+        self._num_done = 0
         self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(NUM_WAITING)
-        self._thread = threading.Thread(target=self._run, name=f"sink {type(sink).__name__}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"{THREADS}sink {type(sink).__name__}", daemon=True)
         self._thread.start()
 
     @property
@@ -52,19 +58,25 @@ class Background:
         self._put(lambda: self.sink.write_health(health))
 
     def close(self) -> None:
-        """Waits until everything is written, and closes the sink."""
-        self._waiting.put(None)
-        self._thread.join()
-        try:
-            self.sink.close()
-        except Exception as error:
-            self.error = self.error or error
+        """Waits until everything is written and the sink is closed, unless it is stuck."""
+        self._finish(self.sink.close)
 
     def discard(self) -> None:
         """Ends the thread, and discards what the sink has written."""
-        self._waiting.put(None)
-        self._thread.join()
-        self.sink.discard()
+        self._finish(self.sink.discard)
+
+    def _finish(self, end: Callable[[], None]) -> None:
+        self._end = end
+        is_told, num_done = False, -1
+        while self._thread.is_alive() and num_done != self._num_done:
+            num_done = self._num_done
+            with contextlib.suppress(queue.Full):
+                if not is_told:
+                    self._waiting.put(None, timeout=STUCK_S)
+                    is_told = True
+            self._thread.join(STUCK_S)
+        if self._thread.is_alive():
+            self.error = self.error or TimeoutError(f"it has been stuck for {STUCK_S:g} s")
 
     def _put(self, call: Callable[[], None]) -> bool:
         if self.error is not None:
@@ -78,7 +90,12 @@ class Background:
     def _run(self) -> None:
         while (call := self._waiting.get()) is not None:
             if self.error is None:
-                try:
-                    call()
-                except Exception as error:  # no error of a sink may stop the beam
-                    self.error = error
+                self._try(call)
+        self._try(self._end)
+
+    def _try(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except BaseException as error:  # no error of a sink may stop the beam, or keep the other sinks from their end
+            self.error = self.error or error
+        self._num_done += 1

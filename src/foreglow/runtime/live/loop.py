@@ -21,7 +21,7 @@ from foreglow.runtime.live.sources import LiveSource
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
-from foreglow.runtime.run import InterruptFlag
+from foreglow.runtime.run import PATIENCE_S, InterruptFlag
 from foreglow.types import BeamCommand
 
 LIVE_FAULTS = frozenset(LiveFault)
@@ -50,6 +50,9 @@ class LiveEndedError(TimeoutError):
 
 ASLEEP_S = 0.5
 """When the watching thread itself was late by this, the whole process had stopped: time that no stage has used."""
+
+MAX_PAUSE_S = 0.1
+"""Longest pause of the watching thread, however slowly a recording is replayed: Ctrl-C is heeded after it."""
 
 HEALTH_S = 1.0
 """Interval of health reports, besides those for changes of the faults."""
@@ -116,7 +119,7 @@ class LiveLoop:
         self._tally = Tally()
         self._is_stopped = threading.Event()
         self._has_ended = threading.Event()
-        self._error: Exception | None = None
+        self._error: Exception | SystemExit | None = None
         self._limit: int | None = None
         self._is_ended = False
         self._lock = threading.RLock()
@@ -152,19 +155,26 @@ class LiveLoop:
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
-        is_complete = False
         self._watched_s = self._woken_s = time.monotonic()
         try:
-            with settled_memory(), InterruptFlag() as interrupt:
-                while not (interrupt.is_set or self._is_over or self._end):
-                    self._supervise()
-                    self._is_stopped.wait(self._wait_s / 4)
-                is_complete = not (interrupt.is_set or self._end)
+            with settled_memory(), InterruptFlag(PATIENCE_S) as interrupt:
+                try:
+                    while not (interrupt.is_set or self._is_over or self._end):
+                        self._supervise()
+                        self._is_stopped.wait(min(self._wait_s / 4, MAX_PAUSE_S))
+                    is_complete = not (interrupt.is_set or self._end)
+                finally:
+                    self._stop(reader)
+                if self._error is not None:
+                    raise self._error
+                summary = self._summary(pipeline, is_complete=is_complete)
         finally:
-            self._stop(reader)
             sys.setswitchinterval(switch_s)
-        if self._error is not None:
-            raise self._error
+        if self._end:
+            raise LiveEndedError(self._end, summary)
+        return summary
+
+    def _summary(self, pipeline: LivePipeline, *, is_complete: bool) -> LiveSummary:
         run = self._tally.summary(
             self._source.name,
             self._source.skipped,
@@ -172,7 +182,7 @@ class LiveLoop:
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
         )
-        summary = LiveSummary(
+        return LiveSummary(
             run=run,
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
@@ -181,9 +191,6 @@ class LiveLoop:
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
-        if self._end:
-            raise LiveEndedError(self._end, summary)
-        return summary
 
     @property
     def _is_enough(self) -> bool:
@@ -206,8 +213,9 @@ class LiveLoop:
             self._is_ended = True
             if self._beam is not None:
                 self._send(BeamCommand.low(self._source.now_ns(), self._num_leds))
-        for output in self._outputs:
-            output.close()
+        errors = [error for output in self._outputs if (error := _failure(output.close))]
+        if errors:
+            self._note_bus(errors)
         for sink in self._sinks:
             sink.close()
 
@@ -223,7 +231,7 @@ class LiveLoop:
                     else:
                         self._command_low()
                 reason = "the source has ended"
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 if not self._source.is_endless:
                     self._error = error
                 reason = f"{type(error).__name__}: {error}"
@@ -318,12 +326,9 @@ class LiveLoop:
 
     def _send(self, command: BeamCommand) -> None:
         self._beam = command
-        errors = []
-        for output in self._outputs:
-            try:
-                output.send(command)
-            except (OSError, ValueError) as error:
-                errors.append(str(error))
+        self._note_bus([error for output in self._outputs if (error := _failure(output.send, command))])
+
+    def _note_bus(self, errors: Sequence[str]) -> None:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
 
     def _note_sinks(self) -> None:
@@ -342,3 +347,12 @@ class LiveLoop:
         )
         for sink in self._sinks:
             sink.write_health(health)
+
+
+def _failure(call: Callable[..., None], *arguments: object) -> str:
+    """Why an output's method has failed, whatever its driver raises; empty if it has not."""
+    try:
+        call(*arguments)
+    except Exception as error:
+        return str(error) or type(error).__name__
+    return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -30,6 +31,21 @@ SOURCES = {
     "simulate": "lab.simulation.live_drive:open_drive",
 }
 """The `Opener` of each scheme, as `module:name` without the package: it is imported when it is needed."""
+
+CAMERA_OPTIONS = frozenset(("--size", "--rate", "--camera-delay", "--can-in", "--calibration", "--can-log", "--map"))
+"""Options of `foreglow live` that mean something to a camera."""
+
+OPTIONS: Mapping[str | None, frozenset[str]] = {
+    STREAM: CAMERA_OPTIONS - {"--size"},
+    "simulate": frozenset(("--seed", "--quality")),
+    None: frozenset(("--topic", "--speed", "--calibration", "--can-log", "--map")),
+}
+"""Likewise for other sources by their scheme, None for a path; all schemes that are not here are cameras."""
+
+
+def options_of(text: str) -> frozenset[str]:
+    """The options of `foreglow live` that have an effect on the source called `text`."""
+    return OPTIONS.get(_scheme(text), CAMERA_OPTIONS)
 
 
 def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: str | None = None) -> LiveSource:
@@ -66,10 +82,14 @@ def open_camera(text: str, options: CameraOptions) -> LiveSource | None:
 
 def _opened(text: str, options: CameraOptions) -> LiveSource | None:
     """The source of a scheme in `SOURCES`; None for other schemes."""
-    scheme, _, address = text.partition(":")
-    if STREAM in text:
-        scheme, address = STREAM, text
-    if scheme not in SOURCES:
+    scheme = _scheme(text)
+    if scheme is None:
         return None
     opener: Opener = imported("source", f"foreglow.{SOURCES[scheme]}")
-    return opener(address, options)
+    return opener(text if scheme == STREAM else text.removeprefix(f"{scheme}:"), options)
+
+
+def _scheme(text: str) -> str | None:
+    """The scheme in `SOURCES` of the source called `text`; None for a path."""
+    scheme = STREAM if STREAM in text else text.partition(":")[0]
+    return scheme if scheme in SOURCES else None

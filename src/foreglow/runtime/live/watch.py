@@ -11,6 +11,10 @@ from foreglow.types import Frame
 CAMERA, GAP = "camera", "gap"
 """The origins of these faults in the `FaultBook`; a gap of one frame does not cause low beam."""
 
+MAX_DELAY_NS = 1_000_000_000
+"""A frame that is earlier by more was not merely delayed: the previous one had a wrong time, or the clock was set. The
+next frame is compared with this one."""
+
 
 class FrameWatch:
     """Checks the timestamps of frames, and the silence between them by the wall clock."""
@@ -41,15 +45,14 @@ class FrameWatch:
 
     def arrived(self, frame: Frame) -> bool:
         """Checks a frame that has arrived; returns whether it is newer than the previous one and may be used."""
-        self._heard_s = self._frame_s = time.monotonic()
-        self._lost = ""
         before, step_ns = self._latest, 0
         if before is not None and before.sequence == frame.sequence:
             step_ns = frame.timestamp_ns - before.timestamp_ns
             if step_ns <= 0:
+                self._heard(frame if step_ns < -MAX_DELAY_NS else before)
                 self._note(LiveFault.OUT_OF_ORDER)
                 return False
-        self._latest = frame
+        self._heard(frame)
         is_slow = step_ns > self._max_step_ns
         self._num_slow = self._num_slow + 1 if is_slow else 0
         self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
@@ -58,6 +61,10 @@ class FrameWatch:
         detail = f"{step_ns / 1e6:.0f} ms before {frame.path or f'frame {frame.frame}'}" if is_lost else ""
         self._book.note(GAP, [LiveFault.FRAME_LOST] if is_lost else [], detail)
         return True
+
+    def _heard(self, latest: Frame) -> None:
+        self._heard_s = self._frame_s = time.monotonic()
+        self._latest, self._lost = latest, ""
 
     @property
     def silent_s(self) -> float:

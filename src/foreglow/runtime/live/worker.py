@@ -15,7 +15,7 @@ from foreglow.runtime.run import Stepper
 from foreglow.types import Frame, FrameResult
 
 THREADS = "live "
-"""Begins the names of threads that may hang, in a stage or in a camera's driver, and can't be ended then."""
+"""Begins the names of threads that may hang, in a stage, a sink or a camera's driver, and can't be ended then."""
 
 STAGE = "stage"
 """The origin of these faults in the `FaultBook`."""

@@ -25,7 +25,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from foreglow.calibration import Intrinsics
 from foreglow.calibration.ros import distortion_of
-from foreglow.calibration.values import HALF_PIXEL_PX
+from foreglow.calibration.values import HALF_PIXEL_PX, Mount
+from foreglow.config import validated
 from foreglow.datasets.images import check_size, to_grey
 from foreglow.geometry import Camera, Pose
 from foreglow.runtime.ros2.header import Header, byte_array, header_message
@@ -155,6 +156,7 @@ def mount_message(header: Header, mount: Pose) -> PointCloud2:
 def read_mount(message: PointCloud2, topic: str) -> Pose:
     """The camera's pose in the vehicle."""
     _, columns = read_table(message, topic, MOUNT, num_rows=1)
+    validated(Mount, {"position_m": columns["position_m"][0].tolist()}, topic)
     try:
         return Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
     except ValueError as error:

@@ -198,12 +198,13 @@ class FrameNode(ABC, Generic[Inputs]):
         header = joined.header
         begun_ns = time.monotonic_ns()
         since_exposure_ms = (self.clock_ns() - header.timestamp_ns) / 1e6
-        stopwatch, fault = Stopwatch(), BAD_MESSAGE
+        stopwatch, fault = Stopwatch(), str(LiveFault.STAGE_FAILED)
         try:
             if header.sequence != self._sequence:
-                self._sequence = header.sequence
                 self.reset()
+                self._sequence = header.sequence
             stopwatch.begin("decode")
+            fault = BAD_MESSAGE
             inputs = self.read(joined)
             stopwatch.end()
             fault = LiveFault.STAGE_FAILED

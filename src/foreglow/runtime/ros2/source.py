@@ -163,10 +163,12 @@ class Player:
                         self._publisher.publish(self._publisher.messages(due))
                         num_frames += 1
                         if self._should_stop() or num_frames == limit:
-                            break
-                except (OSError, ValueError) as error:
-                    self.ros.get_logger().error(f"camera_gone: {error}", throttle_duration_sec=1.0)
-                    time.sleep(RETRY_S)
+                            return num_frames
+                    reason = "it has ended"
+                except Exception as error:  # a camera's driver raises what it likes
+                    reason = str(error) or type(error).__name__
+                self.ros.get_logger().error(f"camera_gone: {reason}", throttle_duration_sec=1.0)
+                time.sleep(RETRY_S)
         finally:
             self.ros.destroy_node()
         return num_frames

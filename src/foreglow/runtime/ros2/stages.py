@@ -215,8 +215,8 @@ class CommandingNode(FrameNode[Inputs]):
         self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
     def failed(self, header: Header, fault: str) -> None:
-        """Commands low beam; the guard begins with low beam again, from which light returns slowly."""
-        self.reset()
+        """Commands low beam; the next frame begins with a reset, so with low beam, from which light returns slowly."""
+        self._sequence = None
         self._output.arrived()
         self._output.low(header, fault)
 
@@ -248,7 +248,7 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     def step(self, header: Header, inputs: tuple[Frame, Tracks], stopwatch: Stopwatch) -> None:
         """Commands the beam that follows from a frame."""
         stopwatch.begin("beam")
-        command = self._stage.command(*inputs, time_ns=self.clock_ns(), faults=self._output.arrived())
+        command = self._stage.command(*inputs, now_ns=self.clock_ns, faults=self._output.arrived())
         stopwatch.begin("send")
         self._output.send(header, command)
 

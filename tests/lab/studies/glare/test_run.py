@@ -29,6 +29,7 @@ from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experime
 from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
 from foreglow.parallel import Local
 from foreglow.photometry import NUM_LEDS, read_headlamps
+from foreglow.photometry.headlamps import SHIPPED
 from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
 from tests.lab.studies.detector_data import make_model
 
@@ -109,6 +110,16 @@ def test_road_light_is_linear_and_less_far_away() -> None:
     assert leds.shape == (2, 2, NUM_LEDS)
     dark, bright = (OurLight(scene(ego=EgoSpec(brightness=one))).on_road(known)[1] for one in (0.5, 1.0))
     np.testing.assert_allclose(bright, 2.0 * dark, rtol=1e-6, atol=1e-12)
+
+
+def test_lamps_of_our_own_are_those_that_shine(tmp_path: Path) -> None:
+    lamps = tmp_path / "lamps.toml"
+    text = SHIPPED.read_text().replace("num_columns = 28", "num_columns = 14")
+    lamps.write_text(text.replace("pitch_deg = 1.2", "pitch_deg = 2.4"))
+    headlamps = read_headlamps(lamps)
+    _, leds = OurLight(scene(), headlamps).on_road(first_frame())
+    assert headlamps.num_leds < NUM_LEDS
+    assert leds.shape == (2, 2, headlamps.num_leds)
 
 
 @functools.cache
