@@ -177,3 +177,19 @@ def test_a_second_thread_inside_is_refused() -> None:
     leave.set()
     thread.join()
     assert pipeline.step(image).frame == 0
+
+
+def test_sequences_share_no_history() -> None:
+    first, second = shipped_frames(30, 3), [replace(frame, sequence="other") for frame in shipped_frames(40, 3)]
+    pipeline = Pipeline()
+    together = [identity(result) for result in pipeline.run([*first, *second])]
+    pipeline = Pipeline()
+    apart = [identity(result) for frames in (first, second) for result in pipeline.run(frames)]
+    assert together == apart == [identity(result) for frames in (first, second) for result in Pipeline().run(frames)]
+
+
+def test_what_is_no_configuration_or_plug_in() -> None:
+    with pytest.raises(ValueError, match=r"Pipeline\.config: expected what foreglow\.preset or .*, got 'paper'"):
+        Pipeline("paper")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="policy: expected a class or an object with the method command, got 'low'"):
+        Pipeline(policy="low")  # type: ignore[arg-type]

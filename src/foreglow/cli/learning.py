@@ -23,6 +23,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
+from foreglow.outputs import TRAINING, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -207,6 +208,9 @@ def train(
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
     judged: tuple[Judged, ...] = ()
+    check_own(out, TRAINING)
+    if len({path.resolve() for path in data}) < len(data):
+        raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}

@@ -51,7 +51,7 @@ class RunSummary(_Strict):
     """What a run did.
 
     Attributes:
-        source: Where the frames came from, as the user gave it.
+        source: Where the frames came from: an absolute path, or what the user gave.
         is_complete: False if the run was interrupted; the results until then are kept.
         is_classified: Whether a model scored the proposals.
         num_frames: Frames that were run.

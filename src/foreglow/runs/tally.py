@@ -7,10 +7,12 @@ import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Sequence
 from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 
 from foreglow.config import PipelineConfig
+from foreglow.outputs import exists
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
@@ -82,7 +84,7 @@ class Tally:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
         Args:
-            source: Where the frames came from.
+            source: Where the frames came from; a path becomes absolute, since it is read from anywhere.
             skipped: One line for each file that was skipped.
             config: Configuration of the pipeline.
             is_complete: Whether all frames were run.
@@ -93,7 +95,7 @@ class Tally:
         is_ranging = is_classified and config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
         return RunSummary(
-            source=source,
+            source=str(Path(source).absolute()) if exists(Path(source)) else source,
             is_complete=is_complete,
             is_classified=is_classified,
             num_frames=self.num_frames,

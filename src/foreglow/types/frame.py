@@ -116,8 +116,8 @@ class Frame:
         is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
 
     Raises:
-        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, or the camera is for
-            images of another size.
+        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the time is no whole
+            number, or the camera is for images of another size.
     """
 
     image: Image
@@ -143,6 +143,8 @@ class Frame:
             raise ValueError(
                 f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}; {_remedy(self.image)}"
             )
+        if not isinstance(self.timestamp_ns, int | np.integer):
+            raise ValueError(f"{origin}Frame.timestamp_ns: expected whole nanoseconds, got {self.timestamp_ns!r}")
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
         if self.camera is not None and (self.camera.height_px, self.camera.width_px) != self.image.shape:
