@@ -272,12 +272,13 @@ def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
     OutputFolder(tmp_path).discard()
 
 
-def test_a_training_leaves_what_is_not_of_a_training(tmp_path: Path) -> None:
+def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> None:
     data, run = tmp_path / "data", tmp_path / "run"
     run.mkdir()
     (run / "config.toml").write_text("of a run")
-    complaints = complaint("train", data, "--out", run)
-    assert "config.toml: expected nothing there but earlier results of this command" in complaints
+    for command in ("train", "tune"):
+        complaints = complaint(command, data, "--out", run)
+        assert "config.toml: expected nothing there but earlier results of this command" in complaints
     assert (run / "config.toml").read_text() == "of a run"
     data.mkdir()
     assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")

@@ -39,10 +39,14 @@ RESULT_FILES = (
 )
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
-RUN, TRAINING = "frames.jsonl", "recipe.toml"
-"""The files by which the folders of a run and of a training are known."""
+RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
+"""The files by which the folders of a run, of a training and of a search are known."""
 
-PARTS_OF = {RUN: RESULT_NAMES, TRAINING: (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json")}
+PARTS_OF = {
+    RUN: RESULT_NAMES,
+    TRAINING: (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+    TUNING: (TUNING, "study.journal", "summary.json"),
+}
 """By such a file, the files beside it that are lost if another command writes them."""
 
 DEVICES = Path("/dev")
@@ -152,10 +156,6 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
             if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
-        if path.is_file() and path.suffix != ".html":
-            for mark, parts in PARTS_OF.items():
-                if path.name in parts and path.with_name(mark).is_file():
-                    raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {path.parent}")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
@@ -173,6 +173,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, paths in results.items():
             if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
                 raise ValueError(f"{name} {path}: expected another file than the results in {other}")
+        for mark, parts in PARTS_OF.items():
+            if path.is_file() and path.suffix != ".html" and path.name in parts and path.with_name(mark).is_file():
+                raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {path.parent}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
         for other, second in written[:index]:
@@ -239,11 +242,11 @@ def check_replaceable(path: Path) -> None:
 
 
 def check_own(folder: Path, mark: str) -> None:
-    """Checks that a folder has no `config.toml` or `summary.json` but those of an earlier run or training.
+    """Checks that a folder has no `config.toml` or `summary.json` but those of an earlier run, training or search.
 
     Args:
-        folder: The folder, in which both are to be written.
-        mark: `RUN` or `TRAINING`.
+        folder: The folder, in which they are to be written.
+        mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
         ValueError: If it has one that something else wrote, which would be lost.

@@ -154,7 +154,7 @@ def test_without_a_folder_the_results_are_beside_the_source(folder: Path, config
     assert again.exit_code == 0, again.output
     assert num_lines(out) == 2, "an earlier run on the same source is replaced"
     line = complaint("run", folder, "--config", config, "--save", out / "frames.jsonl")
-    assert f"--save {out / 'frames.jsonl'}: expected another file than the results in the folder {out}" in line
+    assert f"--save {out / 'frames.jsonl'}: expected a file that does not overwrite a part of {out}" in line
     one_image = foreglow_command("run", folder / "000000.png", "--config", config)
     assert f"look in {folder / '000000_foreglow'}" in one_image.stdout
 

@@ -23,7 +23,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
-from foreglow.outputs import TRAINING, check_own
+from foreglow.outputs import TRAINING, TUNING, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -114,6 +114,7 @@ def tune(
     from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
+    check_own(out, TUNING)
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
     )
