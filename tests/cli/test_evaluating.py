@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import json
 from pathlib import Path
@@ -288,3 +289,9 @@ def test_predictions_for_another_split(tmp_path: Path, split: Path) -> None:
     predictions = tmp_path / "predictions.json"
     predictions.write_text('{"77": {"boxes": [[1, 1, 5, 5]], "scores": [0.9]}}')
     assert "expected boxes in images of" in complaint("evaluate", split, "--predictions", predictions)
+
+
+def test_a_byte_order_mark_is_no_content(split: Path, predictions: Path) -> None:
+    labels = split / "labels" / "sequences.json"
+    labels.write_bytes(codecs.BOM_UTF8 + labels.read_bytes())
+    assert foreglow_command("evaluate", split, "--predictions", predictions).exit_code == 0
