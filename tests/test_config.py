@@ -220,3 +220,18 @@ def test_limits_of_the_guard() -> None:
     guard = read_text("[guard]\nled_limits_cd = [[0, 100], [60, 100.0]]").guard
     assert guard.led_limits_cd == ((0.0, 100.0), (60.0, 100.0))
     assert GuardConfig(low_below_mps=9.0, high_above_mps=9.0).low_below_mps == 9.0
+
+
+def test_a_model_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "model.onnx").touch()
+    monkeypatch.chdir(tmp_path)
+    Path("config.toml").write_text(
+        config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx"))))
+    )
+    assert read_config("config.toml").classifier.model == tmp_path / "model.onnx"
+    assert 'model = "foreglow"' in config_to_toml(preset("foreglow")), "the name of one that ships"
+
+
+def test_a_byte_order_mark_is_no_content() -> None:
+    """Some editors put it first."""
+    assert read_text("\ufeff[proposals]\ngap_px = 7") == read_text("[proposals]\ngap_px = 7")

@@ -247,3 +247,45 @@ def test_a_word_is_no_path_even_if_a_folder_has_its_name(
     (tmp_path / "paper").mkdir()
     monkeypatch.chdir(tmp_path)
     assert foreglow_command("run", image, "--preset", "paper", "--out", tmp_path / "paper" / "run").exit_code == 0
+
+
+def test_a_part_of_a_result_that_is_not_read(tmp_path: Path) -> None:
+    """`evaluate --predictions RUN/frames.jsonl --json RUN/summary.json` would cost the run."""
+    for mark, part in (("frames.jsonl", "summary.json"), ("recipe.toml", "model.onnx")):
+        folder = tmp_path / part
+        folder.mkdir()
+        for name in (mark, part, "results.json", "report.html"):
+            (folder / name).touch()
+        with pytest.raises(ValueError, match=f"--json .*{part}: expected a file that does not overwrite a part of"):
+            check_outputs({}, {"--json": folder / part}, {})
+        check_outputs({}, {"--json": folder / "results.json", "--out": folder / "report.html"}, {})
+
+
+@pytest.mark.parametrize("name", ["config.toml", "summary.json"])
+def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
+    """Such as the files of a training, or those of another program."""
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ValueError, match=f"{name}: expected nothing there but earlier results of this command"):
+        OutputFolder(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}
+    (tmp_path / "frames.jsonl").touch()
+    OutputFolder(tmp_path).discard()
+
+
+def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> None:
+    data, run = tmp_path / "data", tmp_path / "run"
+    run.mkdir()
+    (run / "config.toml").write_text("of a run")
+    for command in ("train", "tune"):
+        complaints = complaint(command, data, "--out", run)
+        assert "config.toml: expected nothing there but earlier results of this command" in complaints
+    assert (run / "config.toml").read_text() == "of a run"
+    data.mkdir()
+    assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")
+
+
+def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
+    (tmp_path / "report.html").touch()
+    with OutputFolder(tmp_path) as folder:
+        folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
+    assert not (tmp_path / "report.html").exists()

@@ -193,11 +193,13 @@ def test_a_reset_while_a_frame_is_under_way_is_refused() -> None:
     assert pipeline.step(np.zeros((96, 128), np.uint8), now_ns=now_ns).frame == 0
 
 
-def test_tracks_end_with_their_sequence() -> None:
-    frames = shipped_frames(60, 6)
-    alone = [identity(result) for result in Pipeline().run(frames)]
-    others = [replace(frame, sequence="another") for frame in frames]
-    assert [identity(result) for result in Pipeline().run([*others, *frames])][len(others) :] == alone
+def test_sequences_share_no_history() -> None:
+    first, second = shipped_frames(30, 3), [replace(frame, sequence="other") for frame in shipped_frames(40, 3)]
+    pipeline = Pipeline()
+    together = [identity(result) for result in pipeline.run([*first, *second])]
+    pipeline = Pipeline()
+    apart = [identity(result) for frames in (first, second) for result in pipeline.run(frames)]
+    assert together == apart == [identity(result) for frames in (first, second) for result in Pipeline().run(frames)]
 
 
 class Thinking(BeamPolicy):
@@ -253,3 +255,10 @@ def test_ranges_of_another_frame_are_refused() -> None:
     pipeline.step(frame)
     with pytest.raises(ValueError, match=r"distance\.estimator: expected ranges of the detections it was given"):
         pipeline.step(frame)
+
+
+def test_what_is_no_configuration_or_plug_in() -> None:
+    with pytest.raises(ValueError, match=r"Pipeline\.config: expected what foreglow\.preset or .*, got 'paper'"):
+        Pipeline("paper")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="policy: expected a class or an object with the method command, got 'low'"):
+        Pipeline(policy="low")  # type: ignore[arg-type]

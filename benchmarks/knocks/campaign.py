@@ -67,6 +67,8 @@ class Campaign:
         yield from self.misuse()
         yield from self.environments()
         yield from self.unfinished()
+        yield from self.other_frames()
+        yield from self.foreign_folders()
         yield from self.linked()
         yield from self.rare_images()
         yield from (Probe("live faults", name, functools.partial(live_fault, name)) for name in FAULT_PROBES)
@@ -337,6 +339,28 @@ class Campaign:
                     return prepared
 
                 yield Probe("unfinished runs", f"{name}: {what}", prepare)
+
+    def other_frames(self) -> Iterator[Probe]:
+        """Images that are gone since a run on them: what it found is not taken for that of others."""
+        for gone in ("000000.png", "000007.png"):
+
+            def prepare(folder: Path, *, gone: str = gone) -> Words:
+                prepared = laid_out(self._materials, folder, LATER["labels"])
+                (folder / "inputs" / "images" / gone).unlink()
+                return [word.replace("night/val", "images") for word in prepared]
+
+            yield Probe("other frames", f"without {gone}", prepare, refused)
+
+    def foreign_folders(self) -> Iterator[Probe]:
+        """Folders with a `config.toml` of something else: it stays as it is."""
+        for words in (run("images"), beam(), ("live", "@images", "--speed", "0", "--out", "out")):
+
+            def prepare(folder: Path, *, words: Words = words) -> Words:
+                prepared = laid_out(self._materials, folder, words)
+                shutil.copy(self._materials / "camera.toml", folder / "inputs" / "config.toml")
+                return ["inputs" if word == "out" else word for word in prepared]
+
+            yield Probe("foreign folders", words[0], prepare, refused)
 
     def linked(self) -> Iterator[Probe]:
         """Links in place of outputs: what they lead to stays as it is."""

@@ -29,7 +29,10 @@ annotate @night/val --out @night/val/labels/sequences.json
 calibrate auto @images --fov 50 --out @images/000001.toml
 run @images --out out --save out/frames.jsonl
 live @images --speed 0 --out out --save out/summary.json
-evaluate @night/val --predictions @predictions.jsonl --out out --json out/results.json"""
+evaluate @night/val --predictions @predictions.jsonl --out out --json out/results.json
+evaluate @night/val --predictions @of_split/frames.jsonl --json @of_split/summary.json
+evaluate @night/val --predictions @of_split/frames.jsonl --json @of_split/config.toml
+calibrate convert @camera.toml --out @results/config.toml --mount-forward 1 --mount-height 1"""
 """Command lines of which an output is an input, holds one or lies in one."""
 
 OWN_TRACKER = "class Own:\n    def __init__(self, *_): {}\n    def reset(self): {}\n    def update(self, *_): {}\n"

@@ -311,7 +311,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     data = read_bytes(path, MAX_TOML_BYTES)
     try:
-        text = data.decode().replace("\r\n", "\n")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n")
         for part in re.split(r"[=,{}\[\]\n]", _TOML_TEXTS.sub('""', text)):
             if part.count(".") >= MAX_KEY_PARTS:
                 raise ValueError(f"keys of at most {MAX_KEY_PARTS} parts, got {shortened(part.strip())}")

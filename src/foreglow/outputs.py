@@ -21,23 +21,33 @@ RESULT_NAMES = (
     "beam.log",
     "moments.png",
     "suggestions.csv",
+    "report.html",
     "config.toml",
     "summary.json",
 )
-"""Every name that a run may write. `summary.json` is published last, so that the set is whole where it exists; only
-`moments.png`, which `foreglow demo` makes from the results, comes after it."""
+"""Every name that a run may have. `summary.json` is published last, so that the set is whole where it exists; only
+what is made of the results comes after it: `moments.png`, `suggestions.csv` and `report.html`."""
 
 RESULT_FILES = (
     *RESULT_NAMES,
     "results.json",
     "report.md",
-    "report.html",
     "plan.json",
     "model.onnx",
     "recipe.toml",
     "scenes.jsonl",
 )
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
+
+RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
+"""The files by which the folders of a run, of a training and of a search are known."""
+
+PARTS_OF = {
+    RUN: RESULT_NAMES,
+    TRAINING: (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+    TUNING: (TUNING, "study.journal", "summary.json"),
+}
+"""By such a file, the files beside it that are lost if another command writes them."""
 
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
@@ -139,13 +149,13 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         ValueError: If an output would destroy an input or another output; the message names both.
     """
     for name, path in files.items():
+        if path.is_dir():
+            raise ValueError(f"{name} {path}: expected a file to write, got a folder")
         for other, read in inputs.items():
             if _is_same(path, read) or _is_same(partial_path(path), read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
             if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
-        if path.is_dir():
-            raise ValueError(f"{name} {path}: expected a file to write, got a folder")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
@@ -163,6 +173,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, paths in results.items():
             if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
                 raise ValueError(f"{name} {path}: expected another file than the results in {other}")
+        for mark, parts in PARTS_OF.items():
+            if path.is_file() and path.suffix != ".html" and path.name in parts and path.with_name(mark).is_file():
+                raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {path.parent}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
         for other, second in written[:index]:
@@ -226,6 +239,23 @@ def check_replaceable(path: Path) -> None:
         if there.exists() and not there.is_file():
             kind = "a folder" if there.is_dir() else "a device, a pipe or a socket"
             raise ValueError(f"{there}: expected a file to write, or nothing, got {kind}")
+
+
+def check_own(folder: Path, mark: str) -> None:
+    """Checks that a folder has no `config.toml` or `summary.json` but those of an earlier run, training or search.
+
+    Args:
+        folder: The folder, in which they are to be written.
+        mark: `RUN`, `TRAINING` or `TUNING`.
+
+    Raises:
+        ValueError: If it has one that something else wrote, which would be lost.
+    """
+    for path in (folder / "config.toml", folder / "summary.json"):
+        if path.is_file() and not (folder / mark).exists():
+            raise ValueError(
+                f"{path}: expected nothing there but earlier results of this command; choose another folder"
+            )
 
 
 def partial_path(path: Path) -> Path:

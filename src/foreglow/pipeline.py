@@ -41,8 +41,13 @@ class Stages:
         """Takes the configuration, and plug-ins that stand in place of what it names: an object or a class each.
 
         Raises:
-            ValueError: If a policy is given, and there is no model or no tracker to make its tracks.
+            ValueError: If a policy is given, and there is no model or no tracker to make its tracks; if a plug-in
+                lacks the method of its stage.
         """
+        given = (("estimator", estimator, "estimate"), ("tracker", tracker, "update"), ("policy", policy, "command"))
+        for name, plugin, method in given:
+            if plugin is not None and not callable(getattr(plugin, method, None)):
+                raise ValueError(f"{name}: expected a class or an object with the method {method}, got {plugin!r}")
         if estimator is not None:
             config = config.changed("distance", estimator=name_of(estimator))
         if tracker is not None:
@@ -139,6 +144,8 @@ class Pipeline:
             ValueError: If the model, the lamps' description or a plug-in cannot be used; the message names path or
                 field, and what was expected.
         """
+        if not isinstance(config, PipelineConfig | None):
+            raise ValueError(f"Pipeline.config: expected what foreglow.preset or read_config gives, got {config!r}")
         self._stages = Stages(config or preset("foreglow"), estimator=estimator, tracker=tracker, policy=policy)
         self.config = self._stages.config
         self._stages.build()
@@ -209,12 +216,12 @@ class Pipeline:
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The results of `frames`, one by one, in order; forgets earlier frames where a new sequence begins."""
+        """The results of `frames`, one by one, in order; each sequence begins with a `reset`."""
         sequence: str | None = None
         for frame in frames:
-            if sequence not in (None, frame.sequence):
+            if isinstance(frame, Frame) and frame.sequence != sequence:  # sequences share no time axis
                 self.reset()
-            sequence = frame.sequence
+                sequence = frame.sequence
             yield self.step(frame)
 
     def reset(self) -> None:

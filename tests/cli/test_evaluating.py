@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import json
 from pathlib import Path
@@ -285,3 +286,15 @@ def test_missing_key_point_file_is_one_line(tmp_path: Path) -> None:
     (split / "labels" / "keypoints" / "000004.json").unlink()
     (tmp_path / "none.json").write_text("{}")
     assert "000004.json" in complaint("evaluate", split, "--predictions", tmp_path / "none.json")
+
+
+def test_predictions_for_another_split(tmp_path: Path, split: Path) -> None:
+    predictions = tmp_path / "predictions.json"
+    predictions.write_text('{"77": {"boxes": [[1, 1, 5, 5]], "scores": [0.9]}}')
+    assert "expected boxes in images of" in complaint("evaluate", split, "--predictions", predictions)
+
+
+def test_a_byte_order_mark_is_no_content(split: Path, predictions: Path) -> None:
+    labels = split / "labels" / "sequences.json"
+    labels.write_bytes(codecs.BOM_UTF8 + labels.read_bytes())
+    assert foreglow_command("evaluate", split, "--predictions", predictions).exit_code == 0

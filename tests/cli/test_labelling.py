@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from foreglow.datasets import open_labelled, shipped_drive
@@ -86,7 +88,8 @@ def test_bad_arguments_are_one_line(run: Path, tmp_path: Path) -> None:
     listed.write_text("frame\n99\n")
     assert "expected images of the data set, got 99" in complaint(*export, out, "--frames", listed)
     assert "cvat-video has every frame" in complaint(*export, out, "--frames", listed, "--format", "cvat-video")
-    assert "expected frames of the run, found none" in complaint(*export, out, "--run", run)
+    assert "expected the frames of the run, has no frame" in complaint(*export, out, "--run", run)
+    assert "expected numbers of frames of the run, got 99" in complaint(*export, out, "--run", run, "--frames", listed)
     assert not out.exists()
     assert foreglow_command(*export, out).exit_code == 0
     imported = ("labels", "import", out, "--out", tmp_path / "own")
@@ -120,3 +123,47 @@ def test_a_run_without_a_model_suggests_nothing(folder: Path, config: Path, tmp_
     out = tmp_path / "out"
     assert foreglow_command("run", folder, "--config", config, "--preset", "paper", "--out", out).exit_code == 0
     assert "expected those of a model" in complaint("suggest", out)
+
+
+def test_guesses_are_for_the_frames_of_the_run(tmp_path: Path) -> None:
+    """Guesses go by number: where an image is gone, they would all be for the next one."""
+    images, out = tmp_path / "images", tmp_path / "guess.xml"
+    images.mkdir()
+    for number, path in enumerate(sorted((shipped_drive() / "images").rglob("*.jpg"))[40:44]):
+        cv2.imwrite(str(images / f"{number}.png"), np.asarray(cv2.imread(str(path)))[::4, ::4])
+    (images / "2.png").write_bytes(b"damaged")
+    run = tmp_path / "run"
+    assert foreglow_command("run", images, "--out", run, "--on-error", "skip").exit_code == 0
+    export = ("labels", "export", images, "--run", run, "--out", out)
+    assert foreglow_command(*export).exit_code == 0, "what the run skipped is skipped here, too"
+    out.unlink()
+    first = (images / "0.png").read_bytes()
+    (images / "0.png").unlink()
+    assert "images: expected the frames of the run, frame 1 is at" in complaint(*export)
+    (images / "0.png").write_bytes(first)
+    (images / "3.png").unlink()
+    assert "images: expected the frames of the run, has no frame 3" in complaint(*export)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("names", ["frame_{:04d}.png", "DSC{}.png"])
+def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: str) -> None:
+    """Whatever the images are called, wherever the count begins, and if only some of them are labelled."""
+    images, run, guess, own = (tmp_path / name for name in ("images", "run", "guess.xml", "own"))
+    images.mkdir()
+    for number, path in enumerate(sorted((shipped_drive() / "images").rglob("*.jpg"))[60:64], start=1):
+        cv2.imwrite(str(images / names.format(number)), np.asarray(cv2.imread(str(path)))[::2, ::2])
+    listed = tmp_path / "frames.csv"
+    assert foreglow_command("run", images, "--out", run).exit_code == 0
+    frames = [result.frame for results in read_run(run).sequences.values() for result in results]
+    listed.write_text(f"frame\n{frames[1]}\n{frames[3]}\n")
+    export = ("labels", "export", images, "--run", run, "--frames", listed, "--out", guess)
+    for words in (export, ("labels", "import", guess, "--images", images, "--out", own)):
+        assert foreglow_command(*words).exit_code == 0
+    assert open_labelled(own).frame_ids == (frames[1], frames[3])
+    quality = tmp_path / "quality.json"
+    judged = foreglow_command("evaluate", own, "--predictions", run / "frames.jsonl", "--json", quality)
+    assert judged.exit_code == 0
+    found = json.loads(quality.read_text())
+    assert found["tp"] > 0
+    assert (found["fn"], found["fp"], found["num_missing"]) == (0, 0, 0), "what was guessed is what was found"

@@ -11,6 +11,8 @@ import pytest
 
 import foreglow
 from foreglow.datasets import shipped_drive
+from foreglow.datasets.vehicle_logs import write_can_log
+from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.shared_data import shared_file
 
@@ -152,7 +154,7 @@ def test_without_a_folder_the_results_are_beside_the_source(folder: Path, config
     assert again.exit_code == 0, again.output
     assert num_lines(out) == 2, "an earlier run on the same source is replaced"
     line = complaint("run", folder, "--config", config, "--save", out / "frames.jsonl")
-    assert f"--save {out / 'frames.jsonl'}: expected another file than the results in the folder {out}" in line
+    assert f"--save {out / 'frames.jsonl'}: expected a file that does not overwrite a part of {out}" in line
     one_image = foreglow_command("run", folder / "000000.png", "--config", config)
     assert f"look in {folder / '000000_foreglow'}" in one_image.stdout
 
@@ -180,3 +182,15 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     assert "the model has seen simulated drives only" in line
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
+
+
+def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Path) -> None:
+    pytest.importorskip("can")
+    log = tmp_path / "drive.log"
+    write_can_log(log, [], [(k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
+    words = ("run", folder, "--preset", "paper", "--config", config, "--can-log", log)
+    told = f"{log} says nothing of any frame: expected data of their times (--time-offset)"
+    for number, (offset_s, is_told) in enumerate([(0, False), (100, True)]):
+        result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
+        assert result.exit_code == 0, result.output
+        assert (told in result.stdout) == is_told

@@ -108,7 +108,7 @@ def test_the_report_on_a_data_set(data: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     image = data / "day" / "train" / "images" / "S00001" / "010000.png"
     said = foreglow("experiment", "simulator", data, "--out", tmp_path, "--real-labels", data, "--real-image", image)
-    assert "1.7 s before a production system" in said
+    assert "1.7 s before a production system" in said.output
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["labels"]["num_images"] == 8
     assert all(row["is_close"] for row in results["label_rows"] if row["ratio"] is not None)  # compared with itself

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
@@ -109,3 +110,11 @@ def test_a_picture_that_cannot_be_drawn_ends_the_run(tmp_path: Path) -> None:
         sink.close()
     sink.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_of_another_depth_have_a_curve_of_their_own(tmp_path: Path) -> None:
+    shallow, deep = night_frames(2)
+    deep = dataclasses.replace(deep, image=deep.image.astype(np.uint16) * 257)
+    write_video(tmp_path / "overlay.mp4", [shallow, deep, shallow])
+    with av.open(str(tmp_path / "overlay.mp4")) as container:
+        assert len(list(container.decode(video=0))) == 3

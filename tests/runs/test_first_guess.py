@@ -25,11 +25,11 @@ def test_accepted_boxes_are_lights_of_their_tracks(tmp_path: Path) -> None:
     below = result_of(Frame(night_image(), 1, 6, "S1"), BOXES[:1], [0.01])
     run = write_run(tmp_path / "run", [(frame, followed), (Frame(night_image(), 1, 6, "S1"), below)])
     guess = read_guess(run)
-    lights = [mark for mark in guess[5] if mark.kind == Kind.LIGHT]
+    lights = [mark for mark in guess[5].marks if mark.kind == Kind.LIGHT]
     assert lights == [
         Mark(Kind.LIGHT, (15, 15), 12, 12, is_direct=True, is_rear=True),
         Mark(Kind.LIGHT, (45, 15), -1, -1),
         Mark(Kind.LIGHT, (75, 15), -2, -2),
     ]
-    assert [mark.oid for mark in guess[5] if mark.kind == Kind.VEHICLE] == [12, -1, -2]
-    assert guess[6] == (), "a frame in which nothing was found is a guess, too"
+    assert [mark.oid for mark in guess[5].marks if mark.kind == Kind.VEHICLE] == [12, -1, -2]
+    assert guess[6].marks == (), "a frame in which nothing was found is a guess, too"

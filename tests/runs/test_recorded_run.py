@@ -106,3 +106,10 @@ def test_a_run_of_version_0_1_0() -> None:
         assert "capture" in result.stage_ms
     modes = {result.beam.mode for result in results if result.beam is not None}
     assert modes == {BeamMode.FULL, BeamMode.GLARE_FREE}
+
+
+def test_frames_that_were_not_copied_are_missed(tmp_path: Path) -> None:
+    frames = write_run(tmp_path / "run", [made_up(1), made_up(2)]) / "frames.jsonl"
+    frames.write_text(frames.read_text().partition("\n")[0] + "\n")
+    with pytest.raises(ValueError, match=r"frames\.jsonl: expected the 2 frames of summary\.json, got 1"):
+        read_run(tmp_path / "run")

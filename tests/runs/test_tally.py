@@ -129,3 +129,14 @@ def test_a_tally_of_days_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(tally._counted) == 1
     assert {len(values) for values in tally._stage_ms.values()} == {10}
     assert summary_of(tally).num_tracks == 50
+
+
+def test_the_source_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "drive").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def source_of(name: str) -> str:
+        return Tally().summary(name, [], preset("paper"), is_complete=True, dispatch=None).source
+
+    assert source_of("drive") == str(tmp_path / "drive")
+    assert source_of("camera:0") == "camera:0"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.running import beam_sink, finish, open_frames, recorded_lux, run_frames, viewer_sinks
+from foreglow.cli.running import beam_sink, finish, open_frames, recorded_lux, run_frames, unused_lines, viewer_sinks
 from foreglow.options import (
     BeamOptions,
     OutOption,
@@ -77,7 +77,8 @@ def beam(
             sinks.append(_can_sink(results, can, configuration.beam.restore_s, is_compact=compact))
         return sinks
 
-    finish(run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit), out)
+    summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit)
+    finish(summary, out, *unused_lines(vehicle, summary))
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:

@@ -126,6 +126,11 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
 
     dataset = open_labelled(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset, with_shares=True)
+    images = found.boxes_xyxy_px.keys()
+    if images and images.isdisjoint(labels.keypoints_px):
+        raise ValueError(
+            f"{predictions}: expected boxes in images of {split}, got those of others, such as {min(images)}"
+        )
     examination = examine(labels, found, threshold, str(predictions))
     if not has_tracks(predictions):
         return examination

@@ -40,7 +40,7 @@ def export(
     if run is None:
         found = exchange.labels_of(open_labelled(source), chosen)
     else:
-        found = exchange.guesses_of(open_source(source), read_guess(run), chosen)
+        found = exchange.guesses_of(open_source(source, on_error="mark"), read_guess(run), chosen)
     lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
     typer.echo("\n".join([_counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
 

@@ -23,6 +23,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
+from foreglow.outputs import TRAINING, TUNING, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -113,6 +114,7 @@ def tune(
     from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
+    check_own(out, TUNING)
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
     )
@@ -207,6 +209,9 @@ def train(
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
     judged: tuple[Judged, ...] = ()
+    check_own(out, TRAINING)
+    if len({path.resolve() for path in data}) < len(data):
+        raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}

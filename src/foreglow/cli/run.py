@@ -19,6 +19,7 @@ from foreglow.cli.running import (
     recording_sinks,
     run_frames,
     run_in_parallel,
+    unused_lines,
     viewer_sinks,
 )
 from foreglow.options import (
@@ -81,7 +82,8 @@ def run(
                 "run: expected --video, --record, --view, --save and --limit without --jobs and --cluster: they go "
                 "frame by frame"
             )
-        finish(run_in_parallel(opening, str(source), out, configuration, workers), out)
+        summary = run_in_parallel(opening, str(source), out, configuration, workers)
+        finish(summary, out, *unused_lines(vehicle, summary))
         return
     frames = opening()
     looks = look_sink(frames, reading.limit)
@@ -93,7 +95,7 @@ def run(
 
     stepper = Pipeline(configuration)
     summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)
-    finish(summary, out, expectation(looks.profile, configuration))
+    finish(summary, out, *unused_lines(vehicle, summary), expectation(looks.profile, configuration))
 
 
 @app.command()
@@ -119,4 +121,5 @@ def record(
         sinks.append(BagRecorder(out, config=stepper.config, source_name=str(source)))
     else:
         sinks += recording_sinks(out, source, stepper.config)
-    finish(runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source)), out)
+    summary = runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source))
+    finish(summary, out, *unused_lines(vehicle, summary))

@@ -68,6 +68,17 @@ def finish(summary: RunSummary, out: Path, *more: str) -> None:
         raise typer.Exit(130)
 
 
+def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
+    """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another."""
+    num_known = (summary.num_with_motion or 0) + (summary.num_with_road or 0)
+    counts = {vehicle.can_log: num_known, vehicle.poses: summary.num_with_road}
+    return [
+        f"{path} says nothing of any frame: expected data of their times (--time-offset)"
+        for path, count in counts.items()
+        if path is not None and not count
+    ]
+
+
 def folder_beside(source: Path) -> Path:
     """Where the results for `source` go if nobody says: beside it, in a folder that is named after it.
 

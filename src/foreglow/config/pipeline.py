@@ -100,14 +100,14 @@ def preset(name: str) -> PipelineConfig:
     return PRESETS[name]
 
 
-def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfig:
+def read_config(path: Path | str, base: PipelineConfig | None = None) -> PipelineConfig:
     """The configuration in the TOML file `path`; fields that it does not have are those of `base` (default: paper).
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
-    given = read_toml(path)
+    given = read_toml(Path(path))
     merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
     for section, fields in given.items():
         known = merged.get(section)
@@ -116,7 +116,9 @@ def read_config(path: Path, base: PipelineConfig | None = None) -> PipelineConfi
 
 
 def config_to_toml(config: PipelineConfig) -> str:
-    r"""`config` as TOML text that `read_config` reads back equal; fields that are None are left out.
+    r"""`config` as TOML text that `read_config` reads back equal, anywhere: the files that it names become absolute.
+
+    Fields that are None are left out.
 
     >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
     [classifier]
@@ -129,7 +131,12 @@ def config_to_toml(config: PipelineConfig) -> str:
     sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
     return tomli_w.dumps(
         {
-            section: {name: str(value) if isinstance(value, Path) else value for name, value in fields.items()}
+            section: {name: _located(value) if isinstance(value, Path) else value for name, value in fields.items()}
             for section, fields in sections.items()
         }
     )
+
+
+def _located(path: Path) -> str:
+    """The absolute path of a file; anything else, such as the name of a model that ships, as it is."""
+    return str(path.absolute() if path.is_file() else path)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import re
 from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
@@ -41,13 +42,34 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if index % 2 else (0, 0, part) for index, part in enumerate(parts)]
 
 
+def number_in(name: str) -> int | None:
+    """The number that an image is called by, such as 12 for `S1/000012.png` and `frame_000012.png`; None for none."""
+    found = re.fullmatch("(?:frame_)?([0-9]{1,15})", PurePosixPath(name).stem)
+    return int(found[1]) if found else None
+
+
+def frame_numbers(folder: Path) -> dict[str, int]:
+    """By name, in natural order, the frame that each image of a folder is.
+
+    That is the number that it is called by, where all of them are called by numbers that rise; else its place.
+
+    Raises:
+        ValueError: If the folder holds no image.
+    """
+    names = [path.name for path in _images_in(folder)[0]]
+    numbers = [number_in(name) for name in names]
+    known = [number for number in numbers if number is not None]
+    is_numbered = len(known) == len(names) and all(first < later for first, later in itertools.pairwise(known))
+    return dict(zip(names, known if is_numbered else range(len(names)), strict=True))
+
+
 class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 
-    Frames are numbered in that order; a skipped image keeps its number. As image files carry no time, the timestamp
-    is that number divided by `rate_hz`. The images are one drive and have no sequence, unless they are photographs:
-    an image of another size than the one before, or that was taken more than `MAX_STEP` from it by their Exif data,
-    begins a new sequence, which has the name of its file.
+    Frames are numbered as `frame_numbers` says; a skipped image keeps its number. As image files carry no time, the
+    timestamp is the place in that order divided by `rate_hz`. The images are one drive and have no sequence, unless
+    they are photographs: an image of another size than the one before, or that was taken more than `MAX_STEP` from it
+    by their Exif data, begins a new sequence, which has the name of its file.
 
     Attributes:
         path: The folder or the file.
@@ -82,8 +104,10 @@ class ImageFolder(FileSource):
             raise FileNotFoundError(f"{self.path}: no such file or folder")
         self._files: list[Path] = [self.path]
         self._others: list[str] = []
+        self._numbers = [0]
         if self.path.is_dir():
             self._files, self._others = _images_in(self.path)
+            self._numbers = list(frame_numbers(self.path).values())
             if self._others and on_error == "stop":
                 raise ValueError(self._others[0])
 
@@ -106,8 +130,8 @@ class ImageFolder(FileSource):
         return _in_sequences(self._read_each(reads))
 
     def _frame(self, index: int) -> Frame:
-        path = self._files[index]
-        return Frame(read_image(path), timestamp_ns=round(index * 1e9 / self.rate_hz), frame=index, path=str(path))
+        path, timestamp_ns = self._files[index], round(index * 1e9 / self.rate_hz)
+        return Frame(read_image(path), timestamp_ns=timestamp_ns, frame=self._numbers[index], path=str(path))
 
 
 def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:

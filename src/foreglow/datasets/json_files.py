@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import functools
 import json
 from collections.abc import Callable, Iterator
@@ -97,7 +98,7 @@ def read_json(path: Path, model: type[Model]) -> Model:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, is not JSON, or does not fit the model.
     """
-    return parse_json(read_bytes(path, MAX_JSON_BYTES), model, str(path))
+    return parse_json(read_bytes(path, MAX_JSON_BYTES).removeprefix(codecs.BOM_UTF8), model, str(path))
 
 
 def read_json_lines(path: Path, model: type[Model]) -> Iterator[tuple[str, Model]]:

@@ -51,13 +51,17 @@ class Tone:
         values = np.clip((np.arange(num_values) - black) / span, 0.0, 1.0)
         return cls(np.rint(255.0 * np.arcsinh(stretch * values) / np.arcsinh(stretch)).astype(np.uint8))
 
+    def fits(self, image: Image) -> bool:
+        """Whether the curve is for images of this depth."""
+        return bool(np.iinfo(image.dtype).max + 1 == len(self.curve))
+
     def apply(self, image: Image) -> NDArray[np.uint8]:
         """`image` as display values, same shape, uint8.
 
         Raises:
             ValueError: If the dtype is not that of the frame the curve was made for.
         """
-        if np.iinfo(image.dtype).max + 1 != len(self.curve):
+        if not self.fits(image):
             raise ValueError(f"Frame.image: expected frames of one depth, got {image.dtype} after another")
         if image.dtype == np.uint8:
             return np.asarray(cv2.LUT(image, self.curve), np.uint8)  # five times as quick as an index

@@ -108,8 +108,8 @@ class Movie:
 class VideoSink(Movie):
     """A result sink that writes pictures of the frames as a `Movie`, annotated ones unless another drawing is given.
 
-    The brightening curve is that of the first frame, so that the video does not flicker. Pictures are drawn and encoded
-    in a thread of their own, while the run goes on.
+    The brightening curve is that of the first frame of a depth, so that the video does not flicker. Pictures are drawn
+    and encoded in a thread of their own, while the run goes on.
     """
 
     def __init__(self, path: Path, fps: float | None = None, draw: Drawing = annotate) -> None:
@@ -145,7 +145,7 @@ class VideoSink(Movie):
             self._waiting.popleft().result()
 
     def _paint(self, frame: Frame, result: FrameResult) -> None:
-        if self._tone is None:
+        if self._tone is None or not self._tone.fits(frame.image):
             self._tone = Tone.of(frame.image)
         self.add(self._draw(frame, result, self._tone))
 

@@ -72,6 +72,8 @@ def _connected(address: str) -> Client:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError as error:
         raise ConnectionError(f"--cluster {address}: expected a dask scheduler, nothing answers there") from error
+    except ValueError as error:
+        raise ValueError(f"--cluster: expected an address such as tcp://host:8786, got {address}: {error}") from error
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError as error:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.datasets.exchange import Kind, Mark
+from foreglow.datasets.exchange import Guess, Kind, Mark
 from foreglow.runs.recorded_run import read_run
 from foreglow.types import FrameResult
 
 
-def read_guess(folder: Path) -> Mapping[int, tuple[Mark, ...]]:
+def read_guess(folder: Path) -> Mapping[int, Guess]:
     """By frame of the run in `folder`, a vehicle with one light for every accepted box, at its middle.
 
     Vehicle and light have the number of the track that follows the box; a box without one has a negative number that no
@@ -24,7 +24,7 @@ def read_guess(folder: Path) -> Mapping[int, tuple[Mark, ...]]:
         ValueError: If one is broken, or the run had no model.
     """
     alone = count(-1, -1)
-    marks: dict[int, tuple[Mark, ...]] = {}
+    guesses: dict[int, Guess] = {}
     for results in read_run(folder).sequences.values():
         for result in results:
             if result.detections is None:
@@ -39,8 +39,8 @@ def read_guess(folder: Path) -> Mapping[int, tuple[Mark, ...]]:
                 number = tracks[index] if index in tracks else next(alone)
                 found.append(Mark(Kind.VEHICLE, middle_px, number, None, is_direct))
                 found.append(Mark(Kind.LIGHT, middle_px, number, number, is_direct, is_rear))
-            marks[result.frame] = tuple(found)
-    return marks
+            guesses[result.frame] = Guess(result.timestamp_ns, tuple(found))
+    return guesses
 
 
 def _tracks_of_boxes(result: FrameResult) -> dict[int, int]:

@@ -11,7 +11,7 @@ from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text, naming
-from foreglow.outputs import RESULT_NAMES, FolderLock, check_replaceable, partial_path
+from foreglow.outputs import RESULT_NAMES, RUN, FolderLock, check_own, check_replaceable, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary import LiveSummary, RunSummary
@@ -37,13 +37,15 @@ class OutputFolder:
 
         Raises:
             OSError: If it cannot be made or written to; the message names the path.
-            ValueError: If something there has the name of a result and is no file, or another run is writing into it.
+            ValueError: If something there has the name of a result and is no file or not of a run, or another run is
+                writing into it.
         """
         self.path = path
         self._partials: dict[str, Path] = {}
         self._parts: Path | None = None
         self._lock = FolderLock(path)
         try:
+            check_own(path, RUN)
             for name in RESULT_NAMES:
                 check_replaceable(path / name)
             self.write_text("frames.jsonl", "")

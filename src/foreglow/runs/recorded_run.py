@@ -187,7 +187,10 @@ def read_run(folder: Path | str) -> RecordedRun:
         return line.get("sequence", ""), dataclasses.replace(result, stage_ms=times.get(result.frame, {}))
 
     sequences: dict[str, list[FrameResult]] = {}
-    for name, result in read_lines(frames, FrameLineModel, convert).values():
+    lines = read_lines(frames, FrameLineModel, convert)
+    if summary.live is None and len(lines) != summary.num_frames:  # a live run may lose some
+        raise ValueError(f"{frames}: expected the {summary.num_frames} frames of summary.json, got {len(lines)}")
+    for name, result in lines.values():
         sequences.setdefault(name, []).append(result)
     return RecordedRun(folder, summary, config, {name: tuple(results) for name, results in sequences.items()})
 

@@ -51,7 +51,7 @@ class RunSummary(_Strict):
     """What a run did.
 
     Attributes:
-        source: Where the frames came from, as the user gave it.
+        source: Where the frames came from: an absolute path, or what the user gave.
         is_complete: False if the run was interrupted; the results until then are kept.
         is_classified: Whether a model scored the proposals.
         num_frames: Frames that were run.
@@ -60,6 +60,8 @@ class RunSummary(_Strict):
         num_accepted: Boxes scored above the threshold; None without a model.
         num_ranged: Scored boxes that have a range; None if nothing estimates ranges.
         num_tracks: Tracks that were plausible at some time; None without a tracker.
+        num_with_motion: Frames with the motion of the car; None in folders of earlier versions, like the next.
+        num_with_road: Frames with the road ahead.
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
@@ -82,6 +84,8 @@ class RunSummary(_Strict):
     num_accepted: int | None
     num_ranged: int | None
     num_tracks: int | None
+    num_with_motion: int | None = None
+    num_with_road: int | None = None
     beam: BeamSummary | None
     num_skipped: int
     skipped: Sequence[str]

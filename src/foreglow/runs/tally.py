@@ -7,10 +7,12 @@ import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Sequence
 from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 
 from foreglow.config import PipelineConfig
+from foreglow.outputs import exists
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
@@ -27,6 +29,8 @@ class Tally:
         self._num_proposals = 0
         self._num_accepted = 0
         self._num_ranged = 0
+        self._num_with_motion = 0
+        self._num_with_road = 0
         self._num_tracks: int | None = None
         self._sequence = ""
         self._counted: set[int] = set()
@@ -40,6 +44,8 @@ class Tally:
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Counts one frame."""
         self.num_frames += 1
+        self._num_with_motion += frame.motion is not None
+        self._num_with_road += frame.road is not None
         self._num_proposals += len(result.proposals)
         if result.detections is not None:
             self._num_accepted += int(result.detections.is_accepted.sum())
@@ -59,7 +65,8 @@ class Tally:
 
     def extend(self, later: Tally) -> None:
         """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
-        for name in ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_gaps", "_sum_gaps_rad"):
+        counts = ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_with_motion", "_num_with_road")
+        for name in (*counts, "_num_gaps", "_sum_gaps_rad"):
             setattr(self, name, getattr(self, name) + getattr(later, name))
         if later._num_tracks is not None:
             self._num_tracks = (self._num_tracks or 0) + later._num_tracks
@@ -82,7 +89,7 @@ class Tally:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
         Args:
-            source: Where the frames came from.
+            source: Where the frames came from; a path becomes absolute, since it is read from anywhere.
             skipped: One line for each file that was skipped.
             config: Configuration of the pipeline.
             is_complete: Whether all frames were run.
@@ -93,7 +100,7 @@ class Tally:
         is_ranging = is_classified and config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
         return RunSummary(
-            source=source,
+            source=str(Path(source).absolute()) if exists(Path(source)) else source,
             is_complete=is_complete,
             is_classified=is_classified,
             num_frames=self.num_frames,
@@ -102,6 +109,8 @@ class Tally:
             num_accepted=self._num_accepted if is_classified else None,
             num_ranged=self._num_ranged if is_ranging else None,
             num_tracks=self._num_tracks,
+            num_with_motion=self._num_with_motion,
+            num_with_road=self._num_with_road,
             beam=self._beam_summary() if self._modes else None,
             num_skipped=len(skipped),
             skipped=tuple(skipped),

@@ -108,7 +108,8 @@ class Frame:
     Attributes:
         image: Shape (height, width), uint8 or uint16, at least 1x1; any strides.
         timestamp_ns: Time of exposure in nanoseconds, of 64 bits; the zero is the source's own.
-        frame: Number that identifies the image in its source (PVDN: the image id; otherwise its index from 0).
+        frame: Number that identifies the image in its source: in PVDN its id, in a folder of images that are called by
+            numbers its own, otherwise its index from 0.
         sequence: Name of the sequence; empty if the source has none.
         path: Origin of the image, for messages; empty for an array in memory.
         camera: Calibration for images of this size; without it, nothing has a range.

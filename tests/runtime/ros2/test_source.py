@@ -20,6 +20,7 @@ from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.join import Joined
 from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, Player, repeated, timed
+from foreglow.types import Frame
 from tests.stand_ins import night_frames
 
 pytestmark = pytest.mark.ros
@@ -116,7 +117,12 @@ def test_a_live_camera_is_stamped_with_its_exposure_and_opened_anew(monkeypatch:
         sent.extend((due, player.clock_ns()) for _, due in messages)
 
     player._publisher = SimpleNamespace(messages=lambda due: [("", due)], publish=keep)  # type: ignore[assignment]
-    scripts = [*frames[:2], OSError("unplugged")], [frames[2], RuntimeError("driver")], frames[3:4], frames[4:]
+    scripts: list[list[Frame | BaseException | float]] = [
+        [*frames[:2], OSError("unplugged")],
+        [frames[2], RuntimeError("driver")],
+        [*frames[3:4]],
+        [*frames[4:]],
+    ]
     camera = ScriptedCamera(*scripts, is_live=True, is_endless=True)
     assert player.stream(camera, limit=5) == 5
     rclpy.shutdown()

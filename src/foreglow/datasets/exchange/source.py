@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
-from foreglow.datasets.image_folder import natural_key
+from foreglow.datasets.image_folder import frame_numbers, natural_key, number_in
 from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -30,10 +30,11 @@ EARLIER_S = 0.25
 class LabelFile(LabelledSource):
     """Labels of CVAT, COCO or Label Studio, and the images that they are about.
 
-    The folder that an image lies in is its sequence. An image's id is the number that its file is called, where all are
-    called by numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or
-    about the images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the
-    frames of a video, too. Times follow the ids, at the video's rate or PVDN's.
+    The folder that an image lies in is its sequence. An image's id is the frame that a run on the same video or folder
+    has for it; where the images lie in several folders, the number that its file is called, where all are called by
+    numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or about the
+    images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the frames of a
+    video, too. Times follow the ids, at the video's rate or PVDN's.
 
     Attributes:
         labels: What the file says.
@@ -58,10 +59,7 @@ class LabelFile(LabelledSource):
         self._folder, self._video = self._images_at(None if images is None else Path(images))
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = self._named()
-        numbers = [_number_in(image.name) for image in named]
-        is_numbered = None not in numbers and len(set(numbers)) == len(numbers)
-        ids = [number for number in numbers if number is not None] if is_numbered else list(range(len(named)))
-        self._images = dict(zip(ids, named, strict=True))
+        self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
@@ -199,6 +197,19 @@ class LabelFile(LabelledSource):
             "says where they are"
         )
 
+    def _ids(self, names: list[str]) -> list[int]:
+        """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
+
+        In folders of folders it is the number that each is called by, where all are; else its number in the file.
+        """
+        if self._video is None and (self._folder / names[0]).is_file() and not any("/" in name for name in names):
+            frames = frame_numbers(self._folder)
+            if frames.keys() >= set(names):
+                return [frames[name] for name in names]
+        numbers = [number_in(name) for name in names]
+        known = [number for number in numbers if number is not None]
+        return known if len(set(known)) == len(names) else list(range(len(names)))
+
     def _named(self) -> tuple[ImageLabels, ...]:
         """The labels with the names of files; of a video, with the numbers of frames."""
         images = self.labels.images
@@ -214,19 +225,13 @@ class LabelFile(LabelledSource):
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
 
 
-def _number_in(name: str) -> int | None:
-    """The number that an image is called by, such as 12 for `S1/000012.png` and `frame_000012.png`; None for none."""
-    found = re.fullmatch("(?:frame_)?([0-9]{1,15})", PurePosixPath(name).stem)
-    return int(found[1]) if found else None
-
-
 def _frame_number(name: str) -> int:
     """The frame of a video that an image is, by its name.
 
     Raises:
         ValueError: If the name does not say it.
     """
-    number = _number_in(name)
+    number = number_in(name)
     if number is None:
         raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
     return number

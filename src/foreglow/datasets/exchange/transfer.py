@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,19 @@ from foreglow.types import Frame
 
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What a run found in a frame.
+
+    Attributes:
+        timestamp_ns: The frame's time.
+        marks: The points.
+    """
+
+    timestamp_ns: int
+    marks: tuple[Mark, ...]
 
 
 def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) -> LabelSet:
@@ -61,21 +75,34 @@ def _attributes(sequence: Sequence) -> dict[str, Any]:
     return sequence.model_dump(exclude=_OWN)
 
 
-def guesses_of(
-    frames: FrameSource, marks: Mapping[int, tuple[Mark, ...]], chosen: Collection[int] | None = None
-) -> LabelSet:
-    """A first guess for each frame of a source that has one, by the frame's number.
+def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collection[int] | None = None) -> LabelSet:
+    """The first guess for each frame that a run went over, or for those with the numbers `chosen`.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: If the run did not go over a chosen frame, there is no guess at all, or the frames are not those of
+            the run.
     """
-    images = []
+    unknown = set(chosen or ()) - guesses.keys()
+    if unknown:
+        raise ValueError(f"frames: expected numbers of frames of the run, got {min(unknown)}")
+    images, waiting = [], set(guesses)
     for frame in frames:
-        if frame.frame in marks and (chosen is None or frame.frame in chosen):
+        if frame.frame not in waiting:
+            continue
+        waiting.remove(frame.frame)
+        guess = guesses[frame.frame]
+        if frame.timestamp_ns != guess.timestamp_ns:
+            raise ValueError(
+                f"{frames.name}: expected the frames of the run, frame {frame.frame} is at "
+                f"{frame.timestamp_ns / 1e9:.3f} s, and was at {guess.timestamp_ns / 1e9:.3f} s"
+            )
+        if chosen is None or frame.frame in chosen:
             size_px = frame.width_px, frame.height_px
-            images.append(ImageLabels(_name_of(frame, frames), size_px, marks[frame.frame]))
+            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks))
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
+    if waiting:
+        raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
     return LabelSet(tuple(images), is_video=isinstance(frames, Video))

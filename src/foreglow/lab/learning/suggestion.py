@@ -173,7 +173,7 @@ def read_suggestions(path: Path) -> frozenset[int]:
         ValueError: If it has no such column, or a number is none; the message names the line.
     """
     try:
-        rows = list(csv.reader(line.decode() for line in read_lines(path)))
+        rows = list(csv.reader(line.decode("utf-8-sig") for line in read_lines(path)))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: expected a CSV file: {error}") from None
     if not rows or "frame" not in rows[0]:

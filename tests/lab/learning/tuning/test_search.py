@@ -136,6 +136,15 @@ def test_interrupted_trial_is_given_up(data: Path, tmp_path: Path, monkeypatch: 
     assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE", "FAIL"]
 
 
+def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_path: Path) -> None:
+    searched(data, tmp_path, 3)
+    journal = tmp_path / "study.journal"
+    journal.write_bytes(journal.read_bytes()[:-20])
+    again = searched(data, tmp_path, 5)
+    assert len(again.trials) == 5
+    assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
+
+
 def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Path) -> None:
     searched(data, tmp_path, 4)
     again = searched(data, tmp_path, 3)

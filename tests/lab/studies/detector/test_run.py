@@ -56,6 +56,9 @@ def given(folder: Path, *names: str) -> dict[str, Path]:
 def without_times(results: DetectorResults) -> dict[str, Any]:
     document = results.to_json()
     for row in document["rows"]:
+        if row["reason"] is not None:
+            assert row.keys() == {"name", "title", "reason"}, "zeros would be taken for its figures"
+            continue
         row["run_time_ms"] = row["examination"]["run_time_ms"] = None
     return document
 

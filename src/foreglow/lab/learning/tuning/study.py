@@ -120,10 +120,20 @@ def _storage(storage: str) -> BaseStorage | str:
     if "://" in storage:
         return storage
     from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
+    from optuna.storages.journal import JournalFileBackend, JournalFileSymlinkLock
 
-    Path(storage).parent.mkdir(parents=True, exist_ok=True)
-    return JournalStorage(JournalFileBackend(storage))
+    path = Path(storage)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = JournalFileSymlinkLock(storage)
+    backend = JournalFileBackend(storage, lock)
+    lock.acquire()
+    try:  # a line that a killed process left unfinished: what follows would become part of it
+        data = path.read_bytes()
+        if data.startswith(b'{"op_code":'):
+            os.truncate(path, data.rfind(b"\n") + 1)
+    finally:
+        lock.release()
+    return JournalStorage(backend)
 
 
 def _sampler(seed: int) -> Any:

@@ -52,6 +52,10 @@ if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress
 
 
+NOT_MADE = {"name", "title", "reason"}
+"""Fields of a row that could not be made; its figures would be taken for measured ones."""
+
+
 class RowResult(Record):
     """One row of the table, as `rows/NAME.json` keeps it.
 
@@ -114,7 +118,7 @@ class DetectorResults:
             "num_sequences": len(set(self.labels.sequence_of.values())),
             "threshold": THRESHOLD,
             "seed": self.plan.seed,
-            "rows": [row.model_dump() for row in self.rows],
+            "rows": [row.model_dump(include=None if row.reason is None else NOT_MADE) for row in self.rows],
             "comparisons": list(self.comparisons),
         }
 
