@@ -127,8 +127,24 @@ def test_a_tally_of_days_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
         result = result_of(frame, [[0, 0, 4, 4]], [0.9])
         tally.add(frame, dataclasses.replace(result, tracks=tracks_of([[0, 0, 4, 4]], ids=[number // 4])))
     assert len(tally._counted) == 1
-    assert {len(values) for values in tally._stage_ms.values()} == {10}
+    assert {len(times.values) for times in tally._stage_ms.values()} == {10}
     assert summary_of(tally).num_tracks == 50
+
+
+def test_the_latest_times_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tallies, "NUM_TIMES", 4)
+    first, later = tallies.LatestTimes(), tallies.LatestTimes()
+    for value in range(7):
+        first.add(value)
+    assert sorted(first.values) == [3, 4, 5, 6]
+    for value in range(10, 16):
+        later.add(value)
+    later.extend(first)
+    assert sorted(later.values) == [3, 4, 5, 6]
+    assert sorted(first.values) == [3, 4, 5, 6]
+    first.add(7)
+    later.extend(first)
+    assert list(later.values[later._oldest :] + later.values[: later._oldest]) == [4, 5, 6, 7]
 
 
 def test_the_source_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
-from collections import Counter, defaultdict, deque
-from collections.abc import Collection, Sequence
+from array import array
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -19,6 +19,30 @@ from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 
 NUM_TIMES = 20_000
 """Number of frames whose run-times are kept, always the latest: a live run may last for days."""
+
+
+class LatestTimes:
+    """The latest `NUM_TIMES` values of many, without an object for each.
+
+    Objects that live for minutes among those of single frames leave memory in pieces, which grows for hours.
+    """
+
+    def __init__(self) -> None:
+        self.values = array("d")
+        self._oldest = 0
+
+    def add(self, value: float) -> None:
+        """Adds a value, in place of the oldest one if there are `NUM_TIMES`."""
+        if len(self.values) < NUM_TIMES:
+            self.values.append(value)
+        else:
+            self.values[self._oldest] = value
+            self._oldest = (self._oldest + 1) % NUM_TIMES
+
+    def extend(self, later: LatestTimes) -> None:
+        """Adds the values of `later`, in their order."""
+        for value in later.values[later._oldest :] + later.values[: later._oldest]:
+            self.add(value)
 
 
 class Tally:
@@ -39,7 +63,7 @@ class Tally:
         self._num_gaps = 0
         self._sum_gaps_rad = 0.0
         self._sizes_px: dict[tuple[int, int], None] = {}
-        self._stage_ms: defaultdict[str, deque[float]] = defaultdict(functools.partial(deque, (), NUM_TIMES))
+        self._stage_ms: defaultdict[str, LatestTimes] = defaultdict(LatestTimes)
 
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Counts one frame."""
@@ -60,8 +84,8 @@ class Tally:
             self._sum_gaps_rad += float(np.diff(result.beam.gaps_rad).sum())
         self._sizes_px[frame.width_px, frame.height_px] = None
         for name, value in result.stage_ms.items():
-            self._stage_ms[name].append(value)
-        self._stage_ms["total"].append(sum(result.stage_ms.values()))
+            self._stage_ms[name].add(value)
+        self._stage_ms["total"].add(sum(result.stage_ms.values()))
 
     def extend(self, later: Tally) -> None:
         """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
@@ -74,7 +98,7 @@ class Tally:
         self._faults.update(later._faults)
         self._sizes_px |= later._sizes_px
         for name, values in later._stage_ms.items():
-            self._stage_ms[name] += values
+            self._stage_ms[name].extend(values)
 
     def summary(
         self,
@@ -99,6 +123,7 @@ class Tally:
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
+        run_times = {name: run_time(times.values) for name, times in self._stage_ms.items()}
         return RunSummary(
             source=str(Path(source).absolute()) if exists(Path(source)) else source,
             is_complete=is_complete,
@@ -115,7 +140,7 @@ class Tally:
             num_skipped=len(skipped),
             skipped=tuple(skipped),
             frame_sizes_px=tuple(self._sizes_px),
-            run_time_ms={name: run_time(values) for name, values in self._stage_ms.items()} or {"total": run_time([])},
+            run_time_ms=run_times or {"total": run_time([])},
             version=metadata.version("foreglow"),
             commit=commit,
             has_local_changes=has_local_changes,
@@ -142,7 +167,7 @@ class Tally:
         )
 
 
-def run_time(values_ms: Collection[float]) -> RunTime:
+def run_time(values_ms: Sequence[float]) -> RunTime:
     """Median, p95 and p99 (linear between ranks), in milliseconds to 0.1 us; None for no values.
 
     >>> run_time([1.0, 2.0, 3.0])
@@ -150,5 +175,5 @@ def run_time(values_ms: Collection[float]) -> RunTime:
     """
     if not values_ms:
         return dict.fromkeys(("median", "p95", "p99"))
-    median, p95, p99 = np.percentile(list(values_ms), (50, 95, 99)).round(4).tolist()
+    median, p95, p99 = np.percentile(values_ms, (50, 95, 99)).round(4).tolist()
     return {"median": median, "p95": p95, "p99": p99}
