@@ -46,6 +46,24 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.getoption("--quick") else "whole")
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _images_of_the_shipped_drive_are_decoded_once() -> Iterator[None]:
+    """Dozens of tests run over it, and decoding it takes longer than looking for lights in it."""
+    from foreglow.datasets import images, shipped_drive
+
+    folder, decode = str(shipped_drive()), images._decoded
+    once = functools.cache(decode)
+
+    def decoded(data: bytes, origin: str) -> Any:
+        image = (once if origin.startswith(folder) else decode)(data, origin)
+        image.flags.writeable = False
+        return image
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(images, "_decoded", decoded)
+        yield
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of a report's words and tables: its figures are made, but not drawn, which is what takes long."""
