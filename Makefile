@@ -53,10 +53,10 @@ quick: $(VENV)/.quick
 	$(BIN)/ruff format --check src tests benchmarks
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/mypy $(QUICK_TYPES) src
-	$(BIN)/python -m pytest --quiet --quick -n 2 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest --quiet --quick -n 2
 
 # Two processes: in one are all tests with ROS 2. With a third, on two cores, cameras of the tests seem silent or frozen.
-ALL_TESTS := --quiet -n 2 --dist loadgroup --no-loadscope-reorder
+ALL_TESTS := --quiet -n 2
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(ALL_TESTS)
 

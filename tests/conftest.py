@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.testing
@@ -27,6 +30,10 @@ NO_TEST_IS_QUICK = re.compile(rf"^pytestmark = \[?\s*pytest\.mark\.({'|'.join(NO
 """In the text of a file all of whose tests `--quick` leaves out."""
 
 
+TOGETHER = {"ros": "pytest.mark.ros", "dask": "cluster: DaskCluster"}
+"""Files that stay in one process, by words in their text: the process that hands out the tests knows no markers."""
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     help_text = "leave out all that is slow, starts processes, or needs torch, the renderer or ROS 2"
     parser.addoption("--quick", action="store_true", help=help_text)
@@ -37,6 +44,24 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.register_profile("whole", deadline=None)
     settings.register_profile("quick", deadline=None, max_examples=15)
     settings.load_profile("quick" if config.getoption("--quick") else "whole")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _images_of_the_shipped_drive_are_decoded_once() -> Iterator[None]:
+    """Dozens of tests run over it, and decoding it takes longer than looking for lights in it."""
+    from foreglow.datasets import images, shipped_drive
+
+    folder, decode = str(shipped_drive()), images._decoded
+    once = functools.cache(decode)
+
+    def decoded(data: bytes, origin: str) -> Any:
+        image = (once if origin.startswith(folder) else decode)(data, origin)
+        image.flags.writeable = False
+        return image
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(images, "_decoded", decoded)
+        yield
 
 
 @pytest.fixture
@@ -69,30 +94,50 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if is_test and NO_TEST_IS_QUICK.search(collection_path.read_text(encoding="utf-8")) else None
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Nothing that is loaded here is garbage: it is not searched for any, neither now nor during the tests."""
+    gc.disable()
+    result = yield
+    gc.freeze()
+    gc.enable()
+    return result
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Gives every process whole files, in the order of the tests, for the sake of what their tests set up."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            return group_of(config.rootpath / nodeid.partition("::")[0])
+
+        def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
+            """Forgets groups that are done: otherwise all tests that a process was given are counted each time."""
+            super().mark_test_complete(node, item_index, duration)
+            groups = self.assigned_work[node].items()
+            self.assigned_work[node] = {group: tests for group, tests in groups if not all(tests.values())}
+
+    config.option.loadscopereorder = False
+    return Scheduling(config, log)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--quick"):
         config.hook.pytest_deselected(items=[item for item in items if NOT_QUICK & markers_of(item)])
         items[:] = [item for item in items if not NOT_QUICK & markers_of(item)]
-    if hasattr(config, "workerinput"):  # one of several processes of pytest-xdist
-        share_out(items)
+    if hasattr(config, "workerinput"):  # one of several processes of pytest-xdist: what takes long comes first
+        groups = {item: group_of(item.path) for item in items}
+        long = {group for item, group in groups.items() if NOT_QUICK & markers_of(item)}
+        items.sort(key=lambda item: (groups[item] != "ros", groups[item] != "dask", groups[item] not in long))
 
 
-def share_out(items: list[pytest.Item]) -> None:
-    """Gives every process whole files, those that take long first, for the sake of what their tests set up.
-
-    All tests with ROS 2 stay together, since they meet on one network, and so do those with a dask cluster.
-    """
-    groups = {item: group_of(item) for item in items}
-    long = {group for item, group in groups.items() if NOT_QUICK & markers_of(item)}
-    items.sort(key=lambda item: (groups[item] != "ros", groups[item] != "dask", groups[item] not in long))
-    for item, group in groups.items():
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
-def group_of(item: pytest.Item) -> str:
-    if "ros" in markers_of(item):
-        return "ros"
-    return "dask" if "cluster" in getattr(item, "fixturenames", ()) else str(item.path)
+@functools.cache
+def group_of(file: Path) -> str:
+    """What stays in one process: a file; all files with ROS 2, as they meet on one network; or with a dask cluster."""
+    text = file.read_text(encoding="utf-8")
+    return next((name for name, words in TOGETHER.items() if words in text), str(file))
 
 
 def markers_of(item: pytest.Item) -> set[str]:

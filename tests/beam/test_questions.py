@@ -19,7 +19,7 @@ from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
 from foreglow.types.kinds import kinds_of_direct
-from tests.beam.made_up import FRAME_NS, box_around, frame_at, noisy_image, tracks_of
+from tests.beam.made_up import FRAME_NS, IMAGES, box_around, frame_at, tracks_of
 
 LAMPS = read_headlamps()
 CONFIG = BeamConfig(policy="foreglow", ask=True)
@@ -44,7 +44,7 @@ def share_shone(levels: np.ndarray[Any, Any], elevation_rad: float) -> float:
 
 def image_with(light: float, elevation_rad: float, seed: int) -> tuple[Image, Any]:
     box = box_around(AZIMUTH_RAD, elevation_rad, 0.012)
-    image = noisy_image(seed) // 6
+    image = IMAGES[seed] // 6
     x1, y1, x2, y2 = np.rint(box).astype(int)
     image[y1:y2, x1:x2] = min(round(grey_of(light)), 240)
     return image, box
