@@ -275,6 +275,8 @@ def test_vehicles_are_those_of_as_many_tracks() -> None:
 
 
 def test_a_frame_refuses_seconds() -> None:
-    with pytest.raises(ValueError, match=r"Frame\.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got 0\.5"):
+    with pytest.raises(
+        ValueError, match=r"Frame\.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got 0\.5"
+    ):
         Frame(np.zeros((2, 2), np.uint8), 0.5)  # type: ignore[arg-type]
     assert Frame(np.zeros((2, 2), np.uint8), np.int64(5)).timestamp_ns == 5  # type: ignore[arg-type]

@@ -176,7 +176,7 @@ def test_a_fault_during_a_question_means_low_beam(fault: str) -> None:
     stage = BeamStage(CONFIG, GuardConfig())
     asked: list[int] = []
     for number in range(60):
-        image, box = image_with(90.0, SIGN_RAD, number % 3)
+        image, box = image_with(90.0, SIGN_RAD, number % len(IMAGES))
         frame = dataclasses.replace(frame_at(number), image=image)
         tracks = tracks_of([box], [RANGE_M], ages_s=1.0 + number / 18)
         confidences = np.full(1, 0.9 if number > 30 else 0.1)

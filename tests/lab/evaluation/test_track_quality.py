@@ -26,8 +26,8 @@ def tracks_of(*rows: tuple[int, TrackState, int]) -> Tracks:
     ids, states, detections = np.array(rows, np.int64).reshape(-1, 3).T
     ones, zeros = np.ones(count, np.int64), np.zeros(count)
     boxes = np.where(ids[:, None] == 0, HERE, THERE)
-    unknown = np.full(count, np.nan)
-    return Tracks(ids, states, boxes, zeros, ones, ones, zeros, unknown, unknown, detections)
+    ranges_m, sigmas_m = np.full(count, np.nan), np.full(count, np.inf)
+    return Tracks(ids, states, boxes, zeros, ones, ones, zeros, ranges_m, sigmas_m, detections)
 
 
 def matched(
