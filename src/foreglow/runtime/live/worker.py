@@ -11,6 +11,7 @@ from typing import Protocol
 from foreglow.config import LiveConfig
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.runtime.memory import release_memory
 from foreglow.runtime.run import Stepper
 from foreglow.types import Frame, FrameResult
 
@@ -126,6 +127,7 @@ class Worker:
 
     def _make(self) -> bool:
         """Makes the pipeline; returns whether that succeeded."""
+        release_memory()  # that of the pipeline before
         try:
             self._pipeline = self._make_pipeline()
         except (Exception, SystemExit) as error:  # such as a model file that is being replaced: tried again later
