@@ -88,9 +88,14 @@ def run_drive(split: Path, config: PipelineConfig, folder: Path, progress: Progr
 def chosen_story(stories: Sequence[Story]) -> Story | None:
     """Of the stories in which all happens that the paper's scene shows, that with the longest lead, if there are any.
 
-    One whose light is there from its first image on says little about times after the first light: only without others.
+    A gap that was there before the light was for something else. One whose light is there from its first image on says
+    little about times after the first light: only without others.
     """
-    whole = [story for story in stories if story.confirmed_s < story.production_s and story.gaps_rad]
+    whole = [
+        story
+        for story in stories
+        if story.confirmed_s < story.production_s and story.gaps_rad and story.gap_s >= story.times.light_s
+    ]
     begun = [story for story in whole if story.num_images_before]
     return best_story(begun or whole or stories)
 
