@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -211,12 +212,15 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def _run(probe: Probe, folder: Path, command: Any) -> tuple[int | None, float, float]:
-    process = multiprocessing.get_context("fork").Process(target=_child, args=(probe, folder, command))
+    context = multiprocessing.get_context("fork")
+    is_ready = context.Event()
+    process = context.Process(target=_child, args=(probe, folder, command, is_ready))
     began_s = time.monotonic()
     process.start()
     pid: int = process.pid  # type: ignore[assignment]
     if probe.interrupt is not None:
         kind, after_s = probe.interrupt
+        is_ready.wait(MAX_WAIT_S)  # on a busy machine, the signal would come before the command
         process.join(after_s)
         if process.is_alive():
             os.kill(pid, kind)
@@ -231,7 +235,7 @@ def _run(probe: Probe, folder: Path, command: Any) -> tuple[int | None, float, f
     return None if is_late else process.exitcode, time.monotonic() - began_s, resident_mib
 
 
-def _child(probe: Probe, folder: Path, command: Any) -> None:
+def _child(probe: Probe, folder: Path, command: Any, is_ready: Event) -> None:
     """What the copied process does: limits, own streams, the command; its peak of memory goes to `.usage`."""
     os.setsid()
     for number, name in ((1, ".stdout"), (2, ".stderr")):
@@ -244,6 +248,7 @@ def _child(probe: Probe, folder: Path, command: Any) -> None:
     for kind, limit in probe.limits:
         resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
     code = 1
+    is_ready.set()
     try:
         if callable(command):
             code = command()
