@@ -32,10 +32,11 @@ def test_without_a_source_it_runs_on_the_shipped_drive(tmp_path: Path, monkeypat
     monkeypatch.setattr(datasets, "shipped_drive", lambda: root)
     result = demo("--out", tmp_path / "out")
     assert result.stdout.startswith("5 frames, ")
-    *_, first, sight, reported, conclusion = result.stdout.splitlines()
+    *_, first, sight, reported, conclusion, paper = result.stdout.splitlines()
     assert first.startswith("first light of the vehicle visible")
     assert (sight.split()[:3], reported.split()[-2:]) == (["vehicle", "in", "sight"], ["0.11", "s"])
     assert conclusion == "=> not detected"
+    assert "the paper's scene" in paper
     assert "moments.png" in result.stdout
     assert cv2.imread(str(tmp_path / "out" / "moments.png")) is not None
     assert (tmp_path / "out" / "overlay.mp4").is_file()

@@ -74,9 +74,12 @@ def assert_same(answer: Answer, result: FrameResult) -> None:
     same(answer.ranges.sigmas_m, result.ranges.sigmas_m)
     assert answer.tracks is not None
     assert result.tracks is not None
-    names = {field.name for field in dataclasses.fields(result.tracks)} - {"vehicles"}  # which the table leaves out
-    for name in names:
+    for name in {field.name for field in dataclasses.fields(result.tracks)} - {"vehicles"}:
         same(getattr(answer.tracks, name), getattr(result.tracks, name))
+    assert answer.tracks.vehicles is not None
+    assert result.tracks.vehicles is not None
+    for field in dataclasses.fields(result.tracks.vehicles):
+        same(getattr(answer.tracks.vehicles, field.name), getattr(result.tracks.vehicles, field.name))
     assert answer.beam is not None
     assert result.beam is not None
     assert (answer.beam.mode, answer.beam.faults) == (result.beam.mode, result.beam.faults)

@@ -34,7 +34,7 @@ from foreglow.runtime.ros2.results import (
     timing_message,
     tracks_message,
 )
-from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks
+from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, Vehicles
 from foreglow.types.kinds import kinds_of_direct
 
 pytestmark = pytest.mark.ros
@@ -106,6 +106,42 @@ def test_tracks_come_back(count: int, seed: int) -> None:
     header, back = read_tracks(tracks_message(HEADER, sent), "t")
     assert header == HEADER
     assert_equal_fields(back, sent)
+
+
+def vehicles_of(count: int, seed: int) -> Vehicles:
+    generator = np.random.default_rng(seed)
+    of_tracks = generator.integers(0, 4, count) * 7
+    ids, leading = np.unique(of_tracks, return_index=True)
+    return Vehicles(
+        ids=ids,
+        states=generator.integers(0, 3, len(ids)),
+        confidences=generator.random(len(ids)),
+        is_in_sight=generator.random(len(ids)) < 0.5,
+        of_tracks=of_tracks,
+        leading=leading,
+    )
+
+
+@given(st.integers(0, 30), st.integers(0, 99))
+def test_vehicles_come_back(count: int, seed: int) -> None:
+    sent = dataclasses.replace(tracks_of(count, seed), vehicles=vehicles_of(count, seed))
+    _, back = read_tracks(tracks_message(HEADER, sent), "t")
+    assert_equal_fields(back.vehicles, sent.vehicles)
+
+
+def test_vehicles_that_do_not_fit_their_tracks() -> None:
+    tracks = dataclasses.replace(tracks_of(3), vehicles=vehicles_of(3, 0))
+    message = tracks_message(HEADER, tracks)
+    message.fields = [field for field in message.fields if field.name != "vehicle_state"]
+    with pytest.raises(ValueError, match="tracks: vehicle_state: missing, expected with is_leading"):
+        read_tracks(message, "tracks")
+    message = tracks_message(HEADER, tracks)
+    offset = next(field.offset for field in message.fields if field.name == "is_leading")
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(3, message.point_step).copy()
+    rows[:, offset] = 0
+    message.data = rows.tobytes()
+    with pytest.raises(ValueError, match="tracks: is_leading: expected one track of each vehicle"):
+        read_tracks(message, "tracks")
 
 
 @given(count=st.integers(0, 20), seed=st.integers(0, 9))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.table import Field, read_table, table_message
-from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState
+from foreglow.runtime.ros2.table import Columns, Field, read_table, table_message
+from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState, Vehicles
 from foreglow.types.kinds import kinds_of_direct
 
 PROPOSALS = {"box_xyxy_px": Field("i4", 4)}
@@ -42,6 +42,15 @@ TRACKS = {
 }
 """The fields of `Tracks` but `vehicles`, in their order, in the singular, and a property; older versions sent no
 `light_kinds`."""
+
+VEHICLES = {
+    "vehicle": Field("i4", is_optional=True),
+    "vehicle_state": Field("u1", is_optional=True),
+    "vehicle_confidence": Field("f8", is_optional=True, is_finite=True),
+    "vehicle_in_sight": Field("u1", is_optional=True),
+    "is_leading": Field("u1", is_optional=True),
+}
+"""Of the vehicle that a track belongs to, and whether the track leads it; none of them where vehicles are unknown."""
 
 BEAM = {
     "mode": Field("u1"),
@@ -120,7 +129,7 @@ def read_ranges(message: PointCloud2, topic: str, score_threshold: float) -> tup
 
 
 def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
-    """The tracks, without the vehicles that they belong to.
+    """The tracks, each with the vehicle that it belongs to.
 
     Raises:
         ValueError: If a number does not fit 32 bits.
@@ -132,6 +141,17 @@ def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
         if column.dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
             raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
         columns[name] = array.astype(column.dtype, copy=False)
+    vehicles = tracks.vehicles
+    if vehicles is not None:
+        rows, is_leading = vehicles.ids.searchsorted(vehicles.of_tracks), np.zeros(len(tracks), np.uint8)
+        is_leading[vehicles.leading] = 1
+        columns |= {
+            "vehicle": vehicles.of_tracks.astype(np.int32),
+            "vehicle_state": vehicles.states[rows].astype(np.uint8),
+            "vehicle_confidence": vehicles.confidences[rows],
+            "vehicle_in_sight": vehicles.is_in_sight[rows].astype(np.uint8),
+            "is_leading": is_leading,
+        }
     return table_message(header, columns)
 
 
@@ -141,13 +161,42 @@ def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
     Raises:
         ValueError: If it is no such table, or a value is not valid in `Tracks`.
     """
-    header, columns = read_table(message, topic, TRACKS)
-    if (columns["state"] > max(TrackState)).any():
-        raise ValueError(f"{topic}: state: expected 0 to {max(TrackState)}, got {columns['state'].max()}")
+    header, columns = read_table(message, topic, TRACKS | VEHICLES)
+    vehicles = _vehicles({name: columns.pop(name) for name in VEHICLES if name in columns}, topic)
+    _check_states(columns["state"], f"{topic}: state")
     columns.setdefault("light_kinds", kinds_of_direct(columns.pop("direct_probability")))
     wide: list[Any] = [column.astype(np.int64) if column.dtype.kind in "iu" else column for column in columns.values()]
     with _naming(topic):
-        return header, Tracks(*wide)
+        return header, dataclasses.replace(Tracks(*wide), vehicles=vehicles)
+
+
+def _vehicles(columns: Columns, topic: str) -> Vehicles | None:
+    if not columns:
+        return None
+    missing = VEHICLES.keys() - columns.keys()
+    if missing:
+        raise ValueError(f"{topic}: {min(missing)}: missing, expected with {min(columns)}")
+    _check_states(columns["vehicle_state"], f"{topic}: vehicle_state")
+    of_tracks = columns["vehicle"].astype(np.int64)
+    leading = np.flatnonzero(columns["is_leading"])
+    leading = leading[of_tracks[leading].argsort()]
+    ids = np.unique(of_tracks)
+    if not np.array_equal(of_tracks[leading], ids):
+        raise ValueError(f"{topic}: is_leading: expected one track of each vehicle, got those of {of_tracks[leading]}")
+    with _naming(topic):
+        return Vehicles(
+            ids=ids,
+            states=columns["vehicle_state"][leading].astype(np.int64),
+            confidences=columns["vehicle_confidence"][leading],
+            is_in_sight=columns["vehicle_in_sight"][leading].astype(np.bool_),
+            of_tracks=of_tracks,
+            leading=leading,
+        )
+
+
+def _check_states(states: NDArray[np.uint8], name: str) -> None:
+    if (states > max(TrackState)).any():
+        raise ValueError(f"{name}: expected 0 to {max(TrackState)}, got {states.max()}")
 
 
 def beam_message(header: Header, beam: BeamCommand) -> PointCloud2:
