@@ -181,7 +181,9 @@ def _page(
             notes = _notes(in_rows)
             page.table(_paper_table(in_rows, notes))
             page.items(f"({number}) {reason}" for reason, number in notes.items())
-        page.table(Table.of(COLUMNS, [result for result in results if not result.claim.row], is_wordy=True))
+        others = [result for result in results if not result.claim.row]
+        if others:
+            page.table(Table.of(COLUMNS, others, is_wordy=True))
         for result in results:
             if result.claim.id in figures:
                 page.text(_caption(result))
