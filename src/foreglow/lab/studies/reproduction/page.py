@@ -15,7 +15,7 @@ import numpy as np
 
 from foreglow.files import write_atomic
 from foreglow.lab.reports.figures import jpeg
-from foreglow.lab.reports.page import DASH, Figure, Page, Table
+from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import (
     DIFFERS,
     NEEDS,
@@ -169,8 +169,8 @@ def _page(
     columns: dict[str, Callable[[tuple[str, Outcome]], str]] = {
         "experiment": lambda item: item[0],
         "command": lambda item: f"`{item[1].command}`",
-        "measured on": lambda item: filled(EXPERIMENTS[item[0]].measured_on, item[1].results) or DASH,
-        "without results, since": lambda item: item[1].reason or DASH,
+        "measured on": lambda item: filled(EXPERIMENTS[item[0]].measured_on, item[1].results) or NOTHING,
+        "results": lambda item: f"none: {item[1].reason}" if item[1].reason else "yes",
     }
     page.table(Table.of(columns, outcomes.items(), is_wordy=True))
     for heading, group in itertools.groupby(found, key=lambda result: _section(result.claim.place)):
@@ -209,6 +209,8 @@ def _comparisons(plan: ReproductionPlan, outcomes: Mapping[str, Outcome]) -> dic
     }
 
 
+NOTHING = "nothing: settings and files"
+
 NO_NETWORK = "no network"
 """What the labelled boxes have in the columns of a network."""
 
@@ -225,12 +227,7 @@ def _paper_table(results: Sequence[Answer], notes: Mapping[str, int]) -> Table:
 
         rows.append([f"{row}: paper", *cells(lambda result: result.claim.paper)])
         rows.append([HERE, *cells(lambda result: result.ours)])
-        rows.append(
-            [
-                "verdict",
-                *(DASH if cell == NO_NETWORK else cell for cell in cells(functools.partial(_noted, notes=notes))),
-            ]
-        )
+        rows.append(["verdict", *cells(functools.partial(_noted, notes=notes))])
     return Table(["detector", *columns], rows)
 
 
@@ -274,7 +271,7 @@ COLUMNS: Mapping[str, Callable[[Answer], str]] = {
     "paper": lambda result: result.claim.paper,
     HERE: lambda result: result.ours,
     "verdict": lambda result: ": ".join(filter(None, (result.verdict, result.because))),
-    "experiment": lambda result: result.claim.study or DASH,
+    "experiment": lambda result: result.claim.study or "none",
 }
 
 
