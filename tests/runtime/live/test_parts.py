@@ -193,14 +193,19 @@ def test_sink_that_falls_behind() -> None:
     assert sink.ends == ["close"]
 
 
-def test_sink_that_is_stuck_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foreglow.runtime.live.background.STUCK_S", 0.05)
-    sink = Blocked()
+def ended(sink: Keeper) -> Background:
+    """The background of a sink that was given more frames than may wait, and closed."""
     background = Background(sink)
     for frame in night_frames(NUM_WAITING + 2):
         background.write(frame, result_of(frame, []))
     background.close()
-    assert isinstance(background.error, TimeoutError)
+    return background
+
+
+def test_sink_that_is_stuck_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foreglow.runtime.live.background.STUCK_S", 0.05)
+    sink = Blocked()
+    assert isinstance(ended(sink).error, TimeoutError)
     sink.released.set()
 
 
@@ -211,11 +216,7 @@ def test_sink_that_ends_its_thread_does_not(error: type[BaseException]) -> None:
             raise error
 
     sink = Ending()
-    background = Background(sink)
-    for frame in night_frames(NUM_WAITING + 2):
-        background.write(frame, result_of(frame, []))
-    background.close()
-    assert isinstance(background.error, error)
+    assert isinstance(ended(sink).error, error)
     assert sink.ends == ["close"]
 
 

@@ -137,22 +137,25 @@ def tracks_message(header: Header, tracks: Tracks) -> PointCloud2:
     columns = {}
     attributes = [field.name for field in dataclasses.fields(tracks) if field.name != "vehicles"]
     for (name, column), attribute in zip(TRACKS.items(), [*attributes, "direct_probabilities"], strict=True):
-        array = getattr(tracks, attribute)
-        if column.dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
-            raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
-        columns[name] = array.astype(column.dtype, copy=False)
+        columns[name] = _narrowed(name, getattr(tracks, attribute), column.dtype)
     vehicles = tracks.vehicles
     if vehicles is not None:
         rows, is_leading = vehicles.ids.searchsorted(vehicles.of_tracks), np.zeros(len(tracks), np.uint8)
         is_leading[vehicles.leading] = 1
         columns |= {
-            "vehicle": vehicles.of_tracks.astype(np.int32),
+            "vehicle": _narrowed("vehicle", vehicles.of_tracks, "i4"),
             "vehicle_state": vehicles.states[rows].astype(np.uint8),
             "vehicle_confidence": vehicles.confidences[rows],
             "vehicle_in_sight": vehicles.is_in_sight[rows].astype(np.uint8),
             "is_leading": is_leading,
         }
     return table_message(header, columns)
+
+
+def _narrowed(name: str, array: NDArray[Any], dtype: str) -> NDArray[Any]:
+    if dtype == "i4" and len(array) and not _INT_32.min <= array.min() <= array.max() <= _INT_32.max:
+        raise ValueError(f"{name}: expected numbers of 32 bits, got {array.max()}")
+    return array.astype(dtype, copy=False)
 
 
 def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
