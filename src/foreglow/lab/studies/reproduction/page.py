@@ -68,7 +68,8 @@ WORDS = {
     "policy (policy paper); the paper's detector: the first two of these",
     "production system": "the car's own detection of vehicles; in simulated drives one that is modelled",
     "in process": "without ROS",
-    "run-times": "of the detector's table and of section 6.5, measured apart, so that those of the same detector differ",
+    "run-times": "of the detector's table and of section 6.5, measured apart, so that those of the same detector "
+    "differ",
 }
 
 FIGURES = "images"
