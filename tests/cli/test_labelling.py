@@ -201,7 +201,7 @@ def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_
     assert f"{cut}: 20 of 30 frames are left of the run, what is made" in foreglow_command(*evaluate).stdout
     (cut / "summary.json").unlink()
     assert f"{cut}: no summary.json: the run was not finished, what is made" in foreglow_command(*evaluate).stdout
-    assert json.loads((tmp_path / "report/results.json").read_text())["results"]["is_complete"] is False
+    assert json.loads((tmp_path / "report/results.json").read_text())["is_complete"] is False
     assert "Incomplete: the predictions are of a run" in (tmp_path / "report/report.md").read_text()
     (tmp_path / "alone.jsonl").write_text("".join(lines))
     said = foreglow_command("evaluate", shipped_drive(), "--predictions", tmp_path / "alone.jsonl")

@@ -10,7 +10,10 @@ if TYPE_CHECKING:
 
 
 def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[str]:
-    """What came of a run, perhaps interrupted, whose results are in the folder or the recording `out`; the last line says where to look."""
+    """What came of a run, perhaps interrupted, whose results are in the folder or the recording `out`.
+
+    The last line says where to look.
+    """
     found = f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_proposals, 'proposal')}"
     if summary.num_accepted is not None:
         found += f", {counted(summary.num_accepted, 'light artifact')}"
