@@ -74,6 +74,7 @@ class RunSummary(_Strict):
         has_local_changes: Whether that checkout differed from its commit; None if Foreglow was installed.
         processor: Name that the processor gives itself; of several machines, each name once.
         dispatch: Instruction set that the native core used; None with another back end.
+        command: Command of Foreglow that wrote it; None in Python, and in folders of earlier versions.
     """
 
     source: str
@@ -97,6 +98,7 @@ class RunSummary(_Strict):
     has_local_changes: bool | None
     processor: str
     dispatch: str | None
+    command: str | None = None
 
 
 @dataclass(slots=True)
