@@ -52,6 +52,7 @@ def shown_at_s(path: Path) -> list[float]:
         stream = container.streams.video[0]
         times_s = [float(picture.time) for picture in container.decode(stream)]
         assert stream.duration is not None
+        assert stream.time_base is not None
         end_s = float(stream.duration * stream.time_base)
     assert [frame.timestamp_ns / 1e9 for frame in Video(path)] == pytest.approx(times_s)
     return [*times_s, end_s]

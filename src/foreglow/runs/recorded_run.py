@@ -17,6 +17,7 @@ import numpy as np
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.files import atomic_path, write_atomic
+from foreglow.outputs import exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.summary import SummaryFile, lack_of_run, read_summary
@@ -241,7 +242,7 @@ def source_of_run(run: Path) -> Path:
     """
     path = run / "summary.json"
     source = Path(read_summary(path).source)
-    if not source.exists():
+    if not exists(source):
         raise FileNotFoundError(
             f"{path}: source: expected the run's frames, there is nothing at {source}; where they are elsewhere now, "
             f"give them in place of {run}, with --config {run / 'config.toml'}"
