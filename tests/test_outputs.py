@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -14,10 +15,10 @@ import numpy as np
 import pytest
 
 from foreglow.files import open_atomic
-from foreglow.outputs import FolderLock, check_outputs, locked
+from foreglow.outputs import FolderLock, check_outputs, locked, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
-from tests.cli.commands import complaint, foreglow_command
+from tests.cli.commands import PNG, complaint, foreglow_command
 from tests.stand_ins import REFERENCE
 
 
@@ -289,3 +290,51 @@ def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
     with OutputFolder(tmp_path) as folder:
         folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
     assert not (tmp_path / "report.html").exists()
+
+
+def test_results_of_another_command_stay(tmp_path: Path) -> None:
+    """Whatever both commands call their files: a folder has one kind of results."""
+    image, run = tmp_path / "a.png", tmp_path / "run"
+    image.write_bytes(PNG)
+    assert foreglow_command("run", image, "--out", run).exit_code == 0
+    before = {path.name: path.read_bytes() for path in run.iterdir()}
+    assert json.loads(before["summary.json"])["command"] == "run"
+    of_run = f"--out {run}: expected another folder for these results, {run / 'summary.json'} is of `foreglow run`"
+    for words in (
+        ("demo", image),
+        ("evaluate", tmp_path, "--predictions", tmp_path / "other.jsonl"),
+        ("evaluate", tmp_path),
+        ("experiment", "runtime", tmp_path),
+        ("experiment", "time-benefit", tmp_path),
+        ("reproduce", tmp_path),
+        ("tune", tmp_path),
+        ("train", tmp_path),
+        ("simulate",),
+    ):
+        assert of_run in complaint(*words, "--out", run)
+    assert {path.name: path.read_bytes() for path in run.iterdir()} == before
+    assert foreglow_command("run", image, "--out", run).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "writer"),
+    [
+        ("results.json", '{"made_with": {"command": "experiment runtime"}}', "experiment runtime"),
+        ("results.json", '{"made_with": {}}', "experiment"),
+        ("frames.jsonl", "", "run"),
+        ("recipe.toml", "", "train"),
+        ("study.journal", "", "tune"),
+        ("plan.json", "[[[[", "experiment glare"),
+        ("experiments.json", "{}", "reproduce"),
+    ],
+)
+def test_who_wrote_a_folder(name: str, text: str, writer: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    for command in ("beam", "experiment runtime", "train"):
+        with running(command):
+            if command.startswith(writer) or (command, writer) == ("beam", "run"):
+                check_outputs({}, {}, {"--out": tmp_path})
+            else:
+                with pytest.raises(ValueError, match=f"{name} is of `foreglow {writer}`"):
+                    check_outputs({}, {}, {"--out": tmp_path})
+    check_outputs({}, {}, {"--out": tmp_path})  # a program of the user's own may know better

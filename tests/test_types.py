@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import math
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +15,8 @@ from numpy.typing import NDArray
 
 from foreglow.geometry import Camera, Pose
 from foreglow.types import (
+    BeamCommand,
+    BeamMode,
     Detections,
     EgoMotion,
     Frame,
@@ -280,3 +286,34 @@ def test_a_frame_refuses_seconds() -> None:
     ):
         Frame(np.zeros((2, 2), np.uint8), 0.5)  # type: ignore[arg-type]
     assert Frame(np.zeros((2, 2), np.uint8), np.int64(5)).timestamp_ns == 5  # type: ignore[arg-type]
+
+
+def is_same(one: Any, other: Any) -> bool:
+    """Whether two values hold the same, and each array of the second is read-only."""
+    if dataclasses.is_dataclass(one) and not isinstance(one, type):
+        pairs = [(getattr(one, each.name), getattr(other, each.name)) for each in dataclasses.fields(one)]
+        return type(one) is type(other) and all(is_same(*pair) for pair in pairs)
+    if isinstance(one, np.ndarray):
+        return (
+            bool(np.array_equal(one, other, equal_nan=one.dtype.kind == "f"))
+            and one.dtype == other.dtype
+            and not other.flags.writeable
+        )
+    return bool(one == other) or (one != one and other != other)  # NaN
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_values_can_be_copied(copied: Callable[[Any], Any]) -> None:
+    image = np.zeros((12, 16), np.uint8)
+    frame = Frame(image, 7, motion=EgoMotion(10.0, 0.1))
+    detections = Detections(Proposals(BOXES), np.array([0.25, 0.75], np.float32), 0.5)
+    ranges = Ranges(detections, np.array([10.0, 20.0]), np.array([1.0, 2.0]))
+    beam = BeamCommand(7, BeamMode.GLARE_FREE, np.full((2, 3), 0.5), np.array([[-0.1, 0.1]]), np.array([20.0]), ("a",))
+    of_tracks = tracks(vehicles=vehicles())
+    result = FrameResult(3, 7, detections.proposals, detections, {"beam": 0.5}, ranges, of_tracks, beam)
+    for value in (frame, result):
+        assert is_same(value, copied(value))
+    again = copied(result)
+    assert again.ranges.detections is again.detections
+    with pytest.raises(TypeError):
+        again.stage_ms["beam"] = 1.0

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from typer.models import OptionInfo
 
-from foreglow.outputs import check_outputs, exists, locked
+from foreglow.outputs import check_outputs, exists, locked, running
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -132,16 +132,23 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             for role in ("input", "output file", "output folder")
         )
         inputs |= _named_in(inputs)
-        check_outputs(inputs, files, folders)
-        for name, group in groups.items():
-            values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
-        with locked(folders):
-            function(**values)
+        with running(_command_of(function)):
+            check_outputs(inputs, files, folders)
+            for name, group in groups.items():
+                values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
+            with locked(folders):
+                function(**values)
 
     keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
     command.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
+
+
+def _command_of(function: Callable[..., None]) -> str:
+    """What the user calls the command; that of an experiment is the function `command` of its package."""
+    name = function.__name__ if function.__name__ != "command" else f"experiment {function.__module__.split('.')[-2]}"
+    return name.strip("_").replace("_", "-")
 
 
 def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator[tuple[str, Path]]:

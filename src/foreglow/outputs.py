@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -49,8 +50,28 @@ PARTS_OF = {
 }
 """By such a file, the files beside it that are lost if another command writes them."""
 
+WRITERS = {
+    RUN: ("run", "beam", "live", "demo"),
+    TRAINING: ("train",),
+    TUNING: ("tune",),
+    "study.journal": ("tune",),
+    "plan.json": ("experiment glare",),
+    "experiments.json": ("reproduce",),
+    "results.json": ("experiment", "evaluate", "reproduce", "yolo-train"),
+}
+"""By such a file, the commands that may have written the folder, where nothing there says which one did."""
+
+RECORDS = {"summary.json": ("command",), "results.json": ("made_with", "command")}
+"""By file, where it says which command wrote it."""
+
+MAX_RECORD_BYTES = 64 << 20
+"""A longer record is not read: then the folder is known by its `WRITERS` alone."""
+
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
+
+_COMMANDS: list[str] = []
+"""The command that this process runs."""
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -134,11 +155,26 @@ class FolderLock:
         self.release()
 
 
+@contextlib.contextmanager
+def running(command: str) -> Iterator[None]:
+    """While the block lasts, this process runs `command`, such as `experiment glare`."""
+    _COMMANDS.append(command)
+    try:
+        yield
+    finally:
+        _COMMANDS.pop()
+
+
+def running_command() -> str | None:
+    """The command that this process runs; None where it is a program of the user's own."""
+    return _COMMANDS[-1] if _COMMANDS else None
+
+
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
-    What is to be overwritten must be a regular file. Only reports (`.html`) may lie beside what they are about, and be
-    written again.
+    Nor may a folder hold the results of another command than the running one. What is to be overwritten must be a
+    regular file. Only reports (`.html`) may lie beside what they are about, and be written again.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
@@ -168,6 +204,7 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):
                 raise ValueError(f"{name} {path}: expected a folder whose results do not overwrite {other} {read}")
+        _check_writer(name, path)
     results = {f"{name} {path}": [path / result for result in RESULT_FILES] for name, path in folders.items()}
     for name, path in files.items():
         for other, paths in results.items():
@@ -219,6 +256,37 @@ def _lies_in(path: Path, folder: Path) -> bool:
         return folder.is_dir() and folder.resolve() in path.resolve().parents
     except (OSError, RuntimeError, ValueError):
         return False
+
+
+def _check_writer(name: str, folder: Path) -> None:
+    """ValueError if another command than the running one wrote what is in the folder."""
+    command = running_command()
+    if command is None:
+        return
+    for record, keys in RECORDS.items():
+        writer = _said_in(folder / record, keys)
+        if writer is not None and writer != command:
+            raise ValueError(_words_on_writer(name, folder, writer, record))
+        if writer is not None:
+            return
+    for mark, writers in WRITERS.items():
+        if (folder / mark).is_file() and not command.startswith(writers):
+            raise ValueError(_words_on_writer(name, folder, writers[0], mark))
+
+
+def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:
+    return f"{name} {folder}: expected another folder for these results, {folder / file} is of `foreglow {writer}`"
+
+
+def _said_in(path: Path, keys: Sequence[str]) -> str | None:
+    """The text under these keys in a JSON file; None if there is none."""
+    with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
+        if path.is_file() and path.stat().st_size <= MAX_RECORD_BYTES:
+            value = json.loads(path.read_bytes())
+            for key in keys:
+                value = value[key]
+            return value if isinstance(value, str) else None
+    return None
 
 
 def _is_foreign(folder: Path) -> bool:

@@ -17,6 +17,9 @@ from typing import Any, TypeVar, cast
 
 Entry = TypeVar("Entry")
 
+MAX_WORDS = 2000
+"""Characters of an error of somebody else's code, such as a plug-in, that are kept."""
+
 _modules: set[str] = set()
 """The modules that were imported for a `module:Name`."""
 
@@ -62,7 +65,7 @@ def make(field: str, name: str, table: Mapping[str, Callable[..., Entry]], group
         return entry(*arguments)
     except TypeError as error:
         kinds = ", ".join(type(argument).__name__ for argument in arguments)
-        raise ValueError(f"{field}: {name} cannot be made of {kinds}: {error}") from error
+        raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words_of(error)}") from error
 
 
 def imported(field: str, target: str) -> Any:
@@ -76,7 +79,7 @@ def imported(field: str, target: str) -> Any:
     try:
         found = pkgutil.resolve_name(target)
     except (Exception, SystemExit) as error:  # whatever a foreign module raises
-        raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {error}") from error
+        raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {words_of(error)}") from error
     if not callable(found):
         raise ValueError(f"{field}: {target}: expected a class, got {type(found).__name__}")
     return found
@@ -114,6 +117,21 @@ def checked(field: str, result: object, expected: type[Entry]) -> Entry:
     values = {part.name: getattr(result, part.name) for part in dataclasses.fields(cast("Any", result))}
     arrays = {name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)}
     return cast("Entry", dataclasses.replace(cast("Any", result), **arrays))
+
+
+def words_of(error: BaseException) -> str:
+    """What an error says, cut if it is long; it may be of somebody else's class, which fails even at that.
+
+    >>> words_of(ValueError("expected a number")), words_of(ValueError())
+    ('expected a number', '')
+    """
+    try:
+        text = str(error)
+    except (Exception, SystemExit):
+        return "what it says cannot be read"
+    if len(text) > MAX_WORDS:
+        text = f"{text[: MAX_WORDS // 2]}…{text[-MAX_WORDS // 2 :]}"
+    return text
 
 
 def raising(error: BaseException) -> str | None:

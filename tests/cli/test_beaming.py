@@ -110,6 +110,42 @@ def test_limit_of_an_earlier_run(tmp_path: Path, run: Path) -> None:
 
 
 @pytest.mark.slow
+def as_interrupted(run: Path, copy: Path) -> Path:
+    """A copy of a run, as if Ctrl-C had ended it."""
+    shutil.copytree(run, copy)
+    summary = json.loads((copy / "summary.json").read_text())
+    (copy / "summary.json").write_text(json.dumps(summary | {"is_complete": False}))
+    return copy
+
+
+@pytest.mark.slow
+def test_what_an_interrupted_run_lacks_its_beam_lacks_too(tmp_path: Path, run: Path) -> None:
+    cut = as_interrupted(run, tmp_path / "cut")
+    said = beam(cut, "--out", tmp_path / "out")
+    assert f"{cut}: the run was interrupted after {NUM_FRAMES} frames, what is made from it is incomplete\n" in said
+    assert json.loads((tmp_path / "out/summary.json").read_text())["is_complete"] is False
+    said = beam(run, "--out", tmp_path / "whole", "--limit", 3)
+    assert "incomplete" not in said
+    assert json.loads((tmp_path / "whole/summary.json").read_text())["is_complete"] is True
+
+
+def test_a_run_whose_frames_are_no_longer_all_there(
+    tmp_path: Path, images: Path, equipment: tuple[object, ...]
+) -> None:
+    there = tmp_path / "images"
+    shutil.copytree(images, there)
+    command = ("run", there, "--out", tmp_path / "run", *equipment)
+    assert foreglow_command(*command).exit_code == 0
+    max(there.iterdir()).unlink()
+    said = complaint("beam", tmp_path / "run", "--out", tmp_path / "out", *equipment)
+    assert "images: expected the 12 frames of the run, there are 11 now" in said
+    assert not (tmp_path / "out").exists()
+    lines = (tmp_path / "run/frames.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "run/frames.jsonl").write_text("".join(lines[:5]))
+    said = complaint("beam", tmp_path / "run", "--out", tmp_path / "out", *equipment)
+    assert "frames.jsonl: expected the 12 frames of summary.json, got 5" in said
+
+
 @pytest.mark.parametrize(("policy", "level"), [("low", 0), ("high", 1000)])
 def test_plain_beams(tmp_path: Path, run: Path, policy: str, level: int) -> None:
     (tmp_path / "own.toml").write_text("[beam]\npolicy = 'paper'\n[guard]\nled_limits_cd = [[0.0, 1e9]]\n")

@@ -112,6 +112,21 @@ def test_long_messages_are_cut() -> None:
     assert len(line) <= errors.MAX_LENGTH
 
 
+@pytest.mark.parametrize("kind", [ValueError, OSError, RuntimeError, ImportError])
+@pytest.mark.parametrize("says", [1, None, KeyError("broken")])
+def test_an_error_that_cannot_say_what_it_is(
+    kind: type[Exception], says: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def text(_: Exception) -> object:
+        if isinstance(says, Exception):
+            raise says
+        return says
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    line, _ = errors.one_line(type("Broken", (kind,), {"__str__": text})())
+    assert "what it says cannot be read" in line
+
+
 def test_names_that_are_not_utf_8() -> None:
     line, _ = errors.one_line(FileNotFoundError(2, "no such file", os.fsdecode(b"/tmp/\xff\xfe.png")))
     line.encode("utf-8")
@@ -147,6 +162,7 @@ def test_an_interrupt_while_a_module_loads(monkeypatch: pytest.MonkeyPatch, tmp_
         ("MemoryError()", "MemoryError: "),
         ("SystemExit(0)", "SystemExit: 0"),
         ("GeneratorExit()", "GeneratorExit: "),
+        ("type('Mute', (ValueError,), {'__str__': lambda self: 1 / 0})()", "Mute: what it says cannot be read"),
     ],
 )
 def test_what_a_plug_in_raises_is_no_fault_of_ours(
@@ -154,7 +170,7 @@ def test_what_a_plug_in_raises_is_no_fault_of_ours(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     importlib.invalidate_caches()
-    module = f"tracker_{error.partition('(')[0].lower()}"
+    module = f"tracker_{complaint.partition(':')[0].lower()}"
     lines = ["class Raising:", "    def __init__(self, config):", f"        raise {error}"]
     Path(f"{module}.py").write_text("\n".join(lines), encoding="utf-8")
     Path("own.toml").write_text(f'[tracker]\nmethod = "{module}:Raising"\n', encoding="utf-8")

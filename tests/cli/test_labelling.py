@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -167,3 +168,41 @@ def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: 
     found = json.loads(quality.read_text())
     assert found["tp"] > 0
     assert (found["fn"], found["fp"], found["num_missing"]) == (0, 0, 0), "what was guessed is what was found"
+
+
+def test_every_reader_of_an_interrupted_run_says_so(run: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    shutil.copytree(run, cut)
+    summary = json.loads((cut / "summary.json").read_text())
+    (cut / "summary.json").write_text(json.dumps(summary | {"is_complete": False}))
+    lack = f"{cut}: the run was interrupted after 30 frames, what is made from it is incomplete"
+    for command in (
+        ("report", cut),
+        ("suggest", cut, "--frames", 3),
+        ("labels", "export", shipped_drive(), "--run", cut, "--out", tmp_path / "guess.xml"),
+        ("evaluate", shipped_drive(), "--predictions", cut / "frames.jsonl", "--json", tmp_path / "figures.json"),
+    ):
+        said = foreglow_command(*command)
+        assert said.exit_code == 0, said.output
+        assert f"{lack}\n" in said.stdout
+    assert "Incomplete: the run was interrupted" in (cut / "report.html").read_text()
+    assert json.loads((tmp_path / "figures.json").read_text())["is_complete"] is False
+    with pytest.warns(UserWarning, match="interrupted after 30 frames") as caught:
+        assert not read_run(cut).summary.is_complete
+    assert caught[0].filename == __file__
+
+
+def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    shutil.copytree(run, cut)
+    evaluate = ("evaluate", shipped_drive(), "--predictions", cut / "frames.jsonl", "--out", tmp_path / "report")
+    lines = (cut / "frames.jsonl").read_text().splitlines(keepends=True)
+    (cut / "frames.jsonl").write_text("".join(lines[:20]))
+    assert f"{cut}: 20 of 30 frames are left of the run, what is made" in foreglow_command(*evaluate).stdout
+    (cut / "summary.json").unlink()
+    assert f"{cut}: no summary.json: the run was not finished, what is made" in foreglow_command(*evaluate).stdout
+    assert json.loads((tmp_path / "report/results.json").read_text())["is_complete"] is False
+    assert "Incomplete: the predictions are of a run" in (tmp_path / "report/report.md").read_text()
+    (tmp_path / "alone.jsonl").write_text("".join(lines))
+    said = foreglow_command("evaluate", shipped_drive(), "--predictions", tmp_path / "alone.jsonl")
+    assert "incomplete" not in said.stdout

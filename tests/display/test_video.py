@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
+from foreglow.datasets.video import Video
 from foreglow.display.overlay import annotate
-from foreglow.display.video import PictureSink, VideoSink
+from foreglow.display.video import DEFAULT_FPS, PictureSink, VideoSink
 from foreglow.types import Frame
 from tests.linux import needs_full_disk
 from tests.stand_ins import night_frames, night_image, result_of
@@ -31,7 +32,8 @@ def write_video(path: Path, frames: list[Frame], fps: float | None = None) -> No
     ("fps", "rate"), [(None, Fraction(18)), (25.0, Fraction(25)), (30000 / 1001, Fraction(30000, 1001))]
 )
 def test_video_is_h264_of_all_frames(tmp_path: Path, fps: float | None, rate: Fraction) -> None:
-    frames = night_frames(5)
+    period_ns = 1e9 / (fps or DEFAULT_FPS)
+    frames = [dataclasses.replace(frame, timestamp_ns=round(k * period_ns)) for k, frame in enumerate(night_frames(5))]
     write_video(tmp_path / "overlay.mp4.partial", frames, fps)
     with av.open(str(tmp_path / "overlay.mp4.partial")) as container:
         stream = container.streams.video[0]
@@ -42,6 +44,59 @@ def test_video_is_h264_of_all_frames(tmp_path: Path, fps: float | None, rate: Fr
     expected = annotate(frames[0], result_of(frames[0], [[10, 10, 30, 30]], [0.8]))
     assert pictures[0].shape == expected.shape
     assert np.abs(pictures[0].astype(int) - expected).mean() < 4
+
+
+def shown_at_s(path: Path) -> list[float]:
+    """When another program shows each picture, and when the film ends; our own reader must agree."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        times_s = [float(picture.time) for picture in container.decode(stream)]
+        assert stream.duration is not None
+        assert stream.time_base is not None
+        end_s = float(stream.duration * stream.time_base)
+    assert [frame.timestamp_ns / 1e9 for frame in Video(path)] == pytest.approx(times_s)
+    return [*times_s, end_s]
+
+
+def written_at_s(path: Path, *moments: tuple[float, str]) -> list[float]:
+    """As `shown_at_s`, of a video of frames at these times, s, in these sequences, at usually 20 Hz."""
+    write_video(
+        path, [Frame(night_image(k), round(1e9 * t), sequence=name) for k, (t, name) in enumerate(moments)], 20.0
+    )
+    return shown_at_s(path)
+
+
+def test_video_keeps_uneven_times(tmp_path: Path) -> None:
+    times_s = [1e6, 1e6 + 0.013, 1e6 + 0.4, 1e6 + 0.433367, 1e6 + 75.2]
+    shown = written_at_s(tmp_path / "overlay.mp4", *((time_s, "") for time_s in times_s))
+    assert shown == pytest.approx([0.0, 0.013, 0.4, 0.433367, 75.2, 75.25], abs=6e-6)
+
+
+def test_each_sequence_of_a_video_follows_the_one_before(tmp_path: Path) -> None:
+    moments = [(0.0, "one"), (0.1, "one"), (9000.0, "two"), (9000.2, "two"), (0.0, "three"), (0.3, "three")]
+    shown = written_at_s(tmp_path / "overlay.mp4", *moments)
+    assert shown == pytest.approx([0.0, 0.1, 0.15, 0.35, 0.4, 0.7, 0.75], abs=6e-6)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "expected"),
+    [
+        pytest.param([0.0, 0.0, 0.0], [0.0, 0.05, 0.1, 0.15], id="all the same"),
+        pytest.param([0.0, 0.1, 0.05, 0.3], [0.0, 0.1, 0.15, 0.3, 0.35], id="late frame"),
+        pytest.param([5.0, 5.1, 0.0, 0.2], [0.0, 0.1, 0.15, 0.35, 0.4], id="begins anew"),
+        pytest.param([0.0, 1e9, 1e9 + 0.2], [0.0, 0.05, 0.25, 0.3], id="set clock"),
+    ],
+)
+def test_pictures_without_a_usable_time_are_shown_for_a_frame(
+    tmp_path: Path, times_s: list[float], expected: list[float]
+) -> None:
+    assert written_at_s(tmp_path / "overlay.mp4", *((t, "") for t in times_s)) == pytest.approx(expected, abs=6e-6)
+
+
+@pytest.mark.parametrize("fps", [1e-9, 1e9])
+def test_a_rate_that_is_no_rate_leaves_a_video(tmp_path: Path, fps: float) -> None:
+    write_video(tmp_path / "overlay.mp4", night_frames(3), fps)
+    assert shown_at_s(tmp_path / "overlay.mp4")[:3] == pytest.approx([0.0, 0.05, 0.1])
 
 
 def test_frames_of_other_sizes_are_fitted_in(tmp_path: Path) -> None:

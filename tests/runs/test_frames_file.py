@@ -261,7 +261,7 @@ def results(draw: st.DrawFn) -> FrameResult:
     def column(values: st.SearchStrategy[Any], dtype: type = np.float64, size: int = num) -> NDArray[Any]:
         return np.array(draw(st.lists(values, min_size=size, max_size=size)), dtype)
 
-    made = FrameResult(draw(st.integers(0)), draw(st.integers(0, 2**62)), Proposals(boxes), None)
+    made = FrameResult(draw(st.integers(0, 2**63 - 1)), draw(st.integers(0, 2**62)), Proposals(boxes), None)
     if not draw(st.booleans()):
         return made
 

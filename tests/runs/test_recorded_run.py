@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from foreglow.runs.recorded_run import read_run, source_of_run
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
+
+RUN_OF_0_1_0 = Path(__file__).parent / "run_of_0_1_0"
 
 
 def write_run(path: Path, made: list[tuple[Frame, FrameResult]], **changes: object) -> Path:
@@ -93,13 +96,12 @@ def test_where_a_run_had_its_frames(tmp_path: Path) -> None:
 
 def test_a_run_of_version_0_1_0() -> None:
     """Folders of earlier versions stay readable: this one of `foreglow live` was shortened to three frames."""
-    folder = Path(__file__).parent / "run_of_0_1_0"
-    run = read_run(folder)
+    run = read_run(RUN_OF_0_1_0)
     assert (run.summary.version, run.summary.dispatch) == ("0.1.0", "avx512")
     assert run.summary.live is not None
     assert run.summary.live.faults[0].fault == "camera_slow"
     (results,) = run.sequences.values()
-    lines = (folder / "frames.jsonl").read_text().splitlines()
+    lines = (RUN_OF_0_1_0 / "frames.jsonl").read_text().splitlines()
     for result, line in zip(results, lines, strict=True):
         frame = Frame(night_image(), result.timestamp_ns, result.frame, "S00001")
         assert json.dumps(frame_to_line(frame, result), separators=(",", ":")) == line
@@ -113,3 +115,31 @@ def test_frames_that_were_not_copied_are_missed(tmp_path: Path) -> None:
     frames.write_text(frames.read_text().partition("\n")[0] + "\n")
     with pytest.raises(ValueError, match=r"frames\.jsonl: expected the 2 frames of summary\.json, got 1"):
         read_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("frame", 2**63), ("frame", -(10**30)), ("timestamp_ns", 10**400), ("tracks", 2**70)],
+)
+def test_numbers_of_more_than_64_bits(field: str, value: int, tmp_path: Path) -> None:
+    """Neither arrays nor tables hold them."""
+    for path in RUN_OF_0_1_0.iterdir():
+        shutil.copy(path, tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "frames.jsonl").read_text().splitlines()]
+    if field == "tracks":
+        next(line for line in lines if line["tracks"])["tracks"][0]["id"] = value
+    else:
+        lines[1][field] = value
+    (tmp_path / "frames.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    with pytest.raises(ValueError, match=rf"frames\.jsonl: line \d+: .*{'id' if field == 'tracks' else field}"):
+        read_run(tmp_path)
+
+
+@pytest.mark.parametrize("source", ["a\0b", "x" * 5000, "loop"])
+def test_a_source_that_is_no_path(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    summary = json.loads((RUN_OF_0_1_0 / "summary.json").read_text())
+    Path("summary.json").write_text(json.dumps(summary | {"source": source}))
+    with pytest.raises(FileNotFoundError, match=r"^summary\.json: source: expected the run's frames"):
+        source_of_run(Path())

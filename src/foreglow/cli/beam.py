@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.running import beam_sink, finish, open_frames, recorded_lux, run_frames, unused_lines, viewer_sinks
+from foreglow.cli.running import (
+    beam_sink,
+    finish,
+    open_frames,
+    recorded_lux,
+    run_frames,
+    say_lack,
+    unused_lines,
+    viewer_sinks,
+)
 from foreglow.options import (
     BeamOptions,
     OutOption,
@@ -26,7 +35,7 @@ if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
     from foreglow.photometry import Headlamps
-    from foreglow.runtime import OutputFolder, ResultSink, Stepper
+    from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.can_output import CanBus
     from foreglow.runtime.run import Replay
 
@@ -52,18 +61,22 @@ def beam(
     """Compute the beam for each frame: the level of each LED, dark gaps, and reasons for low beam."""
     from foreglow.photometry import read_headlamps
     from foreglow.pipeline import Pipeline
+    from foreglow.runs.summary import read_summary
 
     is_run = (source / "frames.jsonl").is_file()
     configuration = lamps.commanding(_configuration_of_run(source, pipeline) if is_run else pipeline.configuration())
     headlamps = read_headlamps(configuration.beam.headlamps)
     _check_can(can, headlamps, is_compact=compact)
     stepper: Stepper
+    origin: RunSummary | None = None
     if is_run:
         if reading.on_error != "stop":
             raise ValueError(f"--on-error: expected without a run: the frames that {source} has are taken, as they are")
         stepper, images, num_frames = _replay(source, configuration)
+        origin = read_summary(source / "summary.json")
         limit = min(num_frames, reading.limit or num_frames)
-        reading = dataclasses.replace(reading, limit=limit, on_error="skip")
+        reading = dataclasses.replace(reading, limit=limit, on_error="skip" if origin.num_skipped else "mark")
+        say_lack(source)
     else:
         stepper, images = Pipeline(configuration), source
     frames = open_frames(images, reading, vehicle)
@@ -77,8 +90,9 @@ def beam(
             sinks.append(_can_sink(results, can, configuration.beam.restore_s, is_compact=compact))
         return sinks
 
-    summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit)
-    finish(summary, out, *unused_lines(vehicle, summary))
+    summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
+    is_interrupted = not summary.is_complete and (origin is None or summary.num_frames < (reading.limit or 0))
+    finish(summary, out, *unused_lines(vehicle, summary), is_interrupted=is_interrupted)
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:
@@ -107,10 +121,12 @@ def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
 def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
     """The results of an earlier run, the path of its frames, and their number."""
     from foreglow.runs.frames_file import read_results
-    from foreglow.runs.recorded_run import source_of_run
+    from foreglow.runs.recorded_run import check_frames, source_of_run
+    from foreglow.runs.summary import read_summary
     from foreglow.runtime.run import Replay
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)
+    check_frames(run, read_summary(run / "summary.json"), len(results))
     return Replay(configuration, results, str(run)), source_of_run(run), len(results)
 
 

@@ -24,7 +24,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
-from foreglow.plugins import raising
+from foreglow.plugins import raising, words_of
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -171,21 +171,21 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     """
     origin = raising(error)
     if origin is not None:
-        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {error}"), 2
+        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {words_of(error)}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     broken = _broken_package(error)
     if broken is not None:
-        return f"{broken} is installed, but cannot be loaded: {shortened(str(error), 400)}", 2
+        return f"{broken} is installed, but cannot be loaded: {shortened(words_of(error), 400)}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
         return "the working directory is there no more", 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, OSError) and _is_printing(error):
-        return shortened(f"standard output: {error.strerror or error}"), 2
+        return shortened(f"standard output: {error.strerror or words_of(error)}"), 2
     if isinstance(error, (ValueError, OSError)):
-        return shortened(str(error) or type(error).__name__), 2
-    words = shortened(f"{type(error).__name__}: {error}", 200)
+        return shortened(words_of(error) or type(error).__name__), 2
+    words = shortened(f"{type(error).__name__}: {words_of(error)}", 200)
     path = _input_read(error, inputs)
     if path is not None:
         return shortened(f"{path}: cannot be read: {words}"), 2
@@ -193,7 +193,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return shortened(f"{', '.join(map(str, inputs))}: expected values that can be worked with: {words}"), 2
     if isinstance(error, MemoryError):
         return "not enough memory", 2
-    if isinstance(error, RuntimeError) and str(error) == NO_THREAD:
+    if isinstance(error, RuntimeError) and words_of(error) == NO_THREAD:
         return "no further thread can be started: expected more memory, or fewer processes", 2
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR
 

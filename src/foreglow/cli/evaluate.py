@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import run_in_parallel
+from foreglow.cli.running import run_in_parallel, say_lack
 from foreglow.options import (
     PipelineOptions,
     WorkerOptions,
@@ -79,7 +79,8 @@ def evaluate(
     if json_file is not None:
         by_light = {"whose_light": examination.whose_light, "kinds": examination.kinds}
         told = {name: found for name, found in by_light.items() if found is not None}
-        write_json_results(json_file, to_json(examination.quality) | told, indent=2)
+        figures = to_json(examination.quality) | {"is_complete": examination.is_complete} | told
+        write_json_results(json_file, figures, indent=2)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if examination.kinds is not None:
@@ -132,6 +133,8 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
             f"{predictions}: expected boxes in images of {split}, got those of others, such as {min(images)}"
         )
     examination = examine(labels, found, threshold, str(predictions))
+    if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(images)):
+        examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):
         return examination
     of_tracks = directness(labels, found, threshold, read_tracks(predictions), read_cameras(dataset))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
+from foreglow.cli.running import say_lack
 from foreglow.options import argument, file, folder, option, output_file, with_options
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ def export(
     else:
         found = exchange.guesses_of(open_source(source, on_error="mark"), read_guess(run), chosen)
     lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
+    if run is not None:
+        say_lack(run)
     typer.echo("\n".join([_counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
 
 
@@ -91,6 +94,7 @@ def suggest(
     drives, folders = [], []
     for folder_ in runs:
         run = read_run(folder_)
+        say_lack(folder_)
         try:
             unlike = suggestion.unlikeness(run)
         except FileNotFoundError as error:

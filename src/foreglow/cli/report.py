@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
+from foreglow.cli.running import say_lack
 from foreglow.options import argument, output_file, with_options
 
 
@@ -22,4 +23,6 @@ def report(
     from foreglow.lab.reports.run_page import write_report
 
     require_matplotlib()
-    typer.echo(f"look in {write_report(run, out)}")
+    page = write_report(run, out)
+    say_lack(run)
+    typer.echo(f"look in {page}")

@@ -38,13 +38,14 @@ def run_frames(
     *,
     make_sinks: Callable[[OutputFolder], Sequence[ResultSink]] = lambda _: (),
     limit: int | None = None,
+    origin: RunSummary | None = None,
 ) -> RunSummary:
-    """Runs the pipeline over `frames`, with a progress bar."""
+    """Runs the pipeline over `frames`, with a progress bar; `origin` as in `runtime.run`."""
     from foreglow.runtime import OutputFolder, run
 
     with OutputFolder(out) as folder:
         sinks = [progress_sink(frames, limit), *make_sinks(folder)]
-        return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name)
+        return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin)
 
 
 def run_in_parallel(
@@ -58,14 +59,33 @@ def run_in_parallel(
         return run_apart(opening, configuration, OutputFolder(out), workers, progress=progress, source_name=name)
 
 
-def finish(summary: RunSummary, out: Path, *more: str) -> None:
-    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted."""
+def finish(summary: RunSummary, out: Path, *more: str, is_interrupted: bool | None = None) -> None:
+    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted.
+
+    Args:
+        summary: The run's.
+        out: Where its results are.
+        more: The further lines.
+        is_interrupted: Whether it was interrupted itself; None if that is the only reason for being incomplete.
+    """
     from foreglow.display.summary_lines import run_lines
 
-    *lines, last = run_lines(summary, out)
+    if is_interrupted is None:
+        is_interrupted = not summary.is_complete
+    *lines, last = run_lines(summary, out, is_interrupted=is_interrupted)
     typer.echo("\n".join([*lines, *more, last]))
-    if not summary.is_complete:
+    if is_interrupted:
         raise typer.Exit(130)
+
+
+def say_lack(run: Path, num_frames: int | None = None) -> bool:
+    """Prints a line if the run in the folder `run` is incomplete, as `lack_of_run` has it; returns whether it is."""
+    from foreglow.runs.summary import lack_of_run
+
+    lack = lack_of_run(run, num_frames)
+    if lack is not None:
+        typer.echo(lack)
+    return lack is not None
 
 
 def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:

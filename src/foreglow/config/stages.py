@@ -430,6 +430,7 @@ class LiveConfig(FrozenModel):
         max_step_s: A stage that takes longer for a frame hangs.
         abandon_s: After this further time the pipeline that hangs is abandoned, and a new one is made.
         max_failures: After errors in so many frames in a row a new pipeline is made.
+        rebuild_s: A new pipeline that takes longer to make than this hangs as a stage does: another one is made.
         retry_s: Pause between attempts to open a lost source, or to make a pipeline.
     """
 
@@ -440,4 +441,5 @@ class LiveConfig(FrozenModel):
     max_step_s: Annotated[float, Field(gt=0, le=10)] = 0.08
     abandon_s: Annotated[float, Field(gt=0, le=100)] = 1.0
     max_failures: Annotated[int, Field(ge=1, le=1000)] = 3
+    rebuild_s: Annotated[float, Field(gt=0, le=1000)] = 30.0
     retry_s: Annotated[float, Field(gt=0, le=100)] = 1.0

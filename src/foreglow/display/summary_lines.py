@@ -9,8 +9,11 @@ if TYPE_CHECKING:
     from foreglow.runs.summary import BeamSummary, RunSummary
 
 
-def run_lines(summary: RunSummary, out: Path) -> list[str]:
-    """What came of a run whose results are in the folder or the recording `out`; the last line says where to look."""
+def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[str]:
+    """What came of a run, perhaps interrupted, whose results are in the folder or the recording `out`.
+
+    The last line says where to look.
+    """
     found = f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_proposals, 'proposal')}"
     if summary.num_accepted is not None:
         found += f", {counted(summary.num_accepted, 'light artifact')}"
@@ -32,7 +35,7 @@ def run_lines(summary: RunSummary, out: Path) -> list[str]:
     if summary.num_skipped:
         listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
         lines.append(f"{counted(summary.num_skipped, 'unreadable frame')} skipped, {listed}")
-    if not summary.is_complete:
+    if is_interrupted:
         lines.append("interrupted: the results are complete up to there")
     if not out.is_dir():
         return [*lines, f"look at {out}, such as in Foxglove"]

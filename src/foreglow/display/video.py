@@ -27,6 +27,18 @@ Drawing: TypeAlias = Callable[[Frame, FrameResult, Tone | None], Picture]
 DEFAULT_FPS = 18.0
 """Frame rate of a video whose source has none, Hz: that of one exposure cycle of PVDN."""
 
+MIN_FPS, MAX_FPS = 0.1, 1000.0
+"""Frame rates that a video can state; other rates of a source are a mistake of its clock."""
+
+TIME_BASE = Fraction(1, 90_000)
+"""Unit of a video's times, s: that of MPEG, which every player knows; pictures are at most 6 us from their times."""
+
+MAX_PAUSE_NS = 3_600_000_000_000
+"""Longer pauses are left out of a video; an MP4 file cannot hold one of 13 hours."""
+
+RESTART_NS = 1_000_000_000
+"""Where times go back by more than this, another recording begins; by less, a frame is late."""
+
 ENCODING = {"crf": "23", "preset": "ultrafast"}
 """Of x264. Of a brightened, noisy night the preset `veryfast` at a factor of 20 makes as large a file and as small an
 error, in four times the processor's time."""
@@ -35,8 +47,35 @@ MAX_WAITING = 4
 """Pictures that wait to be drawn, each with its frame, before a run waits for them."""
 
 
+class FilmTimes:
+    """When the pictures of a video are shown: as far apart as they were taken.
+
+    A sequence, and what follows a pause of more than `MAX_PAUSE_NS`, begins a frame's time after the picture before. So
+    does a picture whose time stands still or goes back; those after it keep theirs.
+    """
+
+    def __init__(self, period_ns: float) -> None:
+        """Times that begin at 0; `period_ns` is a frame's time."""
+        self._period = max(1, round(Fraction(period_ns) / 1_000_000_000 / TIME_BASE))
+        self._sequence, self._latest_ns, self._latest = "", 0, -1
+        self._first_ns, self._first = 0, 0
+
+    def next(self, timestamp_ns: int, sequence: str) -> int:
+        """When the next picture is shown, in units of `TIME_BASE`; each is later than the one before."""
+        step_ns = timestamp_ns - self._latest_ns
+        is_first = self._latest < 0
+        if is_first or sequence != self._sequence or not -RESTART_NS <= step_ns <= MAX_PAUSE_NS:
+            self._first_ns, self._first = timestamp_ns, 0 if is_first else self._latest + self._period
+        own = self._first + round(Fraction(timestamp_ns - self._first_ns, 1_000_000_000) / TIME_BASE)
+        if own <= self._latest:
+            own = self._latest + (1 if step_ns > 0 else self._period)
+        self._latest = own
+        self._sequence, self._latest_ns = sequence, timestamp_ns
+        return self._latest
+
+
 class Movie:
-    """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other.
+    """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other, at the times of `FilmTimes`.
 
     A picture of another size than the first is fitted into the first one's. The file is a valid video once `close` has
     returned; without a picture there is none.
@@ -47,7 +86,7 @@ class Movie:
 
         Args:
             path: Where the video goes; nothing is written before the first picture.
-            fps: Frames in a second of the video; None means `DEFAULT_FPS`.
+            fps: Usual number of frames in a second; None means `DEFAULT_FPS`.
 
         Raises:
             ValueError: If `fps` is not a positive number.
@@ -56,12 +95,13 @@ class Movie:
         if not 0.0 < rate_hz < float("inf"):
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
         self._path = path
-        self._rate = Fraction(rate_hz).limit_denominator(1001)
+        self._rate = Fraction(min(max(rate_hz, MIN_FPS), MAX_FPS)).limit_denominator(1001)
+        self._times = FilmTimes(float(1_000_000_000 / self._rate))
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
 
-    def add(self, picture: Picture) -> None:
-        """Appends `picture`.
+    def add(self, picture: Picture, timestamp_ns: int, sequence: str = "") -> None:
+        """Appends `picture`, which was taken at `timestamp_ns`; sequences share no time axis.
 
         Raises:
             OSError: If the file cannot be written; the message names the path.
@@ -74,7 +114,9 @@ class Movie:
             fitted = _fitted(picture, self._stream.width, self._stream.height)
             # Much quicker than FFmpeg's conversion.
             planes = np.asarray(cv2.cvtColor(fitted, cv2.COLOR_BGR2YUV_I420), np.uint8)
-            for packet in self._stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")):
+            frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+            frame.pts, frame.time_base = self._times.next(timestamp_ns, sequence), TIME_BASE
+            for packet in self._stream.encode(frame):
                 self._container.mux(packet)
 
     def close(self) -> None:
@@ -103,6 +145,7 @@ class Movie:
         self._stream = self._container.add_stream("libx264", rate=self._rate, options=dict(ENCODING))
         self._stream.height, self._stream.width = picture.shape[:2]
         self._stream.pix_fmt = "yuv420p"
+        self._stream.codec_context.time_base = TIME_BASE
 
 
 class VideoSink(Movie):
@@ -147,7 +190,7 @@ class VideoSink(Movie):
     def _paint(self, frame: Frame, result: FrameResult) -> None:
         if self._tone is None or not self._tone.fits(frame.image):
             self._tone = Tone.of(frame.image)
-        self.add(self._draw(frame, result, self._tone))
+        self.add(self._draw(frame, result, self._tone), frame.timestamp_ns, frame.sequence)
 
 
 class PictureSink:

@@ -20,7 +20,7 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
 from foreglow.files import bounded_lines
 from foreglow.geometry import Floats
-from foreglow.runs.json_lines import checked, read_lines
+from foreglow.runs.json_lines import Whole, checked, read_lines
 from foreglow.types import (
     BeamCommand,
     BeamMode,
@@ -41,7 +41,7 @@ Box: TypeAlias = Annotated[list[float], Field(min_length=4, max_length=4)]
 StateName: TypeAlias = Literal["tentative", "confirmed", "coasting"]
 ModeName: TypeAlias = Literal["low", "glare_free", "full"]
 Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-Count: TypeAlias = Annotated[int, Field(ge=0)]
+Count: TypeAlias = Annotated[Whole, Field(ge=0)]
 LightKinds: TypeAlias = Annotated[list[Probability], Field(min_length=4, max_length=4)]
 """The probabilities of `LIGHT_KINDS`."""
 
@@ -57,16 +57,16 @@ class TrackEntry(TypedDict):
     `light_kinds` is left out where `direct` says all that is known of the kinds.
     """
 
-    id: int
+    id: Whole
     state: StateName
     box_xyxy_px: Box
     confidence: Probability
-    num_hits: Annotated[int, Field(ge=1)]
+    num_hits: Annotated[Whole, Field(ge=1)]
     num_misses: Count
     age_s: Annotated[float, Field(ge=0)]
     range_m: float | None
     range_sigma_m: Annotated[float, Field(gt=0)] | None
-    detection: Annotated[int, Field(ge=-1)]
+    detection: Annotated[Whole, Field(ge=-1)]
     direct: NotRequired[Probability | None]
     light_kinds: NotRequired[LightKinds | None]
 
@@ -75,12 +75,12 @@ class TrackEntry(TypedDict):
 class VehicleEntry(TypedDict):
     """A vehicle in a line, with the fields of `Vehicles`; `tracks` has the ids of its tracks, `leading` one of them."""
 
-    id: int
+    id: Whole
     state: StateName
     confidence: Probability
     is_in_sight: bool
-    tracks: Annotated[list[int], Field(min_length=1)]
-    leading: int
+    tracks: Annotated[list[Whole], Field(min_length=1)]
+    leading: Whole
 
 
 @checked
@@ -126,9 +126,9 @@ class FrameLine(TypedDict):
         beam: The beam command.
     """
 
-    frame: int
+    frame: Whole
     sequence: NotRequired[str]
-    timestamp_ns: NotRequired[int]
+    timestamp_ns: NotRequired[Whole]
     proposals_xyxy_px: list[Box]
     scores: NotRequired[list[float] | None]
     direct: NotRequired[list[float | None] | None]

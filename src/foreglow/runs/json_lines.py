@@ -6,14 +6,17 @@ import contextlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
-from pydantic import ConfigDict, RootModel, with_config
+from pydantic import ConfigDict, Field, RootModel, with_config
 
 from foreglow.datasets import json_files
 from foreglow.datasets.json_files import parse_json
 from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
+
+Whole: TypeAlias = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+"""A whole number of 64 bits, as arrays and tables hold it."""
 
 Line = TypeVar("Line", bound=Mapping[str, Any])
 T = TypeVar("T")

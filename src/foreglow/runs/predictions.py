@@ -20,7 +20,7 @@ from foreglow.datasets.json_files import read_json
 from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
-from foreglow.runs.json_lines import checked, read_lines
+from foreglow.runs.json_lines import Whole, checked, read_lines
 from foreglow.types import LIGHT_KINDS
 
 
@@ -81,7 +81,7 @@ class _CocoBox(BaseModel):
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
-    image_id: Annotated[int, Field(ge=0)]
+    image_id: Annotated[Whole, Field(ge=0)]
     bbox: Annotated[
         tuple[float, float, Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], Field(strict=False)
     ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -16,9 +17,10 @@ import numpy as np
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.files import atomic_path, write_atomic
+from foreglow.outputs import exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
-from foreglow.runs.summary import SummaryFile, read_summary
+from foreglow.runs.summary import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult, TrackState
 
@@ -168,7 +170,7 @@ class RecordedRun:
 
 
 def read_run(folder: Path | str) -> RecordedRun:
-    """The run that was written to `folder`.
+    """The run that was written to `folder`; of one that was interrupted a warning says so.
 
     Raises:
         FileNotFoundError: If one of its files is missing.
@@ -188,11 +190,24 @@ def read_run(folder: Path | str) -> RecordedRun:
 
     sequences: dict[str, list[FrameResult]] = {}
     lines = read_lines(frames, FrameLineModel, convert)
-    if summary.live is None and len(lines) != summary.num_frames:  # a live run may lose some
-        raise ValueError(f"{frames}: expected the {summary.num_frames} frames of summary.json, got {len(lines)}")
+    check_frames(folder, summary, len(lines))
+    lack = lack_of_run(folder)
+    if lack is not None:
+        warnings.warn(lack, stacklevel=2)
     for name, result in lines.values():
         sequences.setdefault(name, []).append(result)
     return RecordedRun(folder, summary, config, {name: tuple(results) for name, results in sequences.items()})
+
+
+def check_frames(folder: Path, summary: SummaryFile, num_frames: int) -> None:
+    """Checks that the `num_frames` frames which were read from a run's folder are those that its summary counts.
+
+    Raises:
+        ValueError: If they are not.
+    """
+    if summary.live is None and num_frames != summary.num_frames:  # a live run may lose some
+        path = folder / "frames.jsonl"
+        raise ValueError(f"{path}: expected the {summary.num_frames} frames of summary.json, got {num_frames}")
 
 
 def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int, Frame]:
@@ -227,7 +242,7 @@ def source_of_run(run: Path) -> Path:
     """
     path = run / "summary.json"
     source = Path(read_summary(path).source)
-    if not source.exists():
+    if not exists(source):
         raise FileNotFoundError(
             f"{path}: source: expected the run's frames, there is nothing at {source}; where they are elsewhere now, "
             f"give them in place of {run}, with --config {run / 'config.toml'}"

@@ -52,7 +52,8 @@ class RunSummary(_Strict):
 
     Attributes:
         source: Where the frames came from: an absolute path, or what the user gave.
-        is_complete: False if the run was interrupted; the results until then are kept.
+        is_complete: False if the run, or the one whose results it takes, was interrupted; the results until then are
+            kept.
         is_classified: Whether a model scored the proposals.
         num_frames: Frames that were run.
         num_proposals: Boxes proposed, over all frames.
@@ -73,6 +74,7 @@ class RunSummary(_Strict):
         has_local_changes: Whether that checkout differed from its commit; None if Foreglow was installed.
         processor: Name that the processor gives itself; of several machines, each name once.
         dispatch: Instruction set that the native core used; None with another back end.
+        command: Command of Foreglow that wrote it; None in Python, and in folders of earlier versions.
     """
 
     source: str
@@ -96,6 +98,7 @@ class RunSummary(_Strict):
     has_local_changes: bool | None
     processor: str
     dispatch: str | None
+    command: str | None = None
 
 
 @dataclass(slots=True)
@@ -162,6 +165,35 @@ class SummaryFile(RunSummary):
     """
 
     live: LivePart | None = None
+
+
+def lack_of_run(folder: Path, num_frames: int | None = None) -> str | None:
+    """What the run in `folder` lacks, and so all that is made from it, as one line; None if it is complete or no run.
+
+    Args:
+        folder: The folder, which has a `frames.jsonl`.
+        num_frames: How many frames were read from there; None if that does not matter.
+
+    Raises:
+        ValueError: If its summary is broken; the message names the field.
+    """
+    path = folder / "summary.json"
+    if not path.is_file():
+        is_run = any((folder / name).is_file() for name in ("config.toml", "times.jsonl"))
+        return (
+            f"{folder}: no summary.json: the run was not finished, what is made from it is incomplete"
+            if is_run
+            else None
+        )
+    summary = read_summary(path)
+    if not summary.is_complete:
+        return (
+            f"{folder}: the run was interrupted after {summary.num_frames} frames, what is made from it is incomplete"
+        )
+    if num_frames is not None and num_frames < summary.num_frames and summary.live is None:  # a live run may lose some
+        words = f"{num_frames} of {summary.num_frames} frames are left"
+        return f"{folder}: {words} of the run, what is made from it is incomplete"
+    return None
 
 
 def read_summary(path: Path) -> SummaryFile:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.config import PipelineConfig
-from foreglow.outputs import exists
+from foreglow.outputs import exists, running_command
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
@@ -146,6 +146,7 @@ class Tally:
             has_local_changes=has_local_changes,
             processor=processor or processor_name(),
             dispatch=dispatch,
+            command=running_command(),
         )
 
     def _count_tracks(self, sequence: str, tracks: Tracks) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from foreglow.runs.json_lines import checked, read_lines
+from foreglow.runs.json_lines import Whole, checked, read_lines
 from foreglow.types import Frame, FrameResult
 
 
@@ -23,9 +23,9 @@ class TimesLine(TypedDict):
         stage_ms: Run-time of each stage in milliseconds, to 0.1 us.
     """
 
-    frame: int
+    frame: Whole
     sequence: str
-    timestamp_ns: int
+    timestamp_ns: Whole
     stage_ms: dict[str, float]
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.files import naming, open_atomic
+from foreglow.plugins import words_of
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
 
@@ -111,7 +112,7 @@ def open_bus(channel: str) -> can.BusABC:
     except (can.CanError, OSError) as error:
         raise OSError(f"{channel}: {error}") from error
     except Exception as error:  # a driver that is missing, or that fails in its own way without one
-        words = f"{type(error).__name__}: {error}"
+        words = f"{type(error).__name__}: {words_of(error)}"
         raise ValueError(f"{channel}: expected a bus whose driver is installed and works: {words}") from error
 
 

@@ -109,6 +109,7 @@ def run(
     sinks: Sequence[ResultSink] = (),
     limit: int | None = None,
     source_name: str = "",
+    origin: RunSummary | None = None,
 ) -> RunSummary:
     """Runs `pipeline` over `source`; writes results, run-times, configuration and summary to `folder`, if any.
 
@@ -123,10 +124,11 @@ def run(
         sinks: They get the results, too.
         limit: Stop after this many frames; None runs all of them.
         source_name: Name of the source in the summary; empty takes its own name.
+        origin: The earlier run whose results `pipeline` takes; what that lacks, this run lacks, too.
 
     Raises:
         ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
-            be read.
+            be read; with an `origin` also if the source has fewer than `limit` frames.
         OSError: If a result cannot be written; the message names the path.
     """
     tally, name = Tally(), source_name or source.name
@@ -137,10 +139,13 @@ def run(
         with InterruptFlag() as interrupt:
             step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally, source.skipped)
+            if origin is not None and limit is not None and tally.num_frames < limit and not interrupt.is_set:
+                raise ValueError(f"{name}: expected the {limit} frames of the run, there are {tally.num_frames} now")
             for sink in all_sinks:
                 sink.close()
+        is_complete = not interrupt.is_set and (origin is None or origin.is_complete)
         summary = tally.summary(
-            name, source.skipped, pipeline.config, is_complete=not interrupt.is_set, dispatch=pipeline.dispatch
+            name, source.skipped, pipeline.config, is_complete=is_complete, dispatch=pipeline.dispatch
         )
         if folder is not None:
             folder.publish(pipeline.config, summary)

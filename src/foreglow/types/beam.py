@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import frozen_view
+from foreglow.types.arrays import Value, frozen_view
 
 
 class BeamMode(IntEnum):
@@ -23,7 +23,7 @@ class BeamMode(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeamCommand:
+class BeamCommand(Value):
     """The command to our matrix headlamps.
 
     Attributes:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Boxes, frozen_view
+from foreglow.types.arrays import Boxes, Value, frozen_view
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Proposals:
+class Proposals(Value):
     """Boxes that may hold a light artifact, sorted by y1, x1, y2, x2.
 
     Attributes:
@@ -43,7 +43,7 @@ class Proposals:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(Value):
     """All proposals of a frame with their scores.
 
     Attributes:
@@ -110,7 +110,7 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ranges:
+class Ranges(Value):
     """Range of the light in each box: from the camera along the viewing ray, to the lamp or the surface that it lights.
 
     Attributes:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Camera
-from foreglow.types.arrays import Image, frozen_view
+from foreglow.types.arrays import Image, Value, frozen_view
 
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
@@ -21,7 +21,7 @@ MIN_STEP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EgoMotion:
+class EgoMotion(Value):
     """Motion of our vehicle at the time of an image.
 
     Attributes:
@@ -52,7 +52,7 @@ class EgoMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoadAhead:
+class RoadAhead(Value):
     """The road in front of us by a map or a street message: a ribbon around the carriageway's centre line.
 
     Points are in the frame of the vehicle as the map assumes it to stand: on the road, and heading along it.
@@ -102,7 +102,7 @@ class RoadAhead:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Frame(Value):
     """One grey camera image, when it was taken, and what the car knew at that time.
 
     Attributes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foreglow.types.arrays import Image
+from foreglow.types.arrays import Image, Value
 from foreglow.types.beam import BeamCommand
 from foreglow.types.boxes import Detections, Proposals, Ranges
 from foreglow.types.tracks import Tracks
@@ -67,7 +67,7 @@ def plot(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrameResult:
+class FrameResult(Value):
     """The results of all stages for one frame.
 
     Attributes:

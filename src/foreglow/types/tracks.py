@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import frozen_view
+from foreglow.types.arrays import Value, frozen_view
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 from foreglow.types.vehicles import Vehicles
 
@@ -27,7 +27,7 @@ class TrackState(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+class Tracks(Value):
     """The light artifacts that are tracked over time, in the order of their ids.
 
     Attributes:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import frozen_view
+from foreglow.types.arrays import Value, frozen_view
 
 _DTYPES = {"ids": np.int64, "states": np.int64, "confidences": np.float64, "is_in_sight": np.bool_, "leading": np.int64}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Vehicles:
+class Vehicles(Value):
     """The other vehicles that show in a frame, by their lamps or by their light alone, in the order of their ids.
 
     Attributes:

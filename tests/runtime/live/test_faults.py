@@ -161,6 +161,39 @@ def test_too_many_hang(drive: list[Frame]) -> None:
     assert not ended.value.summary.run.is_complete
 
 
+@pytest.mark.parametrize("num_hanging", [1, 99])
+def test_a_new_pipeline_that_hangs_while_it_is_made(drive: list[Frame], num_hanging: int) -> None:
+    never = threading.Event()
+    configuration, keeper = live_config(rebuild_s=0.3, abandon_s=0.1, max_step_s=10.0), Keeper()
+    broken, spare = Pipeline(configuration), Pipeline(configuration)
+    num_made = 0
+
+    def fail(now_ns: int) -> None:
+        if now_ns >= drive[BEGIN].timestamp_ns:
+            raise ArithmeticError
+
+    def make() -> Pipeline:
+        nonlocal num_made
+        num_made += 1
+        if 1 < num_made <= 1 + num_hanging:
+            never.wait(60)
+        return broken if num_made == 1 else spare
+
+    spoil(broken, "proposals", fail)
+    source = ScriptedCamera(drive, is_live=True)
+    if num_hanging == 1:
+        summary, lamps = run_live(source, configuration, make, sinks=[keeper])
+        assert not lamps.is_low[-2]
+    else:
+        with pytest.raises(LiveEndedError, match="making a pipeline: hung 3 times") as ended:
+            run_live(source, configuration, make, sinks=[keeper])
+        summary = ended.value.summary
+        assert num_made == 4
+    never.set()
+    assert LiveFault.NO_PIPELINE in summary.fault_counts
+    assert any("making a pipeline" in details for details in keeper.details)
+
+
 def test_a_source_without_frames_is_given_up() -> None:
     source = ScriptedCamera(*[[OSError("no camera")] for _ in range(99)], is_live=True, is_endless=True)
     configuration, lamps, keeper = live_config(retry_s=0.1), Lamps(), Keeper()

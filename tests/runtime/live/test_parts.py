@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from foreglow.config import LiveConfig
 from foreglow.runtime.live.background import NUM_WAITING, Background
 from foreglow.runtime.live.faults import MAX_EVENTS, FaultBook
+from foreglow.runtime.live.loop import SWITCH_S, quick_switching
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.notify import ServiceNotifier
 from foreglow.runtime.live.watch import FrameWatch
@@ -272,3 +274,15 @@ def test_service_notifier_without_a_service(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     monkeypatch.setattr(socket, "socket", None)
     ServiceNotifier().beat()
+
+
+def test_loops_of_one_process_give_the_switch_interval_back() -> None:
+    """The one that began first may end first."""
+    before_s = sys.getswitchinterval()
+    first, second = quick_switching(), quick_switching()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert sys.getswitchinterval() == pytest.approx(SWITCH_S)
+    second.__exit__(None, None, None)
+    assert sys.getswitchinterval() == before_s

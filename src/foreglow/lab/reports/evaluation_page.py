@@ -137,6 +137,8 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
         ModuleNotFoundError: If matplotlib is not installed.
     """
     page = Page(f"{examination.detector} on {examination.name}")
+    if not examination.is_complete:
+        page.text("Incomplete: the predictions are of a run that was interrupted, or has lost frames since.")
     page.items(examination_lines(examination))
     page.text("What every figure means: `docs/evaluation.md`.")
     _add_quality(page, examination)

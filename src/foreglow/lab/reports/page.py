@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.outputs import running_command
 from foreglow.provenance import provenance
 
 DASH = "–"
@@ -250,7 +251,8 @@ class Page:
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         if results is not None:
-            record = {"made_with": {**provenance(), **(made_with or {})}, **to_json(results)}
+            origin = {**provenance(), "command": running_command(), **(made_with or {})}
+            record = {"made_with": origin, **to_json(results)}
             write_json_results(path.parent / "results.json", record)
         beside = {figure.file: figure.data for figure in self._figures if figure.file}
         text = self.markdown() if path.suffix == ".md" else self.html()

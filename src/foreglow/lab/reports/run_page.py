@@ -240,6 +240,8 @@ def key_moments(results: Sequence[FrameResult]) -> tuple[KeyMoment, ...]:
 
 def _page(run: RecordedRun) -> Page:
     page = Page(f"Run of {run.summary.source}")
+    if not run.summary.is_complete:
+        page.text("Incomplete: the run was interrupted, or was made from one that was.")
     page.table(_facts(run))
     page.section("Faults")
     _add_faults(page, run)
@@ -266,7 +268,7 @@ def _facts(run: RecordedRun) -> Table:
         ["source", summary.source],
         ["made with", made_with],
         ["processor", summary.processor],
-        ["frames", f"{summary.num_frames}{'' if summary.is_complete else ', interrupted'}"],
+        ["frames", f"{summary.num_frames}{'' if summary.is_complete else ', incomplete'}"],
         ["sequences", len(run.sequences)],
         ["unreadable frames skipped", summary.num_skipped],
         ["proposals", summary.num_proposals],

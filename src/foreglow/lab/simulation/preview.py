@@ -62,7 +62,7 @@ def preview(
             for number, known in enumerate(frames):
                 tone = tone or Tone.of(known.frame.image)
                 picture = labelled(known, tone)
-                movie.add(picture)
+                movie.add(picture, known.frame.timestamp_ns)
                 if progress is not None:
                     progress(1, number + 1, num_frames)
                 if number in shown:

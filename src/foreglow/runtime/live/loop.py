@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
+from foreglow.plugins import words_of
 from foreglow.runs.summary import LiveSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.health import Health, LiveSink
@@ -34,6 +36,26 @@ MAX_HUNG = 3
 
 SWITCH_S = 0.0005
 """Interval at which Python switches between threads, in place of 5 ms: the longest wait for another thread's Python."""
+
+
+_switch_lock = threading.Lock()
+_usual_switch_s: list[float] = []
+"""For each loop under way the interval before the first of them, which the last one to end restores."""
+
+
+@contextlib.contextmanager
+def quick_switching() -> Iterator[None]:
+    """Has Python switch between threads every `SWITCH_S`, while any loop of this process is in such a block."""
+    with _switch_lock:
+        _usual_switch_s.append(_usual_switch_s[0] if _usual_switch_s else sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        with _switch_lock:
+            usual_s = _usual_switch_s.pop()
+            if not _usual_switch_s:
+                sys.setswitchinterval(usual_s)
 
 
 class LiveEndedError(TimeoutError):
@@ -143,8 +165,6 @@ class LiveLoop:
             for sink in self._sinks:
                 sink.discard()
             raise
-        switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_S)
         self._watch = FrameWatch(
             self._config,
             self._period_s,
@@ -156,20 +176,17 @@ class LiveLoop:
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
         self._watched_s = self._woken_s = time.monotonic()
-        try:
-            with settled_memory(), InterruptFlag(PATIENCE_S) as interrupt:
-                try:
-                    while not (interrupt.is_set or self._is_over or self._end):
-                        self._supervise()
-                        self._is_stopped.wait(min(self._wait_s / 4, MAX_PAUSE_S))
-                    is_complete = not (interrupt.is_set or self._end)
-                finally:
-                    self._stop(reader)
-                if self._error is not None:
-                    raise self._error
-                summary = self._summary(pipeline, is_complete=is_complete)
-        finally:
-            sys.setswitchinterval(switch_s)
+        with quick_switching(), settled_memory(), InterruptFlag(PATIENCE_S) as interrupt:
+            try:
+                while not (interrupt.is_set or self._is_over or self._end):
+                    self._supervise()
+                    self._is_stopped.wait(min(self._wait_s / 4, MAX_PAUSE_S))
+                is_complete = not (interrupt.is_set or self._end)
+            finally:
+                self._stop(reader)
+            if self._error is not None:
+                raise self._error
+            summary = self._summary(pipeline, is_complete=is_complete)
         if self._end:
             raise LiveEndedError(self._end, summary)
         return summary
@@ -187,7 +204,9 @@ class LiveLoop:
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
             num_unrecorded=sum(sink.num_lost for sink in self._sinks),
-            sink_errors=[f"{type(sink.sink).__name__}: {sink.error}" for sink in self._sinks if sink.error is not None],
+            sink_errors=[
+                f"{type(sink.sink).__name__}: {words_of(sink.error)}" for sink in self._sinks if sink.error is not None
+            ],
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
@@ -234,7 +253,7 @@ class LiveLoop:
             except (Exception, SystemExit) as error:
                 if not self._source.is_endless:
                     self._error = error
-                reason = f"{type(error).__name__}: {error}"
+                reason = f"{type(error).__name__}: {words_of(error)}"
             if not self._source.is_endless:
                 self._has_ended.set()
                 return
@@ -252,8 +271,11 @@ class LiveLoop:
         is_hanging = self._worker.busy_s > self._max_step_s
         if is_hanging:
             self._book.note(STAGE, [LiveFault.STAGE_HANGS], self._worker.stage)
-        busy_s = min(self._worker.busy_s, awake_s)
-        if busy_s > self._max_step_s + self._config.abandon_s or not self._worker.is_alive:
+        if self._worker.making_s > self._config.abandon_s:
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], self._worker.stage)
+        is_stuck = min(self._worker.busy_s, awake_s) > self._max_step_s + self._config.abandon_s
+        is_stuck |= min(self._worker.making_s, awake_s) > self._config.rebuild_s
+        if is_stuck or not self._worker.is_alive:
             self._abandon()
         is_waiting = is_silent or is_hanging or not self._worker.has_pipeline
         if is_waiting and now_s - self._low_s >= self._wait_s:
@@ -281,7 +303,7 @@ class LiveLoop:
             return
         with self._lock:
             self._worker.stop()
-            self._num_taken += 1
+            self._num_taken += self._worker.has_pipeline  # else it had no frame
             self._book.note(STAGE, [LiveFault.NO_PIPELINE], f"the previous one hangs in {self._worker.stage}")
             self._worker = self._new_worker()
 
@@ -332,7 +354,11 @@ class LiveLoop:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
 
     def _note_sinks(self) -> None:
-        behind = [f"{type(sink.sink).__name__}: {sink.error or 'behind'}" for sink in self._sinks if sink.is_behind]
+        behind = [
+            f"{type(sink.sink).__name__}: {words_of(sink.error) if sink.error else 'behind'}"
+            for sink in self._sinks
+            if sink.is_behind
+        ]
         self._book.note(SINKS, [LiveFault.NOT_RECORDED] if behind else [], "; ".join(behind))
 
     def _report_health(self) -> None:
@@ -354,5 +380,5 @@ def _failure(call: Callable[..., None], *arguments: object) -> str:
     try:
         call(*arguments)
     except Exception as error:
-        return str(error) or type(error).__name__
+        return words_of(error) or type(error).__name__
     return ""

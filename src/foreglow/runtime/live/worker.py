@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from foreglow.config import LiveConfig
+from foreglow.plugins import words_of
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.memory import release_memory
@@ -78,6 +79,7 @@ class Worker:
         self._sequence: str | None = None
         self._num_failures = 0
         self._busy_since_s: float | None = None
+        self._making_since_s: float | None = None
         self._is_stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"{THREADS}compute", daemon=True)
 
@@ -98,15 +100,23 @@ class Worker:
         return 0.0 if since_s is None else time.monotonic() - since_s
 
     @property
+    def making_s(self) -> float:
+        """How long the pipeline under construction has taken so far; 0 while there is none."""
+        since_s = self._making_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    @property
     def has_pipeline(self) -> bool:
         """Whether it has a pipeline."""
         return self._pipeline is not None
 
     @property
     def stage(self) -> str:
-        """The stage under way."""
+        """The stage under way, or that a pipeline is being made."""
         pipeline = self._pipeline
-        return (pipeline.stage if pipeline is not None else None) or "between the stages"
+        if pipeline is None:
+            return "making a pipeline"
+        return pipeline.stage or "between the stages"
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Stops after the current frame; waits for it, `timeout_s` at most."""
@@ -128,10 +138,13 @@ class Worker:
     def _make(self) -> bool:
         """Makes the pipeline; returns whether that succeeded."""
         release_memory()  # that of the pipeline before
+        self._making_since_s = time.monotonic()
         try:
             self._pipeline = self._make_pipeline()
         except (Exception, SystemExit) as error:  # such as a model file that is being replaced: tried again later
             self._book.note(STAGE, [LiveFault.NO_PIPELINE], _described(error))
+        finally:
+            self._making_since_s = None
         self._sequence, self._num_failures = None, 0
         return self._pipeline is not None
 
@@ -158,4 +171,4 @@ class Worker:
 
 
 def _described(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
+    return f"{type(error).__name__}: {words_of(error)}"

@@ -13,6 +13,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from foreglow.plugins import words_of
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.ros2 import topics
@@ -226,7 +227,7 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def _note(self, fault: str, error: Exception) -> None:
         self.faults.add(fault)
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(words_of(error).split()) or type(error).__name__
         self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
 
     def _report(self) -> None:

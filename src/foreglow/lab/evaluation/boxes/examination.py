@@ -66,6 +66,7 @@ class Examination:
         robustness: Figures under disturbances; empty where not asked for.
         directness: How well direct and indirect light are distinguished, and lamps grouped into vehicles.
         whose_light: Figures by whose light is in the boxes; None where the split does not store that.
+        is_complete: False if the predictions are of a run that was interrupted, or has lost frames since.
         kinds: Which kinds are taken for which; None where a run tells none or the data set stores no shares.
     """
 
@@ -81,6 +82,7 @@ class Examination:
     directness: Directness = field(default_factory=Directness)
     whose_light: WhoseLight | None = None
     kinds: KindConfusion | None = None
+    is_complete: bool = True
 
     @property
     def share_found_ahead(self) -> float:

@@ -38,11 +38,9 @@ def write_film(
     try:
         for moment in frames:
             tone = tone or Tone.of(moment[0].known.frame.image)
-            movie.add(
-                np.hstack(
-                    [_picture(shone, title, (view, pen, tone)) for shone, title in zip(moment, titles, strict=True)]
-                )
-            )
+            tools = view, pen, tone
+            pictures = [_picture(shone, title, tools) for shone, title in zip(moment, titles, strict=True)]
+            movie.add(np.hstack(pictures), moment[0].known.frame.timestamp_ns)
         movie.close()
         with naming(path, in_place_of=partial):
             partial.replace(path)
