@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from foreglow.cli.running import open_frames
+from foreglow.cli.shared_run import open_frames
 from foreglow.options import (
     PipelineOptions,
     SourceOptions,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.running import (
+from foreglow.cli.shared_run import (
     beam_sink,
     finish,
     open_frames,

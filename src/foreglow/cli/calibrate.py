@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.calibrating import calibrate_source, calibration_lines, write_calibration
+from foreglow.cli.shared_calibration import calibrate_source, calibration_lines, write_calibration
 from foreglow.options import (
     LensOptions,
     SourceArgument,

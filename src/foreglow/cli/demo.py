@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import beam_sink, finish, open_frames, picture_sink, run_frames
+from foreglow.cli.shared_run import beam_sink, finish, open_frames, picture_sink, run_frames
 from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions, argument, folder, with_options
 
 if TYPE_CHECKING:

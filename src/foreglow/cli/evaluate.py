@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import run_in_parallel, say_lack
+from foreglow.cli.shared_run import run_in_parallel, say_lack
 from foreglow.options import (
     PipelineOptions,
     WorkerOptions,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import say_lack
+from foreglow.cli.shared_run import say_lack
 from foreglow.options import argument, file, folder, option, output_file, with_options
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
-from foreglow.cli.running import recording_sinks, viewer_sinks
+from foreglow.cli.shared_run import recording_sinks, viewer_sinks
 from foreglow.options import (
     RECORD_HELP,
     BeamOptions,

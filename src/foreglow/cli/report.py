@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import say_lack
+from foreglow.cli.shared_run import say_lack
 from foreglow.options import argument, output_file, with_options
 
 

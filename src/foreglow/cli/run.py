@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from foreglow.cli.app import app
-from foreglow.cli.calibrating import calibrated
-from foreglow.cli.running import (
+from foreglow.cli.shared_calibration import calibrated
+from foreglow.cli.shared_run import (
     expectation,
     finish,
     folder_beside,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.running import open_frames
+from foreglow.cli.shared_run import open_frames
 from foreglow.options import (
     PipelineOptions,
     SourceArgument,
