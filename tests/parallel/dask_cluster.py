@@ -24,7 +24,7 @@ SETTINGS = {
     "worker.multiprocessing-method": "forkserver",
     "worker.profile.enabled": False,
 }
-"""Of dask's `distributed`: idle processes hardly wake, and a new worker is forked from a process that has loaded dask."""
+"""Of dask's `distributed`: idle processes hardly wake, and a worker is forked from a process that has loaded dask."""
 
 
 def as_variables(settings: Mapping[str, object]) -> dict[str, str]:
@@ -45,7 +45,15 @@ class DaskCluster:
 
     def start_workers(self, number: int) -> None:
         """Workers of one thread each; their nannies share a process."""
-        options = ("--nworkers", str(number), "--nthreads", "1", "--no-dashboard", "--local-directory", str(self.folder))
+        options = (
+            "--nworkers",
+            str(number),
+            "--nthreads",
+            "1",
+            "--no-dashboard",
+            "--local-directory",
+            str(self.folder),
+        )
         self.start("worker", self.address, *options)
 
     def wait_for_workers(self, number: int) -> None:
