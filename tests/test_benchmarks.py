@@ -32,6 +32,7 @@ from foreglow.config import PRESETS, ProposalConfig
 from foreglow.datasets import shipped_drive
 from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
+from tests.parallel.dask_cluster import SETTINGS
 from tests.shared_data import SHARED
 
 pytestmark = pytest.mark.process
@@ -146,7 +147,10 @@ def test_the_viewer_is_timed(tmp_path: Path) -> None:
 
 def test_many_processes_are_timed(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    scale.main(["--quick", "--out", str(tmp_path / "scale.json")])
+    import dask
+
+    with dask.config.set({f"distributed.{name}": value for name, value in SETTINGS.items()}):
+        scale.main(["--quick", "--out", str(tmp_path / "scale.json")])
     results = json.loads((tmp_path / "scale.json").read_text())
     names = ["this process", "--jobs 2", "--cluster, 2 workers"]
     assert [row["workers"] for row in results["run"]] == [row["workers"] for row in results["tasks"]] == names

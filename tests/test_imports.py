@@ -226,7 +226,14 @@ def test_package_is_imported_lazily() -> None:
 @pytest.mark.slow
 def test_readers_and_runners_need_no_stage_until_there_is_a_pipeline() -> None:
     loaded = modules_after("import foreglow.pipeline, foreglow.runtime, foreglow.datasets, foreglow.lab.evaluation")
-    assert not {"torch", "onnx", "onnxruntime", "scipy", "foreglow.tracking"} & loaded
+    assert not {"asyncio", "av", "torch", "onnx", "onnxruntime", "scipy", "foreglow.tracking"} & loaded
+
+
+@pytest.mark.slow
+def test_a_run_does_not_load_the_simulator_to_tell_what_its_camera_resembles() -> None:
+    assert not {"scipy", "foreglow.lab.simulation.drive"} & modules_after(
+        "import foreglow.lab.simulation.camera.likeness"
+    )
 
 
 @pytest.mark.parametrize("name", foreglow.__all__)

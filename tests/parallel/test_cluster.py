@@ -12,7 +12,7 @@ import pytest
 from foreglow.parallel import MAX_DEATHS, Cluster
 from foreglow.parallel import cluster as cluster_module
 from tests.parallel import tasks
-from tests.parallel.dask_cluster import DaskCluster, dask_cluster
+from tests.parallel.dask_cluster import DaskCluster
 from tests.parallel.test_local import folders, nobody, wait_for
 
 pytestmark = pytest.mark.process
@@ -104,16 +104,18 @@ def test_nothing_answers(monkeypatch: pytest.MonkeyPatch) -> None:
         list(Cluster("tcp://127.0.0.1:9").each(tasks.square, {"a": 1}, nobody))
 
 
-def test_workers_must_be_there_and_have_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with dask_cluster(tmp_path, num_workers=0) as empty:
+def test_workers_must_be_there_and_have_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    from distributed import LocalCluster
+
+    here = {"processes": False, "protocol": "tcp://", "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(n_workers=0, threads_per_worker=2, **here) as empty:
         with monkeypatch.context() as patch:
             patch.setattr(cluster_module, "CONNECT_S", 1.0)
             with pytest.raises(ConnectionError, match="expected workers at this scheduler, found none; start some"):
-                list(Cluster(empty.address).each(tasks.square, {"a": 1}, nobody))
-        empty.start_worker(num_threads=2)
-        empty.wait_for_workers(1)
+                list(Cluster(empty.scheduler_address).each(tasks.square, {"a": 1}, nobody))
+        empty.scale(1)
         with pytest.raises(ValueError, match=r"expected one thread \(dask worker --nthreads 1\), it has 2"):
-            list(Cluster(empty.address).each(tasks.square, {"a": 1}, nobody))
+            list(Cluster(empty.scheduler_address).each(tasks.square, {"a": 1}, nobody))
 
 
 def test_another_version_is_refused(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from av.codec.context import Flags
-from av.error import EOFError as StreamEnd
-from av.error import FFmpegError
 
 from foreglow.types import Image
 
@@ -48,6 +45,10 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     Raises:
         FFmpegError: If the container cannot be read any further.
     """
+    from av.codec.context import Flags
+    from av.error import EOFError as StreamEnd
+    from av.error import FFmpegError
+
     stream.codec_context.flags |= Flags.copy_opaque  # pictures carry the number of their packet
     damaged, key, latest = -math.inf, -1, -1  # numbers of packets
     for number, packet in enumerate(container.demux(stream)):

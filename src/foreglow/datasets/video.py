@@ -10,10 +10,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import av
-from av.error import FFmpegError
-from av.stream import Disposition
-
 from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
@@ -92,6 +88,8 @@ class Video(FileSource):
 
     def _frames(self) -> Iterator[Frame]:
         """All frames, up to where the container cannot be read."""
+        from av.error import FFmpegError
+
         index, latest, sequence = -1, (0, 0), ""
         try:
             with self._opened() as (container, stream):
@@ -134,6 +132,10 @@ class Video(FileSource):
 
     @contextmanager
     def _opened(self) -> Iterator[tuple[Any, Any]]:
+        import av  # only here: most commands read no video, and start sooner without
+        from av.error import FFmpegError
+        from av.stream import Disposition
+
         try:
             # Without a protocol, a name with a colon would be an address.
             container: Any = av.open(f"file:{self.path}", options=_CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import functools
 import math
@@ -65,6 +64,8 @@ class Cluster:
 
 def _connected(address: str) -> Client:
     """A client of the scheduler at `address`, once it has a worker."""
+    import asyncio
+
     from distributed import Client
 
     try:
@@ -91,6 +92,8 @@ async def _answers(address: str) -> None:
     Raises:
         OSError: If none comes within `CONNECT_S`.
     """
+    import asyncio
+
     from distributed import Security
     from distributed.comm.core import connect
 
