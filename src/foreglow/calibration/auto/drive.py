@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from foreglow.calibration.auto.flow import Tracks, follow, is_next, turn_of
 from foreglow.calibration.auto.lines import (
-    BEND_SIGMA,
     MAX_WAYS,
     MIN_WAYS,
     UNKNOWN_BEND,
@@ -135,7 +134,7 @@ MAX_POINT_SIGMA = 0.02
 
 NUM_VOTERS = 40
 
-FLOOR_DEG = (0.08, 0.08)
+FLOOR_DEG = (0.09, 0.07)
 """Least standard deviations of yaw and pitch, as found on simulated drives: roads bend, rise and bank."""
 
 SLIP_M = 1.0
@@ -144,9 +143,11 @@ side as far as the camera is in front of the rear axle (1.7 m), to the outer sid
 speed. The two cancel at some 60 km/h, so the yaw is not corrected; the term is a standard deviation."""
 
 SPEED_MPS = 18.0
-SPEED_SIGMA_SHARE = 0.5
-"""The car's speed, which turns a yaw rate into a curvature: 9 to 27 m/s. A drive does not show it at night, as our own
-light on the road goes with the car."""
+SPEED_SIGMA_SHARE = 2.0
+"""The car's speed, which turns a yaw rate into a curvature, and its standard deviation as a share: a half for a single
+frame, but the error is the same in all frames of a drive, so that it counts as a larger one in each. So the flow tells
+that a road is straight; how sharp a bend is, the lines tell. A drive at night does not show the speed, as our own light
+on the road goes with the car."""
 
 TURN_SIGMA_RADPS = math.radians(0.3)
 """Standard deviation of the flow's yaw rate, beyond that of its features: the same error lasts over several frames."""
@@ -331,8 +332,7 @@ def bend_of(tracks: Tracks | None, ahead: Floats, focal_px: float, height_m: flo
     turn = turn_of(tracks, ahead, focal_px)
     scale = height_m / SPEED_MPS
     sigma = scale * math.hypot(TURN_SIGMA_RADPS, turn.sigma_radps, SPEED_SIGMA_SHARE * turn.rate_radps)
-    share = BEND_SIGMA**2 / (BEND_SIGMA**2 + sigma**2)
-    return Bend(share * scale * turn.rate_radps, math.sqrt(share) * sigma)
+    return Bend(scale * turn.rate_radps, sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
