@@ -53,7 +53,7 @@ def test_a_bend_that_is_known_does_not_turn_the_way_ahead() -> None:
     bend_per_m = 0.004
     known = meet(markings(0.0, bend_per_m), POINT, 600.0, Bend(bend_per_m * HEIGHT_M, 1e-4))
     assert known is not None
-    assert abs(math.degrees(known.point[0] - POINT[0])) < 0.02
+    assert abs(math.degrees(known.point[0] - POINT[0])) < 0.06
     assert known.bend == pytest.approx(bend_per_m * HEIGHT_M, rel=0.05)
 
 
