@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from foreglow.calibration.auto import lines
-from foreglow.calibration.auto.lines import MAX_WAYS, Segments, meet, num_ways
+from foreglow.calibration.auto.lines import MAX_WAYS, Bend, Segments, meet, num_ways
 from foreglow.geometry import Floats
 
 HEIGHT_M = 1.3
@@ -40,11 +42,19 @@ def test_hills_and_bends_are_told_from_the_way_ahead(
     fall_per_m: float, bend_per_m: float, axis: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = meet(markings(fall_per_m, bend_per_m), POINT, 600.0)
-    monkeypatch.setattr(lines, "BEND_SIGMAS", lines.BEND_SIGMAS * 1e-3)
-    straight = meet(markings(fall_per_m, bend_per_m), POINT, 600.0)
+    monkeypatch.setattr(lines, "HILL_SIGMA", 1e-6)
+    straight = meet(markings(fall_per_m, bend_per_m), POINT, 600.0, Bend(0.0, 1e-6))
     assert found is not None
     assert straight is not None
     assert abs((found.point - POINT)[axis]) < 0.9 * abs((straight.point - POINT)[axis])
+
+
+def test_a_bend_that_is_known_does_not_turn_the_way_ahead() -> None:
+    bend_per_m = 0.004
+    known = meet(markings(0.0, bend_per_m), POINT, 600.0, Bend(bend_per_m * HEIGHT_M, 1e-4))
+    assert known is not None
+    assert abs(math.degrees(known.point[0] - POINT[0])) < 0.06
+    assert known.bend == pytest.approx(bend_per_m * HEIGHT_M, rel=0.05)
 
 
 def test_a_road_has_few_ways_and_snow_has_all() -> None:

@@ -57,7 +57,7 @@ def test_convert_kitti(tmp_path: Path, text: str, options: tuple[str, ...], size
 def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive as images."""
     folder = tmp_path_factory.mktemp("drive")
-    for frame in drive(pitch_deg=-1.0, num=14):
+    for frame in drive(pitch_deg=-1.0, num=24):
         cv2.imwrite(str(folder / f"{frame.frame:03d}.png"), frame.image)
     return folder
 

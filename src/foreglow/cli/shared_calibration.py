@@ -48,7 +48,7 @@ def calibration_lines(found: DriveCalibration) -> list[str]:
 
     return [
         *check_lines(found.camera),
-        f"seen in        {found.num_lines} of {found.num_views} frames by lines, {found.num_flows} pairs by flow",
+        f"seen in        {found.num_lines} of {found.num_views} frames by lines, turn known in {found.num_flows}",
         f"stands still   {found.mask.mean():.1%} of the image",
     ]
 

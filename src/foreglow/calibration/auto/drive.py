@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.calibration.auto.flow import Motion, follow, is_next, travel
+from foreglow.calibration.auto.flow import Tracks, follow, is_next, turn_of
 from foreglow.calibration.auto.lines import (
     MAX_WAYS,
     MIN_WAYS,
+    UNKNOWN_BEND,
+    Bend,
     Direction,
     Segments,
     find_segments,
@@ -127,19 +129,35 @@ MIN_VIEWS = 10
 MIN_DIRECTIONS = 10
 """Frames that have to show where the way ahead vanishes."""
 
-MAX_POINT_SIGMA = 0.05
+MAX_POINT_SIGMA = 0.02
 """A frame that shows the vanishing point less well than this does not count, rad."""
 
 NUM_VOTERS = 40
 
-LINES_FLOOR_DEG = (0.14, 0.18)
-FLOW_FLOOR_DEG = (2.0, 0.6)
-"""Least standard deviations of yaw and pitch, as found on simulated drives: of the lines, since roads bend, rise and
-bank; of the flow, since the light on the road goes with the car, and a camera in front of the rear axle moves sideways
-in a bend."""
+ALIKE = 1.5
+"""Neighbouring parts of a drive have errors in common, so that their mean is worse by this than if they had none."""
 
-MAX_YAW_RATE_RADPS = math.radians(3.0)
-"""In sharper bends, the flow is not used for the direction."""
+FLOOR_DEG = (0.07, 0.08)
+"""Least standard deviations of yaw and pitch: roads bend, rise and bank. These and `ALIKE` were set on simulated
+drives, so that 70 % of the errors are within the standard deviation."""
+
+SLIP_M = 1.0
+"""In a bend of the curvature k, the lines at a camera lead this times k to a side of where the car points: to the inner
+side as far as the camera is in front of the rear axle (1.7 m), to the outer side as the rear axle slips outwards at
+speed. The two cancel at some 60 km/h, so the yaw is not corrected; the term is a standard deviation."""
+
+SPEED_MPS = 18.0
+SPEED_SIGMA_SHARE = 2.0
+"""The car's speed, which turns a yaw rate into a curvature, and its standard deviation as a share: a half for a single
+frame, but the error is the same in all frames of a drive, so that it counts as a larger one in each. So the flow tells
+that a road is straight; how sharp a bend is, the lines tell. A drive at night does not show the speed, as our own light
+on the road goes with the car."""
+
+TURN_SIGMA_RADPS = math.radians(0.3)
+"""Standard deviation of the flow's yaw rate, beyond that of its features: the same error lasts over several frames."""
+
+NUM_FITS = 3
+"""Fits of the lines, each with the bends that the flow shows by the point at which the lines met before."""
 
 ROLL_SIGMA_DEG = 1.0
 """Roll is not measured: cameras are fixed about level."""
@@ -158,7 +176,7 @@ class DriveCalibration:
         frame: The frame in which most lines were found.
         num_views: Frames that were looked at.
         num_lines: Frames whose lines met in a vanishing point.
-        num_flows: Pairs of frames whose flow showed the direction of travel.
+        num_flows: Pairs of frames whose flow showed how fast the car turned.
     """
 
     camera: Camera
@@ -206,23 +224,20 @@ def calibrate_drive(
         )
     if drive.still.stands:
         raise ValueError(f"{name}: expected a drive, nothing moves in it: the car stands, or it is too dark to see")
-    lines, flows, num_streaked = drive.directions()
-    if num_streaked > max(len(lines), len(flows)):
+    lines, num_flows, num_streaked = drive.directions(HEIGHT_M if height_m is None else height_m)
+    if num_streaked > len(lines):
         raise ValueError(
             f"{name}: expected a drive on which the road shows, streaks of snow or rain hide it in {num_streaked} of "
             f"{len(drive.segments)} frames"
         )
-    if len(lines) < MIN_DIRECTIONS:  # the flow alone tells the yaw too badly
+    if len(lines) < MIN_DIRECTIONS:
         raise ValueError(
             f"{name}: expected lane markings or edges of the road in at least {MIN_DIRECTIONS} frames, they show in "
             f"{len(lines)} of {len(drive.segments)}"
         )
-    estimates = [_Estimate.of(lines, LINES_FLOOR_DEG)]
-    if len(flows) >= MIN_DIRECTIONS:
-        estimates.append(_Estimate.of(flows, FLOW_FLOOR_DEG))
-    both = _joined(estimates)
-    yaw_deg, pitch_deg = _angles_deg(both.point)
-    yaw_sigma_deg, pitch_sigma_deg = np.degrees(both.sigmas).tolist()
+    found = _Estimate.of(lines, HEIGHT_M if height_m is None else height_m)
+    yaw_deg, pitch_deg = _angles_deg(found.point)
+    yaw_sigma_deg, pitch_sigma_deg = np.degrees(found.sigmas).tolist()
     if max(yaw_sigma_deg, pitch_sigma_deg) > MAX_SIGMA_DEG:
         raise ValueError(
             f"{name}: expected a way ahead that shows to {MAX_SIGMA_DEG:g} degrees, the frames differ too much: yaw "
@@ -242,7 +257,7 @@ def calibrate_drive(
     mask = drive.still.mask(ahead / drive.lens.reduction).astype(np.uint8)
     size_px = (intrinsics.width_px, intrinsics.height_px)
     full = cv2.resize(mask, size_px, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
-    return DriveCalibration(camera, full, drive.frame, len(drive.segments), len(lines), len(flows))
+    return DriveCalibration(camera, full, drive.frame, len(drive.segments), len(lines), num_flows)
 
 
 class _Drive:
@@ -253,7 +268,7 @@ class _Drive:
         self.still = StillEdges()
         self.segments: list[Segments] = []
         self.is_steady: list[bool] = []
-        self.motions: list[Motion | None] = []
+        self.tracks: list[Tracks | None] = []
         self.frame: Frame | None = None
         self._most = -1
         self._previous: View | None = None
@@ -269,37 +284,59 @@ class _Drive:
         self.is_steady.append(is_near)
         if len(self.segments[-1]) > self._most:
             self._most, self.frame = len(self.segments[-1]), frame
-        tracks = follow(before, view, self.lens) if before is not None and is_near else None
-        self.motions.append(None if tracks is None else travel(tracks, self.lens.focal_px))
+        self.tracks.append(follow(before, view, self.lens) if before is not None and is_near else None)
         self._previous = view
 
-    def directions(self) -> tuple[list[Direction], list[Direction], int]:
-        """Where the way ahead vanishes: by the lines of each frame, and by the flow of each pair; frames with streaks.
+    def directions(self, height_m: float) -> tuple[list[Direction], int, int]:
+        """Where the lines of each frame meet; the number of frames whose turn is known, and of those with streaks.
 
-        In those that have streaks, neither lines nor flow are the road's.
+        In frames with streaks, the lines are not the road's.
+
+        Args:
+            height_m: Of the camera above the road.
         """
+        frames = list(zip(self.segments, self.tracks, strict=True))
         if sum(self.is_steady) >= MIN_VIEWS:
-            pairs = zip(self.segments, self.motions, self.is_steady, strict=True)
-            frames = [(segments, motion) for segments, motion, is_steady in pairs if is_steady]
-        else:
-            frames = list(zip(self.segments, self.motions, strict=True))
+            frames = [frame for frame, is_steady in zip(frames, self.is_steady, strict=True) if is_steady]
         start = vote([segments for segments, _ in frames[:: max(1, len(frames) // NUM_VOTERS)]])
-        lines, flows, num_streaked = [], [], 0
-        for segments, motion in frames:
-            line = None if start is None else meet(segments, start, self.lens.focal_px)
+        if start is None:
+            return [], 0, 0
+        used, lines, num_streaked = [], [], 0
+        for segments, tracks in frames:
+            line = meet(segments, start, self.lens.focal_px)
             ways = 0.0 if line is None else num_ways(segments, line.point)
             if ways > MAX_WAYS:
                 num_streaked += 1
-                continue
-            if line is not None and ways >= MIN_WAYS and line.worst_sigma < MAX_POINT_SIGMA:
+            elif line is not None and ways >= MIN_WAYS and line.worst_sigma < MAX_POINT_SIGMA:
+                used.append((segments, tracks))
                 lines.append(line)
-            if (
-                motion is not None
-                and abs(motion.rotation_radps[1]) < MAX_YAW_RATE_RADPS
-                and motion.direction.worst_sigma < MAX_POINT_SIGMA
-            ):
-                flows.append(motion.direction)
-        return lines, flows, num_streaked
+        for _ in range(NUM_FITS):
+            if not lines:
+                break
+            ahead = _mean(lines)
+            bends = [bend_of(tracks, ahead, self.lens.focal_px, height_m) for _, tracks in used]
+            found = [
+                meet(segments, ahead, self.lens.focal_px, bend) for (segments, _), bend in zip(used, bends, strict=True)
+            ]
+            lines = [line for line in found if line is not None]
+        return lines, sum(tracks is not None for _, tracks in used), num_streaked
+
+
+def bend_of(tracks: Tracks | None, ahead: Floats, focal_px: float, height_m: float) -> Bend:
+    """The road's bend by the yaw rate of the flow, which is the curvature times a speed that is about known.
+
+    Args:
+        tracks: Features in two frames; None if there are none, as with a car that stands.
+        ahead: Shape (2,), where the way ahead is seen.
+        focal_px: Focal length in the small images.
+        height_m: Of the camera above the road.
+    """
+    if tracks is None:
+        return UNKNOWN_BEND
+    turn = turn_of(tracks, ahead, focal_px)
+    scale = height_m / SPEED_MPS
+    sigma = scale * math.hypot(TURN_SIGMA_RADPS, turn.sigma_radps, SPEED_SIGMA_SHARE * turn.rate_radps)
+    return Bend(scale * turn.rate_radps, sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,12 +347,13 @@ class _Estimate:
     sigmas: Floats
 
     @classmethod
-    def of(cls, directions: Sequence[Direction], floors_deg: tuple[float, float]) -> _Estimate:
-        """The mean of many directions; the spread of the drive's parts is its standard deviation."""
+    def of(cls, directions: Sequence[Direction], height_m: float) -> _Estimate:
+        """The mean of many directions; its standard deviation is the spread of the drive's parts, and the slip."""
         parts = np.array_split(np.arange(len(directions)), min(NUM_PARTS, len(directions) // 2))
         points = np.array([_mean([directions[index] for index in part]) for part in parts])
         spreads = 1.483 * np.median(np.abs(points - np.median(points, axis=0)), axis=0)
-        sigmas = np.hypot(spreads / math.sqrt(len(parts)), np.radians(floors_deg))
+        sigmas = np.hypot(ALIKE * spreads / math.sqrt(len(parts)), np.radians(FLOOR_DEG))
+        sigmas[0] = math.hypot(sigmas[0], SLIP_M * np.mean([each.bend for each in directions]) / height_m)
         return cls(_mean(directions), sigmas)
 
 
@@ -336,15 +374,6 @@ FRAME_SIGMA = math.radians(0.3)
 """How far the lines of a frame lead from the way of the car over the drive: it sways, and drifts in its lane."""
 
 NUM_MEANS = 10
-
-
-def _joined(estimates: Sequence[_Estimate]) -> _Estimate:
-    """The mean of estimates by their standard deviations, which grow where they disagree."""
-    points, sigmas = (np.array([getattr(each, name) for each in estimates]) for name in ("point", "sigmas"))
-    weights = sigmas**-2.0
-    mean = (weights * points).sum(0) / weights.sum(0)
-    disagreement = ((points - mean) ** 2 * weights).sum(0) / max(len(estimates) - 1, 1)
-    return _Estimate(mean, np.sqrt(np.maximum(disagreement, 1.0) / weights.sum(0)))
 
 
 def _angles_deg(point: Floats) -> tuple[float, float]:

@@ -52,15 +52,16 @@ for each frame."""
 MIN_DEPTH = 0.03
 """The middle of a segment is at least this far below the horizon."""
 
-POSITION_SIGMA_PX = 0.7
-SLOPE_SIGMA = 0.01
+POSITION_SIGMA_PX = 0.35
+SLOPE_SIGMA = 0.005
 """Standard deviations of a segment's ends across it, and of the direction of a line against the road's, rad."""
 
-HIT_SIGMA = 0.004
+HIT_SIGMA = 0.002
 """Standard deviation of (2) where the direction is exact: the lines of a road are not straight."""
 
-BEND_SIGMAS = np.array([0.005, 0.0005])
-"""Standard deviations of k h and c h."""
+BEND_SIGMA = 0.005
+HILL_SIGMA = 0.0007
+"""Standard deviations of k h and c h where nothing else tells them."""
 
 PRIOR_SIGMA = 0.035
 """Standard deviation of a frame's vanishing point about that of the drive before the fit."""
@@ -97,17 +98,35 @@ class Segments:
         return len(self.slopes)
 
 
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """The road's curvature to the right times the height of the camera, k h of (1), before the lines are looked at.
+
+    Attributes:
+        mean: k h.
+        sigma: Its standard deviation.
+    """
+
+    mean: float = 0.0
+    sigma: float = BEND_SIGMA
+
+
+UNKNOWN_BEND = Bend()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Direction:
-    """Where a direction is seen in a frame.
+    """Where the way ahead is seen in a frame.
 
     Attributes:
         point: Shape (2,), tangents u, v.
         information: Shape (2, 2), inverse of the covariance.
+        bend: k h of (1), as found.
     """
 
     point: Floats
     information: Floats
+    bend: float
 
     @property
     def worst_sigma(self) -> float:
@@ -155,12 +174,12 @@ def vote(frames: Sequence[Segments]) -> Floats | None:
     return np.array([axis[u], axis[v]])
 
 
-def meet(segments: Segments, start: Floats, focal_px: float) -> Direction | None:
+def meet(segments: Segments, start: Floats, focal_px: float, bend: Bend = UNKNOWN_BEND) -> Direction | None:
     """The vanishing point of a frame by (2), near `start`; None where too few segments say where it is."""
-    found = np.array([*start, 0.0, 0.0])  # u0, v0, k h, c h
+    found = np.array([*start, bend.mean, 0.0])  # u0, v0, k h, c h
     if len(segments) < MIN_SEGMENTS:
         return None
-    expected, prior = found.copy(), np.diag(np.concatenate([[PRIOR_SIGMA] * 2, BEND_SIGMAS]) ** -2.0)
+    expected, prior = found.copy(), np.diag(np.array([PRIOR_SIGMA, PRIOR_SIGMA, bend.sigma, HILL_SIGMA]) ** -2.0)
     information = np.zeros((4, 4))
     for step in range(NUM_STEPS):
         depths = segments.middles[:, 1] - found[1]
@@ -174,14 +193,14 @@ def meet(segments: Segments, start: Floats, focal_px: float) -> Direction | None
         across = 1.0 / np.sqrt(1.0 + slopes**2)
         residuals = (hits - found[0] - (found[2] - slopes * found[3]) / depths) * across
         rows = np.stack([np.ones_like(slopes), -slopes, 1.0 / depths, -slopes / depths], -1) * across[:, None]
-        scale = max(1.5, 4.0 * 0.6**step)
+        scale = max(3.0, 8.0 * 0.6**step)
         weights = 1.0 / (sigmas**2 * (1.0 + (residuals / (scale * sigmas)) ** 2))
         information = (rows * weights[:, None]).T @ rows
         pull = prior @ (expected - found)
         found += np.linalg.solve(information + prior, (rows * weights[:, None]).T @ residuals + pull)
     information[2:, 2:] += prior[2:, 2:]
     known = information[:2, :2] - information[:2, 2:] @ np.linalg.solve(information[2:, 2:], information[2:, :2])
-    return Direction(found[:2], known)
+    return Direction(found[:2], known, float(found[2]))
 
 
 def num_ways(segments: Segments, point: Floats) -> float:
