@@ -56,7 +56,7 @@ WAYS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
 """How far the weights move, of the way from those of the start to the trained ones: the first that loses little."""
 
 MAX_LOSS = 0.002
-"""Average precision that may be lost on what is held out of the old samples; other drives lose several times as much."""
+"""Average precision that may be lost on what is held out of the old samples; other drives lose up to ten times that."""
 
 MAX_REPEATS = 8
 """A user's samples are seen up to this often in an epoch, until they are as many as the old ones; or the old ones."""
