@@ -3,7 +3,8 @@
 `python -m benchmarks.own_clips MARKS CLIPS --out DIR --drives SPLIT...`: MARKS has a folder for each clip with bright
 spots (`candidates.json`) and what each is (`labels.json`), CLIPS the videos, SPLIT are splits of simulated drives that
 nothing may be lost on. It goes the way of a user: labels as a CVAT file, `labels import`, `train --from`. Both halves
-are learnt from in turn, so that every marked frame is judged once.
+are learnt from in turn, so that every marked frame is judged once. MARKS do not say what is in boxes without a spot,
+many of which hold light of vehicles: such boxes are marked as doubtful, and count neither as right nor as wrong.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from foreglow.config import PipelineConfig, preset
-from foreglow.datasets import PVDN
+from foreglow.datasets import PVDN, Video
 from foreglow.datasets.exchange import LabelFile, LabelSet, Mark, write_labels_file, write_split
 from foreglow.datasets.exchange.marks import ImageLabels, Kind
+from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
 from foreglow.lab.learning.fine_tuning import box_figures, fine_tune, fine_tuning_recipe, light_scores
 from foreglow.lab.learning.model_import import StartingPoint, read_model
@@ -27,6 +31,7 @@ from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import SampleConfig
 from foreglow.lab.learning.training import score_samples, torch_device
 from foreglow.pipeline import Pipeline
+from foreglow.proposals import make_proposer
 
 LIGHT_MARKS: dict[str, dict[str, bool]] = {
     "headlamp": {"is_direct": True},
@@ -43,12 +48,17 @@ Spots = dict[int, list[tuple[tuple[int, int], str]]]
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A clip with marked frames."""
+    """A clip with marked frames.
+
+    Attributes:
+        unknown: As of `unknown_boxes`.
+    """
 
     name: str
     video: Path
     size_px: tuple[int, int]
     spots: Spots
+    unknown: dict[int, list[tuple[int, int]]]
 
 
 def read_clips(marks: Path, clips: Path) -> Iterator[Clip]:
@@ -60,7 +70,31 @@ def read_clips(marks: Path, clips: Path) -> Iterator[Clip]:
             classes = (told["classes"][str(index)] for index in range(len(found["frames"][frame])))
             positions = zip(map(tuple, found["frames"][frame]), classes, strict=True)
             spots[int(frame)] = [*positions, *((tuple(each), "headlamp") for each in told["missed_headlamps"])]
-        yield Clip(folder.name, clips / found["video"], (found["width"], found["height"]), spots)
+        video = clips / found["video"]
+        yield Clip(folder.name, video, (found["width"], found["height"]), spots, unknown_boxes(video, spots))
+
+
+def unknown_boxes(video: Path, spots: Spots) -> dict[int, list[tuple[int, int]]]:
+    """The middle of each box of the preset without a spot, in each marked frame.
+
+    Left out are those in another box that has spots, and none of light of a vehicle: they are a part of it.
+    """
+    proposer = make_proposer(preset("foreglow").proposals)
+    found = {}
+    for frame in Video(video):
+        if frame.frame in spots:
+            boxes = proposer.propose(frame.image).boxes_xyxy_px
+            kinds = np.array([kind for _, kind in spots[frame.frame]], str)
+            positions = np.array([position for position, _ in spots[frame.frame]]).reshape(-1, 2)
+            is_in = lies_in(positions, boxes[:, None])
+            may_be_light = is_in[:, np.isin(kinds, [*LIGHT_MARKS, "unsure"])].any(axis=1)
+            wrong = boxes[is_in.any(axis=1) & ~may_be_light]
+            middles = (boxes[:, :2] + boxes[:, 2:])[~is_in.any(axis=1)] // 2
+            is_apart = ~lies_in(middles[:, None], wrong).any(axis=1)
+            found[frame.frame] = [(x, y) for x, y in middles[is_apart].tolist()]
+        if frame.frame >= max(spots):
+            break
+    return found
 
 
 def write_half(clip: Clip, half: int, folder: Path, has_kinds: bool) -> Path:
@@ -70,6 +104,7 @@ def write_half(clip: Clip, half: int, folder: Path, has_kinds: bool) -> Path:
         images = []
         for frame in sorted(clip.spots)[half::2]:
             points = [_mark(position, kind, has_kinds) for position, kind in clip.spots[frame]]
+            points += [Mark(Kind.DOUBTFUL, position) for position in clip.unknown[frame]]
             told = tuple(point for point in points if point is not None)
             images.append(ImageLabels(f"frame_{frame:06d}.png", clip.size_px, told))
         data.mkdir(parents=True, exist_ok=True)

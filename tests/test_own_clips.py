@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.datasets.test_video import make_video
@@ -13,9 +15,11 @@ from tests.datasets.test_video import make_video
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from benchmarks import own_clips
 from benchmarks.own_clips import line, read_clips, write_half
 from foreglow.datasets import PVDN
 from foreglow.datasets.pvdn.schema import Vehicle
+from foreglow.types import Proposals
 
 pytestmark = pytest.mark.torch
 
@@ -24,8 +28,17 @@ def lights(vehicles: tuple[Vehicle, ...]) -> list[tuple[tuple[int, int], bool, b
     return [(each.position_px, each.is_direct, each.is_rear) for vehicle in vehicles for each in vehicle.instances]
 
 
+class FourBoxes:
+    """Of a headlamp, of a fixed lamp, of a part of the latter, and of what nobody marked."""
+
+    def propose(self, image: np.ndarray[Any, Any]) -> Proposals:  # noqa: ARG002
+        boxes = [[5, 15, 15, 25], [60, 20, 80, 40], [62, 22, 66, 26], [80, 50, 90, 60]]
+        return Proposals(np.array(boxes, np.int32))
+
+
 @pytest.mark.parametrize("has_kinds", [False, True])
-def test_marks_become_labels_of_a_half(tmp_path: Path, has_kinds: bool) -> None:
+def test_marks_become_labels_of_a_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_kinds: bool) -> None:
+    monkeypatch.setattr(own_clips, "make_proposer", lambda _: FourBoxes())
     (tmp_path / "clips").mkdir()
     make_video(tmp_path / "clips" / "clip.mp4")
     folder = tmp_path / "marks" / "c1"
@@ -45,7 +58,7 @@ def test_marks_become_labels_of_a_half(tmp_path: Path, has_kinds: bool) -> None:
     assert (first.frame_ids, second.frame_ids) == ((8,), (12,))
     tail = [((30, 40), True, True)] if has_kinds else []
     assert sorted(lights(first.annotations(8))) == sorted([((10, 20), True, False), ((80, 10), True, False), *tail])
-    assert [each.position_px for each in first.doubtful(8)] == [(50, 60)]
+    assert [each.position_px for each in first.doubtful(8)] == [(50, 60), (85, 55)]
     assert lights(second.annotations(12)) == []
     assert first.earlier(8) is not None
 

@@ -10,7 +10,7 @@ pytest.importorskip("torch")
 import torch
 from scipy import ndimage
 
-from foreglow.lab.learning.augmentation import affine_maps, augment, stretched
+from foreglow.lab.learning.augmentation import affine_maps, augment, blended, stretched
 from foreglow.lab.learning.recipes import RECIPES, Augmentation
 
 pytestmark = pytest.mark.torch
@@ -115,6 +115,17 @@ def test_noise_is_bounded_and_new_for_every_pixel() -> None:
     assert deviations.min() < 0.01
     assert 0.03 < deviations.max() < 0.06
     assert altered(images, noise=1.0).amax() <= 1
+
+
+def test_samples_are_blended_with_others_by_at_most_a_half() -> None:
+    images = torch.arange(64.0)[:, None, None, None].expand(64, 2, 4, 4)
+    features = torch.arange(64.0)[:, None].expand(64, 3)
+    found, others = blended(images, features, torch.Generator().manual_seed(1))
+    torch.testing.assert_close(found.amin(dim=(1, 2, 3)), found.amax(dim=(1, 2, 3)))
+    torch.testing.assert_close(found[:, 0, 0, :3], others)  # crop and features with the same one
+    changes = others[:, 0] - features[:, 0]
+    assert changes.abs().max() <= 63 / 2
+    assert len(changes.unique()) > 50
 
 
 def test_stretching_is_by_the_first_channel_and_leaves_constant_ones_black() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ from foreglow.lab.learning import training
 from foreglow.lab.learning.batches import epoch_indices, sample_weights
 from foreglow.lab.learning.recipes import Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples
-from foreglow.lab.learning.scores import kind_accuracy
-from foreglow.lab.learning.training import TrainingResult, train
+from foreglow.lab.learning.scores import kind_accuracy, light_logits
+from foreglow.lab.learning.training import Teacher, TrainingResult, told_losses, train
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.types import KINDS
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
@@ -187,6 +188,43 @@ def test_a_network_that_does_not_tell_kinds(tmp_path: Path) -> None:
     fields = {"network": "paper", "inputs": {"size_px": 64, "lag_s": None, "num_features": 0}, "kinds": True}
     with pytest.raises(ValueError, match="kinds: expected false, the network paper does not tell kinds, got true"):
         run(tmp_path, changed(RECIPE, fields), make_network=None)
+
+
+@pytest.mark.parametrize("kinds", [False, True])
+def test_what_a_teacher_says_is_kept(tmp_path: Path, kinds: bool) -> None:
+    """Half of the samples have the wrong label; where a teacher is asked instead, they teach what it says."""
+    recipe = changed(RECIPE, {"kinds": kinds, "ema_decay": 0.0, "epochs": 12, "best_by": "last"})
+    samples, val = (dataclasses.replace(each, kinds=with_kinds(each).kinds) for each in (TRAIN, VAL))
+    start = run(tmp_path / "start", recipe, train=samples, val=val)
+    is_turned = np.arange(len(samples)) % 2 == 0
+    turned = dataclasses.replace(
+        samples,
+        labels=np.where(is_turned & (samples.labels != -1), 1 - samples.labels, samples.labels).astype(np.int8),
+        kinds=np.where(is_turned[:, None], np.roll(samples.kinds, 1, axis=1), samples.kinds),
+    )
+    teacher = Teacher(copy.deepcopy(start.network), is_turned, 10.0)
+    options = {"train": turned, "val": val, "make_network": lambda _: copy.deepcopy(start.network)}
+
+    def separation(result: TrainingResult) -> float:
+        light = light_logits(result.val_logits)
+        return float(light[val.labels == 1].mean() - light[val.labels == 0].mean())
+
+    taught = run(tmp_path / "taught", recipe, teacher=teacher, **options)
+    untaught = run(tmp_path / "untaught", recipe, **options)
+    assert separation(taught) > 0.7 * separation(start) > 2 * separation(untaught)
+    with pytest.raises(ValueError, match="teacher: expected that of the training begun here"):
+        run(tmp_path / "taught", recipe, teacher=dataclasses.replace(teacher, weight=1.0), **options)
+
+
+@pytest.mark.parametrize("num_outputs", [1, 5])
+def test_a_teacher_is_best_imitated_by_itself(num_outputs: int) -> None:
+    told = torch.randn(20, num_outputs, generator=torch.Generator().manual_seed(1))
+    logits = told.clone().requires_grad_()
+    losses = told_losses(logits, told)
+    losses.sum().backward()  # type: ignore[no-untyped-call]
+    assert losses.shape == (20,)
+    assert logits.grad is not None
+    torch.testing.assert_close(logits.grad, torch.zeros_like(told), atol=1e-6, rtol=0)
 
 
 def test_ignored_samples_are_never_seen(tmp_path: Path, whole: TrainingResult) -> None:

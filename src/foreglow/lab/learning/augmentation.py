@@ -68,6 +68,19 @@ def augment(
     return crops, features
 
 
+def blended(crops: Tensor, features: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
+    """`crops` and `features` with up to half of another sample blended into each: inputs for a teacher to comment on.
+
+    Source: the mixup of Beyer et al., arXiv 2106.05237.
+    """
+    others = torch.randperm(len(crops), generator=random).to(crops.device)
+    shares = _uniform(len(crops), 0, 0.5, random).to(crops.device)
+    return (
+        crops.lerp(crops[others], shares[:, None, None, None]),
+        features.lerp(features[others], shares[:, None]),
+    )
+
+
 def stretched(crops: Tensor) -> Tensor:
     """Every crop stretched to [0, 1] by the minimum and maximum of its first channel; constant crops become zero.
 

@@ -28,12 +28,14 @@ _LAYERS = ("Conv",) * 4 + ("Gemm",) * 2
 class FoldedNetwork(CompactNetwork):
     """A compact network whose normalisation is part of its convolutions, as in a model; training leaves it so.
 
-    What was the normalisation is a scale and a shift for each channel, which are trained.
+    What was the normalisation is a scale and a shift for each channel, which are trained. Nothing is dropped out: the
+    network in training computes what it does in use, as its teacher.
     """
 
     def train(self, mode: bool = True) -> Self:
-        """As in `torch.nn.Module`, but batches are never normalised by their own statistics."""
+        """As in `torch.nn.Module`, but in both modes the network computes the same."""
         super().train(mode)
+        self.dropout.eval()
         for layer in self.body:
             if isinstance(layer, nn.BatchNorm2d):
                 layer.eval()

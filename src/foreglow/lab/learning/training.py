@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from foreglow.files import write_atomic
 from foreglow.lab.evaluation.boxes.score_calibration import log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
-from foreglow.lab.learning.augmentation import augment
+from foreglow.lab.learning.augmentation import augment, blended
 from foreglow.lab.learning.batches import (
     batches,
     content_digest,
@@ -68,6 +68,26 @@ class TrainingResult:
     device: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Teacher:
+    """A network whose outputs are to be kept on some training samples, whatever their labels.
+
+    It reads what the trained network reads: the samples augmented, and blended into one another, which shows its
+    outputs for more inputs than there are samples.
+
+    Attributes:
+        network: Its outputs on these samples are the targets.
+        is_told: Shape (N,), bool: which of the training samples these are.
+        weight: Of such a sample in the loss; that of a labelled one without light is 1.
+
+    Source: Beyer et al., arXiv 2106.05237, function matching.
+    """
+
+    network: nn.Module
+    is_told: NDArray[np.bool_]
+    weight: float
+
+
 def train(
     recipe: Recipe,
     train_samples: Samples,
@@ -76,6 +96,7 @@ def train(
     *,
     make_network: MakeNetwork | None = None,
     start: str = "",
+    teacher: Teacher | None = None,
     device: str = "auto",
     progress: TrainingProgress | None = None,
 ) -> TrainingResult:
@@ -90,6 +111,7 @@ def train(
         folder: Folder for the checkpoint; made if it does not exist.
         make_network: Makes the network to train; None takes the recipe's from `networks.NETWORKS`, untrained.
         start: What the network has learnt before, such as a model's digest: another start does not continue this one.
+        teacher: What is to be kept of a network, and on which training samples; None trains on labels alone.
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         progress: Called after every step and epoch.
 
@@ -110,9 +132,11 @@ def train(
     }
     if start:
         identity["start"] = start
+    if teacher is not None:
+        identity["teacher"] = [teacher.weight, int(teacher.is_told.sum())]
     checkpoint = read_checkpoint(folder, identity)
     with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if chosen.type == "cuda" else []):
-        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, chosen)
+        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, teacher, chosen)
         if checkpoint is None:
             checkpoint = Checkpoint(identity, *trainer.states())
         else:
@@ -185,17 +209,30 @@ def curves_csv(epochs: list[dict[str, float]]) -> str:
 
 
 class _Trainer:
-    def __init__(self, recipe: Recipe, samples: Samples, make_network: MakeNetwork, device: torch.device) -> None:
+    def __init__(
+        self,
+        recipe: Recipe,
+        samples: Samples,
+        make_network: MakeNetwork,
+        teacher: Teacher | None,
+        device: torch.device,
+    ) -> None:
         torch.manual_seed(recipe.seed)
         self._recipe, self._samples, self._device = recipe, samples, device
         self.network = make_network(recipe).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._optimiser = _optimiser(recipe, self.network)
+        self._teacher = teacher
+        if teacher is not None:
+            teacher.network.eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._averaged: State = {}
         if recipe.ema_decay:
             self._averaged = {name: value.clone() for name, value in self.network.state_dict().items()}
         self._feature_scale = torch.from_numpy(samples.features.std(axis=0)).to(device)
-        num_seen = np.bincount(samples.labels[epoch_indices(samples.labels, recipe, 1)], minlength=2)
-        balance = num_seen[NEGATIVE] / num_seen[POSITIVE]
+        seen = epoch_indices(samples.labels, recipe, 1)
+        if teacher is not None:
+            seen = seen[~teacher.is_told[seen]]
+        num_seen = np.bincount(samples.labels[seen], minlength=2)
+        balance = num_seen[NEGATIVE] / num_seen[POSITIVE] if num_seen.all() else 1.0
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
         self._kinds = kind_targets(samples, recipe.unmarked_light)
@@ -254,6 +291,9 @@ class _Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         crops, features = _tensors(self._samples, batch, self._device)
+        if self._teacher is not None:
+            is_told = torch.from_numpy(self._teacher.is_told[batch]).to(self._device)
+            crops[is_told], features[is_told] = blended(crops[is_told], features[is_told], random)
         crops, features = augment(
             crops,
             features,
@@ -266,32 +306,34 @@ class _Trainer:
         with _precision(recipe.precision, self._device):
             logits: Tensor = self.network(_laid_out(crops), features)
         weights = torch.from_numpy(self._weights[batch]).to(self._device)
-        loss = self._kinds_loss(logits.float(), batch, weights) if recipe.kinds else self._loss(logits, batch, weights)
+        losses = weights * (self._kinds_losses if recipe.kinds else self._losses)(logits.float(), batch)
+        if self._teacher is not None:
+            with torch.no_grad():
+                told = self._teacher.network(_laid_out(crops[is_told]), features[is_told])
+            losses = torch.cat([losses[~is_told], self._teacher.weight * told_losses(logits[is_told].float(), told)])
+        loss = losses.mean()
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.max_gradient)
         self._optimiser.step()
         return float(loss.detach())
 
-    def _loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
-        """Loss of telling light of vehicles from everything else."""
+    def _losses(self, logits: Tensor, batch: NDArray[np.intp]) -> Tensor:
+        """Losses of telling light of vehicles from everything else, shape (N,)."""
         labels = torch.from_numpy(self._samples.labels[batch].astype(np.float32)).to(self._device)
         targets = labels * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / 2
+        balance = torch.tensor(self.positive_weight, device=self._device)
         return nn.functional.binary_cross_entropy_with_logits(
-            logits[:, 0].float(),
-            targets,
-            weight=weights,
-            pos_weight=torch.tensor(self.positive_weight, device=self._device),
+            logits[:, 0], targets, pos_weight=balance, reduction="none"
         )
 
-    def _kinds_loss(self, logits: Tensor, batch: NDArray[np.intp], weights: Tensor) -> Tensor:
-        """Cross entropy of the shares of each kind of light; vehicles' kinds are weighted as positive labels are."""
+    def _kinds_losses(self, logits: Tensor, batch: NDArray[np.intp]) -> Tensor:
+        """Cross entropies of the kinds' shares, shape (N,); vehicles' kinds are weighted as positive labels are."""
         shares = torch.from_numpy(self._kinds[batch]).to(self._device)
         shares = shares * (1 - self._recipe.label_smoothing) + self._recipe.label_smoothing / shares.shape[1]
         balance = torch.full_like(shares, self.positive_weight)
         balance[:, -1] = 1.0
-        losses = -(balance * shares * torch.log_softmax(logits, dim=1)).sum(1)
-        return (weights * losses).mean()
+        return -(balance * shares * torch.log_softmax(logits, dim=1)).sum(1)
 
     def _average(self, num_steps: int) -> None:
         """Moves the running mean towards the weights, faster at the start."""
@@ -310,6 +352,13 @@ class _Trainer:
         logits = score_samples(self.network, val, self._device, self._recipe.precision)
         self.network.load_state_dict(trained)
         return logits
+
+
+def told_losses(logits: Tensor, told: Tensor) -> Tensor:
+    """Cross entropies of what a teacher says, shape (N,): of one logit each, shape (N, 1), or of all kinds, (N, 5)."""
+    if logits.shape[1] == 1:
+        return nn.functional.binary_cross_entropy_with_logits(logits, torch.sigmoid(told), reduction="none")[:, 0]
+    return -(torch.softmax(told, dim=1) * torch.log_softmax(logits, dim=1)).sum(1)
 
 
 def _optimiser(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
