@@ -137,7 +137,7 @@ NUM_VOTERS = 40
 ALIKE = 1.5
 """Neighbouring parts of a drive have errors in common, so that their mean is worse by this than if they had none."""
 
-FLOOR_DEG = (0.07, 0.08)
+FLOOR_DEG = (0.04, 0.06)
 """Least standard deviations of yaw and pitch: roads bend, rise and bank. These and `ALIKE` were set on simulated
 drives, so that 70 % of the errors are within the standard deviation."""
 
