@@ -18,6 +18,7 @@ from foreglow.distance import RangeEstimator
 from foreglow.pipeline import Pipeline, Stages
 from foreglow.proposals import BACKENDS
 from foreglow.stopwatch import Stopwatch
+from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Ranges, Tracks
 from tests.stand_ins import REFERENCE, night_frames, night_image
 
@@ -202,6 +203,46 @@ def test_sequences_share_no_history() -> None:
     assert together == apart == [identity(result) for frames in (first, second) for result in Pipeline().run(frames)]
 
 
+def test_a_loop_over_step_gives_what_run_gives() -> None:
+    first, second = shipped_frames(60, 12), [replace(frame, sequence="other") for frame in shipped_frames(72, 4)]
+    pipeline = Pipeline(preset("foreglow").commanding(policy="high"))
+    stepped = [pipeline.step(frame) for frame in [*first, *second]]
+    ran = [result for frames in (first, second) for result in Pipeline(pipeline.config).run(frames)]
+    assert [identity(result) for result in stepped] == [identity(result) for result in ran]
+    levels = [result.beam.levels.sum() for result in stepped if result.beam is not None]
+    assert levels[11] > levels[12] == 0  # the times go on, and yet the light begins anew
+
+
+class Stumbling(Tracker):
+    """Loses the third frame, and counts how often it begins anew."""
+
+    def __init__(self, config: TrackerConfig | None = None) -> None:
+        self.tracker = make_tracker(config or preset("foreglow").tracker)
+        self.num_frames = self.num_resets = 0
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
+        self.num_frames += 1
+        if self.num_frames == 3:
+            raise ArithmeticError
+        return self.tracker.update(frame, detections, ranges)
+
+    def reset(self) -> None:
+        self.num_resets += 1
+        self.tracker.reset()
+
+
+def test_the_frame_after_an_error_begins_anew() -> None:
+    tracker, frames = Stumbling(), shipped_frames(60, 6)
+    pipeline = Pipeline(tracker=tracker)
+    before = [identity(pipeline.step(frame)) for frame in frames[:2]]
+    assert tracker.num_resets == 1
+    with pytest.raises(ArithmeticError):
+        pipeline.step(frames[2])
+    after = [identity(pipeline.step(frame)) for frame in frames[3:]]
+    assert tracker.num_resets == 2
+    assert [before, after] == [[identity(r) for r in Pipeline().run(part)] for part in (frames[:2], frames[3:])]
+
+
 class Thinking(BeamPolicy):
     """A policy whose every command takes a second of the frames' clock."""
 
@@ -260,5 +301,7 @@ def test_ranges_of_another_frame_are_refused() -> None:
 def test_what_is_no_configuration_or_plug_in() -> None:
     with pytest.raises(ValueError, match=r"Pipeline\.config: expected what foreglow\.preset or .*, got 'paper'"):
         Pipeline("paper")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="policy: expected a class or an object with the method command, got 'low'"):
+    with pytest.raises(
+        ValueError, match=r"policy: .* with the methods command, shone, reset; str lacks command, shone, reset"
+    ):
         Pipeline(policy="low")  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from foreglow.config import PipelineConfig, TrackerConfig, preset, read_config
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.distance import RangeEstimator, make_estimator
 from foreglow.photometry import NUM_LEDS
-from foreglow.pipeline import Pipeline
+from foreglow.pipeline import MAX_TRACKS, Pipeline
 from foreglow.plugins import find
 from foreglow.runtime.live import LiveFault, Paced
 from foreglow.tracking import Tracker, make_tracker
@@ -160,9 +161,11 @@ def test_plug_ins_by_name_class_and_object_are_the_same() -> None:
 
 def test_a_given_object_is_used_and_reset() -> None:
     estimator = FarAway()
-    pipeline = Pipeline(estimator=estimator)
+    pipeline, frame = Pipeline(estimator=estimator), shipped_frames(1)[0]
+    pipeline.step(frame)
     pipeline.reset()
-    assert estimator.num_resets == 1
+    pipeline.step(frame)
+    assert estimator.num_resets == 2
 
 
 def test_a_policy_needs_tracks() -> None:
@@ -182,6 +185,56 @@ def test_what_a_plug_in_returns_is_checked(section: str, kind: Any, method: str,
     plugin: dict[str, Any] = {section: type("Silent", (kind,), {method: lambda *_: None})}
     with pytest.raises(ValueError, match=complaint):
         Pipeline(**plugin).step(shipped_frames(1)[0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "methods"),
+    [("estimator", "estimate, reset"), ("tracker", "update, reset"), ("policy", "command, shone, reset")],
+)
+@pytest.mark.parametrize("made", ["None", "object()", "type('Mute', (), {})"])
+def test_a_function_has_to_make_what_is_expected(folder: Path, kind: str, methods: str, made: str) -> None:
+    write_module(folder, "foreign", f"def anything(*arguments):\n    return {made}\n")
+    section, field = {"estimator": ("distance", kind), "tracker": (kind, "method"), "policy": ("beam", kind)}[kind]
+    config = preset("foreglow").changed(section, **{field: "foreign:anything"})
+    with pytest.raises(ValueError, match=rf"{section}\.{field}: foreign:anything: expected .* {methods}; .* lacks "):
+        Pipeline(config)
+    given: Any = {kind: lambda *_: None}
+    with pytest.raises(ValueError, match=rf"^{kind}: expected a class, .* methods {methods}; function lacks"):
+        Pipeline(**given)
+
+
+def test_a_function_that_makes_a_tracker_is_one(folder: Path) -> None:
+    write_module(
+        folder, "maker", "def made(config):\n    from tests.test_plugins import NoTracks\n    return NoTracks()"
+    )
+    tracks = Pipeline(preset("foreglow").changed("tracker", method="maker:made")).step(shipped_frames(1)[0]).tracks
+    assert tracks is not None
+    assert len(tracks) == 0
+
+
+def test_what_fails_when_it_is_made_is_no_fault_of_ours(tmp_path: Path) -> None:
+    line = complaint("beam", shipped_drive(), "--policy", "json:JSONDecoder.decode", "--out", tmp_path / "out")
+    assert re.search(r"json/decoder\.py, line \d+: the plug-in raised AttributeError", line)  # a module of json's
+    line = complaint("beam", shipped_drive(), "--policy", "builtins:divmod", "--out", tmp_path / "out")
+    assert "beam.policy: builtins:divmod cannot be made of BeamConfig, Headlamps: unsupported" in line
+
+
+class ManyTracks(NoTracks):
+    """Follows far more than there is."""
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:  # noqa: ARG002
+        count = MAX_TRACKS + 1
+        wholes, numbers = np.ones(count, np.int64), np.ones(count)
+        boxes = np.tile([1.0, 1.0, 5.0, 5.0], (count, 1))
+        ids = np.arange(count)
+        return Tracks(ids, wholes, boxes, numbers, wholes, wholes, numbers, numbers, numbers, -wholes)
+
+
+def test_too_many_tracks_are_refused() -> None:
+    with pytest.raises(
+        ValueError, match=rf"tracker\.method: expected at most {MAX_TRACKS} tracks of a frame, got 2001"
+    ):
+        Pipeline(tracker=ManyTracks).step(shipped_frames(1)[0])
 
 
 # The guard

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, preset
-from foreglow.plugins import built, checked, name_of
+from foreglow.plugins import METHODS, built, check_methods, checked, name_of
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
 
@@ -21,6 +21,34 @@ if TYPE_CHECKING:
     from foreglow.distance import RangeEstimator
     from foreglow.proposals import Proposer, StandingLight
     from foreglow.tracking import Tracker
+
+
+MAX_TRACKS = 2000
+"""Tracks of a frame: far more than there are lights, and few enough that a beam can be made of them."""
+
+
+def estimated(estimator: RangeEstimator, frame: Frame, detections: Detections) -> Ranges:
+    """The ranges that `estimator`, perhaps a plug-in, gives `detections` in `frame`, which must have a camera.
+
+    Raises:
+        ValueError: If it returns anything else, or ranges of others.
+    """
+    ranges = checked("distance.estimator", estimator.estimate(frame, detections), Ranges)
+    if ranges.detections is not detections:
+        raise ValueError("distance.estimator: expected ranges of the detections it was given, got others")
+    return ranges
+
+
+def tracked(tracker: Tracker, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
+    """The tracks that `tracker`, perhaps a plug-in, has after `frame`.
+
+    Raises:
+        ValueError: If it returns anything else, or more than `MAX_TRACKS`.
+    """
+    tracks = checked("tracker.method", tracker.update(frame, detections, ranges), Tracks)
+    if len(tracks) > MAX_TRACKS:
+        raise ValueError(f"tracker.method: expected at most {MAX_TRACKS} tracks of a frame, got {len(tracks)}")
+    return tracks
 
 
 class Stages:
@@ -42,12 +70,11 @@ class Stages:
 
         Raises:
             ValueError: If a policy is given, and there is no model or no tracker to make its tracks; if a plug-in
-                lacks the method of its stage.
+                lacks a method of its stage.
         """
-        given = (("estimator", estimator, "estimate"), ("tracker", tracker, "update"), ("policy", policy, "command"))
-        for name, plugin, method in given:
-            if plugin is not None and not callable(getattr(plugin, method, None)):
-                raise ValueError(f"{name}: expected a class or an object with the method {method}, got {plugin!r}")
+        for kind, plugin in (("estimator", estimator), ("tracker", tracker), ("policy", policy)):
+            if plugin is not None:
+                check_methods(kind, plugin, METHODS[kind])
         if estimator is not None:
             config = config.changed("distance", estimator=name_of(estimator))
         if tracker is not None:
@@ -150,6 +177,7 @@ class Pipeline:
         self.config = self._stages.config
         self._stages.build()
         self._stopwatch = Stopwatch()
+        self._sequence: str | None = None  # of the frame before; None where the next frame begins anew
         self._lock = threading.Lock()
 
     @property
@@ -170,6 +198,9 @@ class Pipeline:
     ) -> FrameResult:
         """What the stages make of `frame`.
 
+        A frame of another sequence than the one before it begins anew, as sequences share no time axis, and so does
+        the frame after an error.
+
         Args:
             frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
                 Without a camera in it nothing has a range.
@@ -188,6 +219,9 @@ class Pipeline:
     def _step(self, frame: Frame, now_ns: Callable[[], int] | None, faults: Sequence[str]) -> FrameResult:
         stages = self._stages
         stopwatch = self._stopwatch = Stopwatch()
+        if frame.sequence != self._sequence:
+            stages.reset()
+        self._sequence = None  # until all stages have seen this frame
         stopwatch.begin("proposals")
         proposals = stages.proposer.propose(frame.image)
         if stages.standing is not None:
@@ -202,36 +236,34 @@ class Pipeline:
             detections = stages.classifier.classify(frame, proposals)
             if stages.estimator is not None and frame.camera is not None:
                 stopwatch.begin("distance")
-                ranges = checked("distance.estimator", stages.estimator.estimate(frame, detections), Ranges)
-                if ranges.detections is not detections:
-                    raise ValueError("distance.estimator: expected ranges of the detections it was given, got others")
+                ranges = estimated(stages.estimator, frame, detections)
             if stages.tracker is not None:
                 stopwatch.begin("tracking")
-                tracks = checked("tracker.method", stages.tracker.update(frame, detections, ranges), Tracks)
+                tracks = tracked(stages.tracker, frame, detections, ranges)
                 if stages.beam is not None:
                     stopwatch.begin("beam")
                     beam = stages.beam.command(frame, tracks, now_ns=now_ns, faults=faults)
         stopwatch.end()
+        self._sequence = frame.sequence
         times_ms = stopwatch.times_ms
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The results of `frames`, one by one, in order; each sequence begins with a `reset`."""
-        sequence: str | None = None
+        """The results of `frames`, one by one, in order, after a `reset`."""
+        self.reset()
         for frame in frames:
-            if isinstance(frame, Frame) and frame.sequence != sequence:  # sequences share no time axis
-                self.reset()
-                sequence = frame.sequence
             yield self.step(frame)
 
     def reset(self) -> None:
-        """Forgets what earlier frames left behind, as at the start of a sequence.
+        """Has the next frame begin anew, as at the start of a sequence: nothing of earlier frames counts for it.
+
+        `step` does so itself where the sequence changes: this is for frames that are run a second time.
 
         Raises:
             RuntimeError: If another thread is inside `step` of this pipeline.
         """
         with self._alone("reset"):
-            self._stages.reset()
+            self._sequence = None
 
     @contextlib.contextmanager
     def _alone(self, method: str) -> Iterator[None]:

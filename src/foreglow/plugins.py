@@ -10,7 +10,7 @@ import dataclasses
 import pkgutil
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -19,6 +19,9 @@ Entry = TypeVar("Entry")
 
 MAX_WORDS = 2000
 """Characters of an error of somebody else's code, such as a plug-in, that are kept."""
+
+METHODS = {"estimator": ("estimate", "reset"), "tracker": ("update", "reset"), "policy": ("command", "shone", "reset")}
+"""What every plug-in of a kind has."""
 
 _modules: set[str] = set()
 """The modules that were imported for a `module:Name`."""
@@ -52,20 +55,50 @@ def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry
     return cast("Entry", imported(field, points[name].value))
 
 
-def make(field: str, name: str, table: Mapping[str, Callable[..., Entry]], group: str, *arguments: Any) -> Entry:
+def make(
+    field: str,
+    name: str,
+    table: Mapping[str, Callable[..., Entry]],
+    group: str,
+    *arguments: Any,
+    methods: Sequence[str],
+) -> Entry:
     """What the entry that `name` stands for makes of `arguments`.
 
     Raises:
-        ValueError: As `find`, or if what was plugged in does not take these arguments.
+        ValueError: As `find`, or if what was plugged in does not take these arguments, or makes something without one
+            of the `methods`.
     """
     entry = find(field, name, table, group)
     if name in table:
         return entry(*arguments)
     try:
-        return entry(*arguments)
+        made = entry(*arguments)
     except TypeError as error:
         kinds = ", ".join(type(argument).__name__ for argument in arguments)
         raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words_of(error)}") from error
+    except Exception as error:
+        if raising(error) is not None:  # whose file and line are known
+            raise
+        raise ValueError(f"{field}: {name} cannot be made: {type(error).__name__}: {words_of(error)}") from error
+    check_methods(f"{field}: {name}", made, methods)
+    return made
+
+
+def check_methods(origin: str, plugin: object, methods: Sequence[str]) -> None:
+    """Checks a plug-in, a class or an object.
+
+    Raises:
+        ValueError: If it lacks one of the `methods`, such as what a function returns that is no class; the message
+            begins with `origin`.
+    """
+    lacking = [method for method in methods if not callable(getattr(plugin, method, None))]
+    if lacking:
+        kind = plugin if isinstance(plugin, type) else type(plugin)
+        raise ValueError(
+            f"{origin}: expected a class, or what makes an object, with the methods {', '.join(methods)}; "
+            f"{kind.__name__} lacks {', '.join(lacking)}"
+        )
 
 
 def imported(field: str, target: str) -> Any:
@@ -142,6 +175,7 @@ def raising(error: BaseException) -> str | None:
     lacking = getattr(error, "obj", None)  # of an AttributeError
     found = name_of(lacking) if type(lacking).__module__ in _modules else None
     for frame, line in traceback.walk_tb(error.__traceback__):
-        if frame.f_globals.get("__name__") in _modules:
+        module = str(frame.f_globals.get("__name__"))
+        if any(module == name or module.startswith(f"{name}.") for name in _modules):
             found = f"{frame.f_code.co_filename}, line {line}"
     return found

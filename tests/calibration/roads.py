@@ -30,7 +30,7 @@ def drive(
 
     Snow falls through the light: of a frame's flakes, each is a streak that leads away from where they come from.
     """
-    camera = LENS.camera(Mount(position_m=(1.7, 0.0, 1.3), yaw_deg=yaw_deg, pitch_deg=pitch_deg))
+    camera = LENS.camera(Mount(position_m=(1.7, 0.0, 1.3), yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=0.0))
     posts_m = np.random.default_rng(5).uniform([5.0, 4.0, 0.2], [200.0, 9.0, 1.5], (160, 3))
     posts_m[::2, 1] *= -1.0
     frames = []

@@ -6,7 +6,7 @@ import pytest
 
 from foreglow.calibration import ImageChoice, Mount, read_calibration, read_intrinsics
 
-MOUNT = Mount(position_m=(1.6, 0.06, 1.65), pitch_deg=-1.0)
+MOUNT = Mount(position_m=(1.6, 0.06, 1.65), yaw_deg=0.0, pitch_deg=-1.0, roll_deg=0.0)
 
 CAM_TO_CAM = """\
 calib_time: 09-Jan-2012 13:57:47

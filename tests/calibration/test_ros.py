@@ -54,7 +54,10 @@ def test_rectified_images(tmp_path: Path) -> None:
 
 def test_a_mount_makes_a_camera(tmp_path: Path) -> None:
     path = write(tmp_path, TEXT)
-    assert read_calibration(path, Mount(position_m=(2, 0, 1.3))).focal_px == (1312.0, 1310.5)
+    assert read_calibration(path, Mount(position_m=(2, 0, 1.3), yaw_deg=0, pitch_deg=0, roll_deg=0)).focal_px == (
+        1312.0,
+        1310.5,
+    )
     with pytest.raises(ValueError, match=r"front\.yaml: mount: missing"):
         read_calibration(path)
 

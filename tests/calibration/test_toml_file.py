@@ -79,15 +79,17 @@ def test_a_mount_is_on_a_vehicle_and_above_the_road(tmp_path: Path, position_m: 
 
 
 def test_angles_are_what_they_say(tmp_path: Path) -> None:
-    text = TEXT.replace("yaw_deg = 0.25", "yaw_deg = 90.0").replace("-0.7", "30.0").replace("1.1", "0.0")
+    text = TEXT.replace("yaw_deg = 0.25", "yaw_deg = 45.0").replace("-0.7", "30.0").replace("1.1", "0.0")
     forward, _, up = read_calibration(write(tmp_path, text)).vehicle_from_camera.rotation.T
-    np.testing.assert_allclose(forward, [0.0, np.sqrt(0.75), 0.5], atol=1e-12)
-    np.testing.assert_allclose(up, [0.0, -0.5, np.sqrt(0.75)], atol=1e-12)
+    np.testing.assert_allclose(forward, [np.sqrt(0.375), np.sqrt(0.375), 0.5], atol=1e-12)
+    np.testing.assert_allclose(up, [-np.sqrt(0.125), -np.sqrt(0.125), np.sqrt(0.75)], atol=1e-12)
 
 
 def test_what_may_be_left_out(tmp_path: Path) -> None:
     text = "[image]\nwidth_px=64\nheight_px=48\n[intrinsics]\nfocal_px=[60,60]\ncentre_px=[32,24]\n"
-    camera = read_calibration(write(tmp_path, text + "[mount]\nposition_m=[1,0,1]\n"))
+    camera = read_calibration(
+        write(tmp_path, text + "[mount]\nposition_m=[1,0,1]\nyaw_deg=0\npitch_deg=0\nroll_deg=0\n")
+    )
     assert camera.distortion == (0, 0, 0, 0, 0)
     np.testing.assert_array_equal(camera.vehicle_from_camera.rotation, np.eye(3))
 
@@ -107,8 +109,16 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
         ("640.25", "inf", r"intrinsics\.centre_px\.0: .*finite number, got inf"),
         ("1312.0", '"1312"', r"intrinsics\.focal_px\.0: .*valid number, got '1312'"),
         ("    1310.5,\n", "", r"intrinsics\.focal_px\.1: .*required, got \[1312.0\]"),
-        ("pitch_deg = -0.7", "pitch_deg = -91", r"mount\.pitch_deg: .*-90, got -91"),
-        ("roll_deg", "rol_deg", r"mount\.rol_deg: unknown, expected one of position_m, yaw_deg, pitch_deg, roll_deg"),
+        ("pitch_deg = -0.7", "pitch_deg = -46", r"mount\.pitch_deg: .*-45, got -46"),
+        ("yaw_deg = 0.25", "yaw_deg = 180", r"mount\.yaw_deg: .*45, got 180"),
+        ("yaw_deg = 0.25", "", r"camera\.toml: mount\.yaw_deg: missing"),
+        ("pitch_deg = -0.7", "", r"camera\.toml: mount\.pitch_deg: missing"),
+        ("roll_deg = 1.1", "", r"camera\.toml: mount\.roll_deg: missing"),
+        (
+            "roll_deg = 1.1",
+            "roll_deg = 1.1\nrol_deg = 1.1",
+            r"mount\.rol_deg: unknown, expected one of position_m, yaw_deg, pitch_deg, roll_deg",
+        ),
         ("[mount]", "[mount", r"camera\.toml: expected TOML"),
     ],
 )
@@ -123,17 +133,18 @@ def test_a_missing_file(tmp_path: Path) -> None:
         read_calibration(tmp_path / "nowhere.toml")
 
 
+TURNS = st.integers(-44_999, 45_000).map(lambda thousandths: thousandths / 1000)
 ANGLES = st.integers(-179_999, 180_000).map(lambda thousandths: thousandths / 1000)
 
 
 @pytest.mark.slow
 @settings(derandomize=True, max_examples=60)
-@given(st.tuples(ANGLES, ANGLES, ANGLES), st.floats(3, 1e4), st.floats(-1e3, 1e3))
+@given(st.tuples(TURNS, TURNS, ANGLES), st.floats(3, 1e4), st.floats(-1e3, 1e3))
 def test_any_camera_comes_back(
     tmp_path_factory: pytest.TempPathFactory, angles_deg: tuple[float, float, float], focal: float, number: float
 ) -> None:
     yaw, pitch, roll = angles_deg
-    turned = rotation(*np.radians([yaw, pitch / 2.0001, roll]))
+    turned = rotation(*np.radians([yaw, pitch, roll]))
     camera = Camera(
         7,
         5,
@@ -157,7 +168,7 @@ def test_a_camera_that_looks_straight_down_or_up(pitch_deg: float) -> None:
 
 
 def test_another_mount_than_the_files(tmp_path: Path) -> None:
-    camera = read_calibration(write(tmp_path, TEXT), Mount(position_m=(0, 0, 2)))
+    camera = read_calibration(write(tmp_path, TEXT), Mount(position_m=(0, 0, 2), yaw_deg=0, pitch_deg=0, roll_deg=0))
     assert camera.vehicle_from_camera.position_m.tolist() == [0, 0, 2]
     assert camera.focal_px == (1312.0, 1310.5)
 

@@ -231,6 +231,19 @@ def test_truncated_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_model_with_bytes_that_are_no_text(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model.onnx")
+    content, num_refused = model.read_bytes(), 0
+    for place in range(0, len(content), 3):
+        model.write_bytes(content[:place] + b"\x8a" + content[place + 1 :])
+        try:
+            OnnxClassifier(ClassifierConfig(model=model))
+        except ValueError as error:
+            num_refused += "model.onnx: " in str(error) or pytest.fail(f"byte {place}: {error!r}")
+    assert num_refused
+
+
+@pytest.mark.slow
 def test_classifier_reports_to_nobody(tmp_path: Path) -> None:
     model, home = write_model(tmp_path / "model.onnx"), tmp_path / "home"
     home.mkdir()

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from foreglow.datasets import shipped_drive
+from foreglow.runtime.live import Paced
+from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.test_process import subprocess_command
 
@@ -163,14 +167,36 @@ def test_numbers_without_effect_are_errors() -> None:
         assert f"{option}: expected with" in complaint("live", shipped_drive(), option, value)
 
 
-def test_damaged_recording_ends_with_an_error(tmp_path: Path) -> None:
-    images = tmp_path / "images"
+def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
+    images, out = tmp_path / "images", tmp_path / "out"
     images.mkdir()
-    (images / "000.png").write_bytes(PNG)
-    (images / "001.png").write_bytes(PNG[:50])
+    for name, content in (("000", PNG), ("001", PNG[:50]), ("002", b"no image"), ("003", PNG)):
+        (images / f"{name}.png").write_bytes(content)
+    result = foreglow_command("live", images, "--speed", 0, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "2 unreadable frames left out, the first: " in result.stdout
+    assert num_lines(out) == 2
+    assert json.loads((out / "summary.json").read_text())["num_skipped"] == 2
+    for path in images.iterdir():
+        path.write_bytes(PNG[:50])
+    assert "000.png" in complaint("live", images, "--speed", 0, "--out", tmp_path / "nothing")
+
+
+def test_a_source_that_ends_with_an_error_leaves_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def frames(source: Paced) -> Iterator[Frame]:
+        for frame in source._source:
+            if frame.frame == 10_005:
+                raise OSError(errno.EIO, "Input/output error", "night")
+            yield frame
+
+    monkeypatch.setattr(Paced, "__iter__", frames)
     out = tmp_path / "out"
-    assert "001.png" in complaint("live", images, "--speed", 0, "--out", out)
-    assert not out.exists() or not RESULTS & names(out)
+    result = foreglow_command("live", shipped_drive(), "--speed", 0, "--out", out)
+    assert result.exit_code == 2
+    assert "Input/output error" in result.stderr
+    assert names(out) == RESULTS
+    assert num_lines(out) == 5
+    assert json.loads((out / "summary.json").read_text())["is_complete"] is False
 
 
 def test_recording_named_after_its_time(tmp_path: Path) -> None:

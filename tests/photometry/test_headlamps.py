@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +131,18 @@ def test_a_grid_of_ones_own(tmp_path: Path) -> None:
     _, leds_cd = lamps.intensities_cd(directions)
     assert leds_cd[0, 1, 2] == pytest.approx(20_000 * np.exp(-0.5 * (1.5 / 8) ** 2), rel=0.01)
     assert leds_cd[1, 0, 6] == pytest.approx(10_000 * np.exp(-0.5 * (2.0 / 8) ** 2), rel=0.01)
+
+
+def test_the_examples_of_the_page(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "headlamps.md").read_text()
+    grid, measured = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    for row, column in np.ndindex(2, 2):
+        led_file(tmp_path, f"row{row}_column{column}.ies", 4 - 2 * column, 1.5 * row)
+    path = tmp_path / "lamps.toml"
+    path.write_text(measured)
+    assert read_headlamps(path).num_leds == 4
+    path.write_text(grid.replace('"low.ldt"', '"row0_column0.ies"'))
+    assert read_headlamps(path).num_leds == 84
 
 
 def test_files_lie_where_they_say(tmp_path: Path) -> None:

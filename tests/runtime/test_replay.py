@@ -44,6 +44,17 @@ def test_commands_are_those_of_the_stage_and_the_rest_stays() -> None:
         replay.reset()
 
 
+def test_another_sequence_begins_anew() -> None:
+    stage, replay = BeamStage(CONFIG.beam, CONFIG.guard), Replay(CONFIG, results(), "earlier")
+    for frame in FRAMES:
+        if frame.frame == 2:
+            stage.reset()
+        stepped = replay.step(dataclasses.replace(frame, sequence="second" if frame.frame >= 2 else "first")).beam
+        assert stepped is not None
+        np.testing.assert_array_equal(stepped.levels, stage.command(frame, followed(frame.frame)).levels)
+        assert stepped.levels.any() == (frame.frame % 2 == 1)
+
+
 @pytest.mark.parametrize("what", ["missing", "at another time", "without tracks"])
 def test_other_frames_are_refused(what: str) -> None:
     known = results()

@@ -13,7 +13,7 @@ import pytest
 
 from foreglow.config import read_config
 from foreglow.files import json_text
-from foreglow.pipeline import Pipeline
+from foreglow.pipeline import Pipeline, Stages
 from foreglow.runtime import OutputFolder, RunSummary, run
 from foreglow.types import Frame, FrameResult
 from tests.linux import needs_full_disk
@@ -118,8 +118,8 @@ def test_limit(tmp_path: Path, limit: int | None, expected: int) -> None:
 
 
 def test_pipeline_is_reset_at_the_start_of_each_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    resets: list[Pipeline] = []
-    monkeypatch.setattr(Pipeline, "reset", lambda pipeline: resets.append(pipeline))
+    resets: list[Stages] = []
+    monkeypatch.setattr(Stages, "reset", lambda stages: resets.append(stages))
     frames = night_frames(2, "S00001") + night_frames(3, "S00002")
     run_into(tmp_path, ListSource(frames))
     assert len(resets) == 2

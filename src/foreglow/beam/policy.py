@@ -17,7 +17,7 @@ from foreglow.beam.questions import DIP, Questions
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
-from foreglow.plugins import find, make
+from foreglow.plugins import METHODS, find, make
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
@@ -328,7 +328,9 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
     Raises:
         ValueError: As `policy_class`, or if it cannot be made of these two.
     """
-    return make("beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps)
+    return make(
+        "beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps, methods=METHODS["policy"]
+    )
 
 
 def _is_coming(bearing: Bearing) -> bool:

@@ -24,7 +24,9 @@ MAX_FOV_DEG = 170.0
 _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1)]
-_Angle: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+_Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
+"""Yaw or pitch: beyond it a camera no longer looks along the road ahead, of which all ranges are."""
+_Roll: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
 _Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
 
 _Position: TypeAlias = Annotated[
@@ -44,7 +46,7 @@ NO_DISTORTION: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Mount(FrozenModel):
-    """How a camera is mounted in its vehicle.
+    """How a camera is mounted in its vehicle; no angle has a default, as one that was forgotten makes ranges wrong.
 
     Attributes:
         position_m: Forward of the rear axle, left of the middle, above the road.
@@ -58,9 +60,9 @@ class Mount(FrozenModel):
     """
 
     position_m: _Position
-    yaw_deg: _Angle = 0.0
-    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    roll_deg: _Angle = 0.0
+    yaw_deg: _Turn
+    pitch_deg: _Turn
+    roll_deg: _Roll
     yaw_sigma_deg: _Sigma = 0.0
     pitch_sigma_deg: _Sigma = 0.0
     roll_sigma_deg: _Sigma = 0.0

@@ -69,11 +69,19 @@ def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = 
         providers.insert(0, (CUDA, {"gpu_mem_limit": MAX_TENSOR_BYTES}))
     try:
         session = ort.InferenceSession(str(path), options, providers=providers)
+        _read_texts(session)
     except model_errors() as error:
         raise unusable(path, error) from error
     if device == "cuda" and CUDA not in session.get_providers():  # it goes on without what it cannot load
         raise ValueError("classifier.device: expected cpu, ONNX Runtime cannot use a GPU here; got cuda")
     return session
+
+
+def _read_texts(session: InferenceSession) -> None:
+    """UnicodeDecodeError if a name or the metadata of a model are no text; ONNX Runtime decodes them when asked."""
+    _ = session.get_modelmeta().custom_metadata_map
+    for node in (*session.get_inputs(), *session.get_outputs()):
+        _ = node.name, node.type, node.shape
 
 
 def model_errors() -> tuple[type[Exception], ...]:
@@ -89,6 +97,7 @@ def model_errors() -> tuple[type[Exception], ...]:
         errors.NoSuchFile,
         errors.NotImplemented,
         errors.RuntimeException,
+        UnicodeDecodeError,  # a name that is no text
     )
 
 

@@ -80,7 +80,7 @@ def convert(
     ] = 0.0,
     pitch_deg: Annotated[float, option("DEG", "Angle by which the camera points upwards.", min=-45.0, max=45.0)] = 0.0,
     yaw_deg: Annotated[
-        float, option("DEG", "Angle by which the camera points to the left.", min=-180.0, max=180.0)
+        float, option("DEG", "Angle by which the camera points to the left.", min=-45.0, max=45.0)
     ] = 0.0,
     roll_deg: Annotated[
         float, option("DEG", "Angle by which the camera is rolled to the right.", min=-180.0, max=180.0)

@@ -43,8 +43,6 @@ def stages(
     stepper = Pipeline(pipeline.configuration().detector_only)
     latest, num_frames = None, 0
     for taken in itertools.islice(open_frames(source, reading, vehicle), frame + 1):
-        if latest is not None and taken.sequence != latest[0].sequence:
-            stepper.reset()
         latest, num_frames = (taken, stepper.step(taken)), num_frames + 1
     if latest is None or num_frames <= frame:
         raise ValueError(f"--frame: expected one of the {num_frames} frames of {source}, counted from 0, got {frame}")

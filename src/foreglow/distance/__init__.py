@@ -12,7 +12,7 @@ from foreglow.config import DistanceConfig
 from foreglow.distance.ground_plane import GroundPlane
 from foreglow.distance.psd import PSD2D, PSD3D, PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
-from foreglow.plugins import make
+from foreglow.plugins import METHODS, make
 from foreglow.types import Detections, Frame, Ranges
 
 __all__ = [
@@ -55,6 +55,8 @@ def make_estimator(config: DistanceConfig) -> RangeEstimator:
     """The estimator that `config.estimator` names: one of `ESTIMATORS`, or a plug-in.
 
     Raises:
-        ValueError: If it names none, or one that cannot be imported.
+        ValueError: If it names none, or one that cannot be imported or lacks a method.
     """
-    return make("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config)
+    return make(
+        "distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config, methods=METHODS["estimator"]
+    )

@@ -127,7 +127,7 @@ def _from_lines(path: Path) -> Predictions:
         elif is_scored != (scores is not None):
             raise ValueError("scores: expected in every line or in none, differs from the lines before")
         return (
-            _as_boxes(line["proposals_xyxy_px"]),
+            _as_boxes(line["proposals_xyxy_px"], "proposals_xyxy_px"),
             _as_scores(scores, num_boxes),
             None if direct is None else _as_scores(direct, num_boxes, "direct"),
             None if kinds is None else _as_kinds(kinds, num_boxes),
@@ -162,7 +162,7 @@ def _from_published(path: Path) -> Predictions:
         if int(key) in boxes:
             raise ValueError(f"{path}: {key}: expected each image id once, {int(key)} is there twice")
         try:
-            boxes[int(key)], scores[int(key)] = _as_boxes(its_boxes), _as_scores(its_scores, len(its_boxes))
+            boxes[int(key)], scores[int(key)] = _as_boxes(its_boxes, "boxes"), _as_scores(its_scores, len(its_boxes))
         except ValueError as error:
             raise ValueError(f"{path}: {key}: {error}") from error
     return Predictions(boxes, scores, is_scored)
@@ -182,8 +182,14 @@ def _from_coco(path: Path) -> Predictions:
     )
 
 
-def _as_boxes(boxes: list[Box]) -> NDArray[np.float64]:
-    return np.array(boxes, np.float64).reshape(-1, 4)
+def _as_boxes(boxes: list[Box], name: str) -> NDArray[np.float64]:
+    """Shape (N, 4); ValueError for a box that ends before it begins."""
+    corners = np.array(boxes, np.float64).reshape(-1, 4)
+    is_inverted = (corners[:, :2] > corners[:, 2:]).any(axis=1)
+    if is_inverted.any():
+        bad = int(is_inverted.argmax())
+        raise ValueError(f"{name}.{bad}: expected x1, y1, x2, y2 with x1 <= x2 and y1 <= y2, got {boxes[bad]}")
+    return corners
 
 
 def _as_scores(values: Sequence[float | None] | None, num_boxes: int, name: str = "scores") -> NDArray[np.float64]:

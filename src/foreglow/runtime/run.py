@@ -57,11 +57,11 @@ class Stepper(Protocol):
         ...
 
     def step(self, frame: Frame) -> FrameResult:
-        """The result of `frame`."""
+        """The result of `frame`; a frame of another sequence than the one before it begins anew."""
         ...
 
     def reset(self) -> None:
-        """Forgets earlier frames, as at the start of a sequence."""
+        """Has the next frame begin anew, whatever its sequence."""
         ...
 
 
@@ -119,7 +119,7 @@ def run(
 
     Args:
         source: The frames.
-        pipeline: It makes the results, and is reset at the start of each sequence.
+        pipeline: It makes the results, and is reset before the first frame.
         folder: Where the results go; sinks that write files write to its `partial` paths. None: only to the sinks.
         sinks: They get the results, too.
         limit: Stop after this many frames; None runs all of them.
@@ -170,11 +170,8 @@ def step_through(
     is_stopped: Callable[[], bool],
 ) -> None:
     """Runs the pipeline over the frames and passes on the results; after each frame it asks whether to stop."""
-    sequence: str | None = None
+    pipeline.reset()
     for frame in frames:
-        if frame.sequence != sequence:  # sequences share no time axis
-            pipeline.reset()
-            sequence = frame.sequence
         result = pipeline.step(frame)
         for sink in sinks:
             sink.write(frame, result)
@@ -215,9 +212,12 @@ class Replay:
         self._beam = BeamStage(config.beam, config.guard, lit_street=config.lit_street)
         self._results = results
         self._origin = origin
+        self._sequence: str | None = None
 
     def step(self, frame: Frame) -> FrameResult:
         """The earlier result of `frame` with a new beam command; `stage_ms` has the run-time of the beam alone.
+
+        As for a `Pipeline`, a frame of another sequence than the one before it begins anew.
 
         Raises:
             ValueError: If the earlier run did not have this frame.
@@ -228,11 +228,14 @@ class Replay:
                 f"{self._origin}: expected the frames of its source, has no frame {frame.frame} "
                 f"at {frame.timestamp_ns / 1e9:.3f} s"
             )
+        if frame.sequence != self._sequence:
+            self._beam.reset()
+            self._sequence = frame.sequence
         before_ns = time.perf_counter_ns()
         beam = self._beam.command(frame, result.tracks)
         stage_ms = {"beam": (time.perf_counter_ns() - before_ns) / 1e6}
         return dataclasses.replace(result, beam=beam, stage_ms=stage_ms)
 
     def reset(self) -> None:
-        """Forgets earlier frames, as at the start of a sequence."""
-        self._beam.reset()
+        """As `Pipeline.reset`."""
+        self._sequence = None

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from foreglow.config import TrackerConfig
-from foreglow.plugins import make
+from foreglow.plugins import METHODS, make
 from foreglow.tracking.published import PublishedTracker
 from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
@@ -37,6 +37,6 @@ def make_tracker(config: TrackerConfig) -> Tracker:
     """The tracker that `config.method` names: one of `TRACKERS`, or a plug-in.
 
     Raises:
-        ValueError: If it names none, or one that cannot be imported.
+        ValueError: If it names none, or one that cannot be imported or lacks a method.
     """
-    return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config)
+    return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config, methods=METHODS["tracker"])

@@ -60,7 +60,13 @@ def test_frames_out_of_order(drive: list[Frame]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "error"), [*((stage, ZeroDivisionError) for stage in STAGES), ("distance", SystemExit)]
+    ("stage", "error"),
+    [
+        *((stage, ZeroDivisionError) for stage in STAGES),
+        ("distance", SystemExit),
+        ("beam", KeyboardInterrupt),
+        ("beam", GeneratorExit),
+    ],
 )
 def test_stage_that_raises(stage: str, error: type[BaseException], drive: list[Frame]) -> None:
     raising = {frame.timestamp_ns for frame in drive[BEGIN : BEGIN + 2]}

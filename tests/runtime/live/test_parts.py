@@ -92,6 +92,23 @@ def test_book_of_faults() -> None:
     assert dict(book.counts) == {"gone": 1, "slow": 1, "failed": 1}
 
 
+def test_a_fault_from_before_the_first_frame_has_a_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_ns, now_s = [3_600_000_000_000], [100.0]
+    monkeypatch.setattr("foreglow.runtime.live.faults.time.monotonic", lambda: now_s[0])
+    book = FaultBook(lambda: now_ns[0], ("camera",))
+    watch = FrameWatch(LiveConfig(), 0.05, book, speed=2.0, max_silence_s=None)
+    watch.lost("not there yet")
+    now_ns[0], now_s[0] = 7_000_000_000, 101.5  # the frames' own times
+    watch.arrived(Frame(np.zeros((2, 2), np.uint8), 7_000_000_000))
+    assert [(one.from_ns, one.until_ns) for one in book.events] == [(4_000_000_000, 7_000_000_000)]
+    book.note("bus", ["failed"])
+    now_ns[0] = 0  # another sequence
+    watch.arrived(Frame(np.zeros((2, 2), np.uint8), 0, sequence="second"))
+    now_ns[0] = -1
+    book.note("bus")
+    assert (book.events[1].from_ns, book.events[1].until_ns) == (0, 0)
+
+
 def test_book_keeps_no_more_than_it_says() -> None:
     book = FaultBook(lambda: 0, ())
     for _ in range(MAX_EVENTS + 10):

@@ -247,6 +247,7 @@ def calibrate_drive(
         position_m=(FORWARD_M, 0.0, HEIGHT_M if height_m is None else height_m),
         yaw_deg=round(yaw_deg, 3),
         pitch_deg=round(pitch_deg, 3),
+        roll_deg=0.0,
         yaw_sigma_deg=round(yaw_sigma_deg, 3),
         pitch_sigma_deg=round(pitch_sigma_deg, 3),
         roll_sigma_deg=ROLL_SIGMA_DEG,

@@ -94,7 +94,9 @@ class Lens:
     """
 
     def __init__(self, intrinsics: Intrinsics) -> None:
-        self._camera: Camera = intrinsics.camera(Mount(position_m=(0.0, 0.0, 1.0)))
+        self._camera: Camera = intrinsics.camera(
+            Mount(position_m=(0.0, 0.0, 1.0), yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0)
+        )
         self.reduction = reduction_of(intrinsics.width_px)
         self.focal_px = intrinsics.focal_px[0] / self.reduction
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
 from enum import StrEnum
@@ -57,6 +59,7 @@ class FaultBook:
         self._now_ns = now_ns
         self._low_beam_origins = low_beam_origins
         self._active: dict[str, dict[str, FaultEvent]] = {}
+        self._begun_s: dict[int, float] = {}  # by the id of an active event
         self._unheeded: dict[str, None] = {}
         self._lock = threading.Lock()
         self.events: deque[FaultEvent] = deque(maxlen=MAX_EVENTS)
@@ -71,16 +74,31 @@ class FaultBook:
                 return
             now_ns = self._now_ns()
             for name in [name for name in known if name not in names]:
-                known.pop(name).until_ns = now_ns
+                event = known.pop(name)
+                event.until_ns = max(event.from_ns, now_ns)
+                del self._begun_s[id(event)]
             for name in names:
                 if name not in known:
                     known[name] = FaultEvent(name, now_ns, detail=detail)
+                    self._begun_s[id(known[name])] = time.monotonic()
                     self.events.append(known[name])
                     self.counts[name] += 1
                 known[name].detail = known[name].detail or detail
             self._active[origin] = known
             if origin in self._low_beam_origins:
                 self._unheeded |= names
+
+    def begin_clock(self, speed: float) -> None:
+        """The frames' clock has another zero from now on, as with the first frame of a sequence.
+
+        What is present began as long before as it has lasted by the wall clock, at `speed`; at infinite speed, where
+        the frames' clock stands still between frames, it begins now.
+        """
+        with self._lock:
+            now_ns, now_s = self._now_ns(), time.monotonic()
+            for event in (event for faults in self._active.values() for event in faults.values()):
+                lasted_s = 0.0 if math.isinf(speed) else (now_s - self._begun_s[id(event)]) * speed
+                event.from_ns = now_ns - round(lasted_s * 1e9)
 
     @property
     def active(self) -> tuple[str, ...]:

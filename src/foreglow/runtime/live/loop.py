@@ -23,7 +23,7 @@ from foreglow.runtime.live.sources import LiveSource
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
-from foreglow.runtime.run import PATIENCE_S, InterruptFlag
+from foreglow.runtime.run import PATIENCE_S, InterruptFlag, check_readable
 from foreglow.types import BeamCommand
 
 LIVE_FAULTS = frozenset(LiveFault)
@@ -56,6 +56,10 @@ def quick_switching() -> Iterator[None]:
             usual_s = _usual_switch_s.pop()
             if not _usual_switch_s:
                 sys.setswitchinterval(usual_s)
+
+
+READ_ERRORS = (ValueError, OSError)
+"""What a source raises that cannot be read; anything else is a fault of its program."""
 
 
 class LiveEndedError(TimeoutError):
@@ -141,7 +145,7 @@ class LiveLoop:
         self._tally = Tally()
         self._is_stopped = threading.Event()
         self._has_ended = threading.Event()
-        self._error: Exception | SystemExit | None = None
+        self._error: BaseException | None = None
         self._limit: int | None = None
         self._is_ended = False
         self._lock = threading.RLock()
@@ -155,8 +159,10 @@ class LiveLoop:
         """Runs until the source ends, Ctrl-C, or `limit` frames; then closes the sinks, with the lamps in low beam.
 
         Raises:
-            LiveEndedError: If `MAX_HUNG` pipelines hang, or no frame came for `give_up_s`; it has the summary.
-            Exception: What `make_pipeline` raised, or a source that is no camera.
+            LiveEndedError: If `MAX_HUNG` pipelines hang, no frame came for `give_up_s`, or a source that is no camera
+                cannot be read any further; it has the summary.
+            ValueError: If a source has frames, and none of them can be read.
+            Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
         """
         self._limit = limit
         try:
@@ -184,9 +190,13 @@ class LiveLoop:
                 is_complete = not (interrupt.is_set or self._end)
             finally:
                 self._stop(reader)
-            if self._error is not None:
+            if self._error is not None and not (self._tally.num_frames and isinstance(self._error, READ_ERRORS)):
                 raise self._error
-            summary = self._summary(pipeline, is_complete=is_complete)
+            if not self._mailbox.num_put:
+                check_readable(self._source.name, self._tally, self._source.skipped)
+            summary = self._summary(pipeline, is_complete=is_complete and self._error is None)
+        if self._error is not None:
+            raise LiveEndedError(words_of(self._error), summary) from self._error
         if self._end:
             raise LiveEndedError(self._end, summary)
         return summary
@@ -250,7 +260,7 @@ class LiveLoop:
                     else:
                         self._command_low()
                 reason = "the source has ended"
-            except (Exception, SystemExit) as error:
+            except BaseException as error:  # no signal's, as this is not the main thread
                 if not self._source.is_endless:
                     self._error = error
                 reason = f"{type(error).__name__}: {words_of(error)}"

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Protocol
 
 from foreglow.datasets import Equipped, open_source
-from foreglow.datasets.formats import format_of
 from foreglow.plugins import imported
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.runtime.live.sources import LiveSource, Paced
@@ -68,9 +66,7 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
     opened = _opened(text, options)
     if opened is not None:
         return opened
-    # A video goes on after damage, as a camera's stream does; an image or a recording that cannot be read is an error.
-    is_video = Path(text).exists() and format_of(Path(text)) == "video"
-    frames = open_source(text, topic=topic, on_error="mark" if is_video else "stop")
+    frames = open_source(text, topic=topic, on_error="mark")  # it goes on, as a camera does
     return Paced(frames if options.data is None else Equipped(frames, options.data), speed)
 
 

@@ -32,7 +32,7 @@ class FrameWatch:
             max_silence_s: A longer silence, by the wall clock, is a fault, and no camera is slow; None derives both
                 limits from the period.
         """
-        self._book = book
+        self._book, self._speed = book, speed
         self._max_silence_s = max_silence_s or config.silent_frames * period_s / speed
         self._max_pause_s = max_silence_s or config.slow_frames * period_s / speed
         self._max_step_ns = config.slow_frames * period_s * 1e9
@@ -52,6 +52,8 @@ class FrameWatch:
                 self._heard(frame if step_ns < -MAX_DELAY_NS else before)
                 self._note(LiveFault.OUT_OF_ORDER)
                 return False
+        else:
+            self._book.begin_clock(self._speed)
         self._heard(frame)
         is_slow = step_ns > self._max_step_ns
         self._num_slow = self._num_slow + 1 if is_slow else 0

@@ -76,7 +76,6 @@ class Worker:
         self._make_pipeline, self._mailbox, self._book = make_pipeline, mailbox, book
         self._now_ns, self._config, self._deliver = now_ns, config, deliver
         self._pipeline: LivePipeline | None = None
-        self._sequence: str | None = None
         self._num_failures = 0
         self._busy_since_s: float | None = None
         self._making_since_s: float | None = None
@@ -141,11 +140,11 @@ class Worker:
         self._making_since_s = time.monotonic()
         try:
             self._pipeline = self._make_pipeline()
-        except (Exception, SystemExit) as error:  # such as a model file that is being replaced: tried again later
+        except BaseException as error:  # such as a model file that is being replaced: tried again later
             self._book.note(STAGE, [LiveFault.NO_PIPELINE], _described(error))
         finally:
             self._making_since_s = None
-        self._sequence, self._num_failures = None, 0
+        self._num_failures = 0
         return self._pipeline is not None
 
     def _step(self, arrival: Arrival) -> Stepped:
@@ -154,13 +153,9 @@ class Worker:
         assert pipeline is not None
         faults = self._book.heeded()
         try:
-            if frame.sequence != self._sequence:
-                pipeline.reset()
-                self._sequence = frame.sequence
             result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
-        except (Exception, SystemExit) as error:  # of any stage: low beam, and the next frame is another chance
+        except BaseException as error:  # of any stage, no signal's: low beam, and the next frame is another chance
             self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_described(error)}")
-            self._sequence = None
             self._num_failures += 1
             if self._num_failures >= self._config.max_failures:
                 self._pipeline = None

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from foreglow.config import PipelineConfig
 from foreglow.geometry import Camera
-from foreglow.pipeline import Pipeline, Stages
+from foreglow.pipeline import Pipeline, Stages, estimated, tracked
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.frame_reader import FrameReader
@@ -159,7 +159,7 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
         ranges: Ranges | None = None
         stopwatch.begin("distance")
         if self._estimator is not None and frame.camera is not None:
-            ranges = self._estimator.estimate(frame, detections)
+            ranges = estimated(self._estimator, frame, detections)
         stopwatch.begin("send")
         self._output.publish(detections_message(header, detections, ranges))
 
@@ -194,7 +194,7 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
     def step(self, header: Header, inputs: tuple[Frame, Detections, Ranges | None], stopwatch: Stopwatch) -> None:
         """Publishes the tracks after a frame."""
         stopwatch.begin("tracking")
-        tracks = self._tracker.update(*inputs)
+        tracks = tracked(self._tracker, *inputs)
         stopwatch.begin("send")
         self._output.publish(tracks_message(header, tracks))
 

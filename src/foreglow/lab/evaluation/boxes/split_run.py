@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -61,7 +60,7 @@ class SplitRun:
 
 
 def run_split(dataset: LabelledSource, pipeline: Pipeline, progress: Progress | None = None) -> SplitRun:
-    """Runs `pipeline` over the selected images of `dataset` in order, and resets it at the start of each sequence.
+    """Runs `pipeline`, after a reset, over the selected images of `dataset` in order.
 
     Args:
         dataset: The split; images that it skips are in no result.
@@ -85,12 +84,11 @@ def run_variants(
         ValueError: If an image is broken, or a model does not fit.
     """
     results: dict[str, list[FrameResult]] = {name: [] for name in variants}
-    for _, frames in itertools.groupby(dataset, key=lambda frame: frame.sequence):
-        for pipeline, _ in variants.values():
-            pipeline.reset()
-        for frame in frames:
-            for name, (pipeline, change) in variants.items():
-                results[name].append(pipeline.step(change(frame)))
-            if progress is not None and variants:
-                progress(frame, results[name][-1])
+    for pipeline, _ in variants.values():
+        pipeline.reset()
+    for frame in dataset:
+        for name, (pipeline, change) in variants.items():
+            results[name].append(pipeline.step(change(frame)))
+        if progress is not None and variants:
+            progress(frame, results[name][-1])
     return {name: SplitRun.of(of_variant) for name, of_variant in results.items()}

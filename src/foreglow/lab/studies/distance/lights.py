@@ -116,12 +116,12 @@ class SimulatedLights:
 
     def __iter__(self) -> Iterator[Sample]:
         """The images, drive by drive."""
+        self._detector.reset()
         for sequence in self._dataset.sequences:
             if self._sequence_id not in (None, sequence.id):
                 continue
             drive = self._truth.sequence(sequence.id)
             has_depth = (drive.root / "depth").is_dir()
-            self._detector.reset()
             for image in drive.frames:
                 frame = self._dataset.read(image.image_id)
                 detections = self._detections(frame)

@@ -30,7 +30,6 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
     expected: dict[str, Expectations] = {}
     images = counted(dataset, "images", len(dataset), progress)
     for sequence, frames in itertools.groupby(images, key=lambda frame: frame.sequence):
-        pipeline.reset()
         policy.reset()
         expected[sequence] = Expectations(config.beam.coverage)
         for frame in frames:

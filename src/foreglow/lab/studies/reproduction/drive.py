@@ -42,11 +42,7 @@ def run_drive(split: Path, config: PipelineConfig, folder: Path, progress: Progr
     pipeline = Pipeline(config)
     boxes, scores, tracks, gaps_rad = {}, {}, {}, {}
     lights, on_lamps = read_split_labels(dataset).lights, []
-    sequence = None
     for frame in counted(dataset, "images", len(dataset), progress):
-        if frame.sequence != sequence:
-            pipeline.reset()
-            sequence = frame.sequence
         result = pipeline.step(frame)
         assert result.detections is not None  # commands are made from tracks
         assert result.tracks is not None

@@ -264,7 +264,6 @@ def _run(
     km = 0.0
     images = counted(dataset, "images", len(dataset), progress)
     for _, frames in itertools.groupby(images, key=lambda frame: frame.sequence):
-        pipeline.reset()
         for tracker in trackers.values():
             tracker.reset()
         for frame in frames:
