@@ -70,8 +70,8 @@ MAX_RECORD_BYTES = 64 << 20
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
 
-_COMMANDS: list[str] = []
-"""The command that this process runs."""
+_COMMANDS: list[tuple[str, Mapping[str, Path]]] = []
+"""The command that this process runs, and what it reads."""
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -156,9 +156,9 @@ class FolderLock:
 
 
 @contextlib.contextmanager
-def running(command: str) -> Iterator[None]:
-    """While the block lasts, this process runs `command`, such as `experiment glare`."""
-    _COMMANDS.append(command)
+def running(command: str, inputs: Mapping[str, Path] | None = None) -> Iterator[None]:
+    """While the block lasts, this process runs `command`, such as `experiment glare`, which reads `inputs`."""
+    _COMMANDS.append((command, inputs or {}))
     try:
         yield
     finally:
@@ -167,7 +167,7 @@ def running(command: str) -> Iterator[None]:
 
 def running_command() -> str | None:
     """The command that this process runs; None where it is a program of the user's own."""
-    return _COMMANDS[-1] if _COMMANDS else None
+    return _COMMANDS[-1][0] if _COMMANDS else None
 
 
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
@@ -218,6 +218,29 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, second in written[:index]:
             if _is_same(path, second):
                 raise ValueError(f"{name} {path}: expected another file than that of {other}")
+
+
+def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
+    """Checks that what is to be overwritten is a file of the kind that is written, by the end of its name.
+
+    So a video or an image that no command names is safe, too.
+
+    Args:
+        files: By option, files to write.
+        suffixes: By option, how the names of such files end.
+
+    Raises:
+        ValueError: If a file is there whose name ends otherwise.
+    """
+    for name, path in files.items():
+        if path.is_file() and path.suffix.lower() not in suffixes[name]:
+            ends = " or ".join(suffixes[name])
+            raise ValueError(f"{name} {path}: expected a new file, or an earlier one whose name ends with {ends}")
+
+
+def check_unnamed_outputs(files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
+    """As `check_outputs`, for outputs of the running command to which it gave names itself."""
+    check_outputs(_COMMANDS[-1][1] if _COMMANDS else {}, files, folders)
 
 
 @contextlib.contextmanager
