@@ -349,6 +349,23 @@ def test_a_part_of_a_result_that_is_not_read(tmp_path: Path) -> None:
         check_outputs({}, {"--json": folder / "results.json", "--out": folder / "report.html"}, {})
 
 
+@pytest.mark.parametrize("name", ["overlay.mp4", "frames.jsonl", "beam.png", "report.html"])
+def test_a_run_leaves_files_that_only_have_the_name_of_a_result(name: str, image: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text("mine")
+    refused = f"{out / name}: expected nothing there but earlier results of this command"
+    assert refused in complaint("run", image, "--out", out)
+    assert {path.name: path.read_text() for path in out.iterdir()} == {name: "mine"}
+
+
+def test_a_training_leaves_a_model_that_is_not_of_it(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "model.onnx").write_text("mine")
+    assert "model.onnx: expected nothing there" in complaint("train", tmp_path / "data", "--out", out)
+
+
 @pytest.mark.parametrize("name", ["config.toml", "summary.json"])
 def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
     """Such as the files of a training, or those of another program."""
@@ -373,7 +390,8 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
 
 
 def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
-    (tmp_path / "report.html").touch()
+    for name in ("frames.jsonl", "config.toml", "report.html"):
+        (tmp_path / name).touch()
     with OutputFolder(tmp_path) as folder:
         folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
     assert not (tmp_path / "report.html").exists()

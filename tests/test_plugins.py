@@ -129,6 +129,23 @@ def test_a_name_that_is_none_is_refused_with_its_field(folder: Path, name: str, 
         Pipeline(config)
 
 
+@pytest.mark.parametrize(
+    ("section", "field", "method"),
+    [("distance", "estimator", "estimate"), ("tracker", "method", "update"), ("beam", "policy", "command")],
+)
+@pytest.mark.parametrize("made", ["None", "object()"])
+def test_what_makes_no_stage_is_refused(folder: Path, section: str, field: str, method: str, made: str) -> None:
+    """A tracker of None would be a run without tracks, and so without any beam."""
+    write_module(folder, "makes_nothing", f"def stage(*_): return {made}\n")
+    path = folder / "car.toml"
+    path.write_text(f'[{section}]\n{field} = "makes_nothing:stage"\n')
+    config = read_config(path, preset("foreglow").commanding())
+    kind = "NoneType" if made == "None" else "object"
+    complaint = f"makes_nothing:stage: expected an object with the method {method}, got {kind}"
+    with pytest.raises(ValueError, match=rf"^{section}\.{field}: {complaint}"):
+        Pipeline(config)
+
+
 def test_every_kind_names_its_own_field() -> None:
     config = preset("foreglow")
     with pytest.raises(ValueError, match=r"^distance\.estimator: expected one of gp, .*road_surface, or module:Name"):

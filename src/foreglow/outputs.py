@@ -50,6 +50,13 @@ PARTS_OF = {
 }
 """By such a file, the files beside it that are lost if another command writes them."""
 
+BEGUN = {
+    RUN: ("times.jsonl", "config.toml", "summary.json"),
+    TRAINING: (TRAINING, "checkpoint.pt"),
+    TUNING: (TUNING, "study.journal"),
+}
+"""By such a file, the files by which an earlier one is known that may not be complete; of a run, beside the first."""
+
 WRITERS = {
     RUN: ("run", "beam", "live", "demo"),
     TRAINING: ("train",),
@@ -333,20 +340,31 @@ def check_replaceable(path: Path) -> None:
 
 
 def check_own(folder: Path, mark: str) -> None:
-    """Checks that a folder has no `config.toml` or `summary.json` but those of an earlier run, training or search.
+    """Checks that a folder has no file with the name of a result but those of an earlier run, training or search.
 
     Args:
-        folder: The folder, in which they are to be written.
+        folder: The folder, in which the results are to be written.
         mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
         ValueError: If it has one that something else wrote, which would be lost.
     """
-    for path in (folder / "config.toml", folder / "summary.json"):
-        if path.is_file() and not (folder / mark).exists():
+    if _has_earlier(folder, mark):
+        return
+    for path in (folder / name for name in PARTS_OF[mark]):
+        if path.is_file():
             raise ValueError(
                 f"{path}: expected nothing there but earlier results of this command; choose another folder"
             )
+
+
+def _has_earlier(folder: Path, mark: str) -> bool:
+    """Whether a folder has an earlier run, training or search, also one that was interrupted."""
+    if mark != RUN:
+        return any((folder / name).is_file() for name in BEGUN[mark])
+    is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
+    has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in BEGUN[RUN])
+    return is_begun or has_results or (folder / "results.json").is_file()
 
 
 def partial_path(path: Path) -> Path:

@@ -151,6 +151,7 @@ class Pipeline:
         self._stages.build()
         self._stopwatch = Stopwatch()
         self._lock = threading.Lock()
+        self._sequence: str | None = None
 
     @property
     def stage(self) -> str | None:
@@ -168,7 +169,7 @@ class Pipeline:
     def step(
         self, frame: Frame | NDArray[Any], *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()
     ) -> FrameResult:
-        """What the stages make of `frame`.
+        """What the stages make of `frame`; one of another sequence than the frame before begins with a `reset`.
 
         Args:
             frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
@@ -187,6 +188,9 @@ class Pipeline:
 
     def _step(self, frame: Frame, now_ns: Callable[[], int] | None, faults: Sequence[str]) -> FrameResult:
         stages = self._stages
+        if self._sequence not in (None, frame.sequence):  # sequences share no time axis
+            stages.reset()
+        self._sequence = frame.sequence
         stopwatch = self._stopwatch = Stopwatch()
         stopwatch.begin("proposals")
         proposals = stages.proposer.propose(frame.image)
@@ -232,6 +236,7 @@ class Pipeline:
         """
         with self._alone("reset"):
             self._stages.reset()
+            self._sequence = None
 
     @contextlib.contextmanager
     def _alone(self, method: str) -> Iterator[None]:

@@ -52,20 +52,26 @@ def find(field: str, name: str, table: Mapping[str, Entry], group: str) -> Entry
     return cast("Entry", imported(field, points[name].value))
 
 
-def make(field: str, name: str, table: Mapping[str, Callable[..., Entry]], group: str, *arguments: Any) -> Entry:
+def make(
+    field: str, name: str, table: Mapping[str, Callable[..., Entry]], group: str, *arguments: Any, method: str
+) -> Entry:
     """What the entry that `name` stands for makes of `arguments`.
 
     Raises:
-        ValueError: As `find`, or if what was plugged in does not take these arguments.
+        ValueError: As `find`, or if what was plugged in does not take these arguments, or makes something without the
+            method that its stage calls.
     """
     entry = find(field, name, table, group)
     if name in table:
         return entry(*arguments)
     try:
-        return entry(*arguments)
+        made = entry(*arguments)
     except TypeError as error:
         kinds = ", ".join(type(argument).__name__ for argument in arguments)
         raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words_of(error)}") from error
+    if not callable(getattr(made, method, None)):
+        raise ValueError(f"{field}: {name}: expected an object with the method {method}, got {type(made).__name__}")
+    return made
 
 
 def imported(field: str, target: str) -> Any:

@@ -328,7 +328,7 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
     Raises:
         ValueError: As `policy_class`, or if it cannot be made of these two.
     """
-    return make("beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps)
+    return make("beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps, method="command")
 
 
 def _is_coming(bearing: Bearing) -> bool:

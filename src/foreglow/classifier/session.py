@@ -89,6 +89,7 @@ def model_errors() -> tuple[type[Exception], ...]:
         errors.NoSuchFile,
         errors.NotImplemented,
         errors.RuntimeException,
+        UnicodeDecodeError,  # of the model's own names
     )
 
 

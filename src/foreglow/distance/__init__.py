@@ -57,4 +57,4 @@ def make_estimator(config: DistanceConfig) -> RangeEstimator:
     Raises:
         ValueError: If it names none, or one that cannot be imported.
     """
-    return make("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config)
+    return make("distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config, method="estimate")

@@ -39,4 +39,4 @@ def make_tracker(config: TrackerConfig) -> Tracker:
     Raises:
         ValueError: If it names none, or one that cannot be imported.
     """
-    return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config)
+    return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config, method="update")

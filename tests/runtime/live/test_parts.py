@@ -92,6 +92,16 @@ def test_book_of_faults() -> None:
     assert dict(book.counts) == {"gone": 1, "slow": 1, "failed": 1}
 
 
+def test_no_fault_ends_before_it_began() -> None:
+    """The clock of a replay goes back where a drive begins."""
+    now = [7]
+    book = FaultBook(lambda: now[0], ("camera",))
+    book.note("camera", ["gone"])
+    now[0] = 2
+    book.note("camera")
+    assert [(one.from_ns, one.until_ns) for one in book.events] == [(7, 7)]
+
+
 def test_book_keeps_no_more_than_it_says() -> None:
     book = FaultBook(lambda: 0, ())
     for _ in range(MAX_EVENTS + 10):

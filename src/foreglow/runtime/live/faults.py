@@ -71,7 +71,8 @@ class FaultBook:
                 return
             now_ns = self._now_ns()
             for name in [name for name in known if name not in names]:
-                known.pop(name).until_ns = now_ns
+                event = known.pop(name)
+                event.until_ns = max(now_ns, event.from_ns)  # the clock of a replay goes back where a drive begins
             for name in names:
                 if name not in known:
                     known[name] = FaultEvent(name, now_ns, detail=detail)

@@ -68,9 +68,11 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
     opened = _opened(text, options)
     if opened is not None:
         return opened
-    # A video goes on after damage, as a camera's stream does; an image or a recording that cannot be read is an error.
-    is_video = Path(text).exists() and format_of(Path(text)) == "video"
-    frames = open_source(text, topic=topic, on_error="mark" if is_video else "stop")
+    # A drive goes on after damage, as a camera's stream does; a recording that cannot be read is an error.
+    path = Path(text)
+    kind = format_of(path) if path.exists() else None
+    is_drive = kind == "video" or (kind != "recording" and path.is_dir())
+    frames = open_source(text, topic=topic, on_error="mark" if is_drive else "stop")
     return Paced(frames if options.data is None else Equipped(frames, options.data), speed)
 
 
