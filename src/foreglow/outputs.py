@@ -351,7 +351,7 @@ def check_own(folder: Path, mark: str) -> None:
     """
     if _has_earlier(folder, mark):
         return
-    for path in (folder / name for name in PARTS_OF[mark]):
+    for path in (folder / name for name in (*PARTS_OF[mark], "config.toml", "summary.json")):
         if path.is_file():
             raise ValueError(
                 f"{path}: expected nothing there but earlier results of this command; choose another folder"

@@ -34,13 +34,14 @@ def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
 
 
 def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None:
-    (tmp_path / "frames.jsonl").write_text("old")
+    for name in ("frames.jsonl", "config.toml"):
+        (tmp_path / name).write_text("old")
     folder = OutputFolder(tmp_path)
     folder.partial("frames.jsonl").unlink()
     with pytest.raises(FileNotFoundError, match=r"frames\.jsonl: expected what was written so far, it was removed"):
         folder.publish(REFERENCE, SUMMARY)
     folder.discard()
-    assert contents(tmp_path) == {"frames.jsonl": "old"}
+    assert contents(tmp_path) == {"frames.jsonl": "old", "config.toml": "old"}
 
 
 def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.status import Status
 
-from foreglow.display.summary_lines import beam_lines
+from foreglow.display.summary_lines import beam_lines, counted
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import FaultEvent, LiveSummary
 from foreglow.types import BeamMode, Frame, FrameResult
@@ -76,6 +76,8 @@ def live_lines(summary: LiveSummary) -> list[str]:
     if run.beam is not None:
         lines += beam_lines(run.beam, run.num_frames)
     lines += [_event_line(event) for event in summary.faults]
+    if run.num_skipped:
+        lines.append(f"{counted(run.num_skipped, 'unreadable frame')} skipped, the first: {run.skipped[0]}")
     if summary.num_unrecorded:
         lines.append(f"{summary.num_unrecorded} results were not recorded: the recording could not keep up")
     lines += [f"not recorded: {error}" for error in summary.sink_errors]
