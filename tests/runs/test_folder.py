@@ -41,7 +41,7 @@ def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None
     with pytest.raises(FileNotFoundError, match=r"frames\.jsonl: expected what was written so far, it was removed"):
         folder.publish(REFERENCE, SUMMARY)
     folder.discard()
-    assert contents(tmp_path) == {"frames.jsonl": "old", "config.toml": "old"}
+    assert contents(tmp_path) == {"frames.jsonl": "old"}
 
 
 def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path: Path) -> None:
