@@ -18,7 +18,7 @@ from foreglow.files import open_atomic
 from foreglow.outputs import FolderLock, check_outputs, locked, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
-from tests.cli.commands import PNG, complaint, foreglow_command
+from tests.cli.commands import PNG, complaint, foreglow_command, names
 from tests.stand_ins import REFERENCE
 
 
@@ -187,6 +187,93 @@ def test_files_that_a_configuration_names_are_inputs_too(image: Path, tmp_path: 
     assert model.read_text(encoding="utf-8") == "a model"
 
 
+@pytest.fixture
+def drive(image: Path, tmp_path: Path) -> Path:
+    """A folder of two images, of which there is a run in `run`."""
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for name in ("1.png", "2.png"):
+        (folder / name).write_bytes(image.read_bytes())
+    result = foreglow_command("run", folder, "--out", tmp_path / "run")
+    assert result.exit_code == 0, result.stderr
+    return folder
+
+
+def test_what_a_run_was_made_from_is_an_input_too(drive: Path, tmp_path: Path) -> None:
+    run, before = tmp_path / "run", (drive / "1.png").read_bytes()
+    written = drive / "1.png"
+    refused = f"{written}: expected a file that does not overwrite a part of the source of"
+    results = run / "frames.jsonl"
+    for words in (
+        ("report", run, "--out"),
+        ("beam", run, "--out", tmp_path / "beam", "--save"),
+        ("evaluate", tmp_path / "new", "--predictions", results, "--json"),
+        ("labels", "export", tmp_path / "elsewhere", "--run", run, "--out"),
+        ("run", tmp_path / "other", "--config", run / "config.toml", "--out", tmp_path / "new", "--record"),
+    ):
+        assert refused in complaint(*words, written)
+    assert "expected another folder for the results than the source of" in complaint("beam", run, "--out", drive)
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / "summary.json").write_text(json.dumps({"source": str(run)}))
+    assert "a part of the source of the source of" in complaint("report", copy, "--out", written)
+    assert written.read_bytes() == before
+    assert names(drive) == {"1.png", "2.png"}
+
+
+def test_files_of_the_configuration_of_a_run_are_inputs_too(drive: Path, tmp_path: Path) -> None:
+    run, model = tmp_path / "run", tmp_path / "model.html"
+    model.write_text("a model")
+    (run / "config.toml").write_text(f"[classifier]\nmodel = {str(model)!r}\n")
+    assert "expected a file that does not overwrite" in complaint("report", run, "--out", model)
+    assert drive.is_dir()
+
+
+def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(tmp_path: Path) -> None:
+    sequence, labels = tmp_path / "split" / "images" / "S00001", tmp_path / "split" / "labels"
+    for folder in (sequence, labels):
+        folder.mkdir(parents=True)
+    (labels / "sequences.mcap").touch()
+    words = ("run", sequence, "--out", tmp_path / "out", "--record", labels / "sequences.mcap")
+    assert "does not overwrite a part of the labels of SOURCE" in complaint(*words)
+    scene = tmp_path / "scene.mcap"
+    scene.touch()
+    assert "does not overwrite SOURCE" in complaint("live", f"simulate:{scene}", "--record", scene)
+
+
+def test_a_folder_that_nobody_named_overwrites_no_input(image: Path, tmp_path: Path) -> None:
+    """`run` makes it beside the source; an earlier run in it may be where the configuration is from."""
+    assert foreglow_command("run", image).exit_code == 0
+    config = tmp_path / "image_foreglow" / "config.toml"
+    before = config.read_bytes()
+    assert "expected a folder whose results do not overwrite --config" in complaint("run", image, "--config", config)
+    assert config.read_bytes() == before
+
+
+def test_a_file_of_another_kind_is_not_overwritten(image: Path, drive: Path, tmp_path: Path) -> None:
+    """It need not be an input: the image beside labels, or anything else of the user's."""
+    before, run = image.read_bytes(), tmp_path / "run"
+    for words, ending in (
+        (("report", run, "--out"), r".html"),
+        (("record", drive, "--out"), ".mcap"),
+        (("labels", "export", drive, "--out"), ".xml or .json"),
+        (("evaluate", drive, "--json"), ".json"),
+    ):
+        refused = f"{image}: expected a new file, or an earlier one whose name ends with {ending}"
+        assert refused in complaint(*words, image)
+    assert image.read_bytes() == before
+    for name in ("page.html", "new"):
+        assert foreglow_command("report", run, "--out", tmp_path / name).exit_code == 0
+    assert foreglow_command("report", run, "--out", tmp_path / "page.html").exit_code == 0
+
+
+def test_a_picture_beside_a_calibration_that_is_not_there(image: Path, drive: Path) -> None:
+    before = image.read_bytes()
+    words = ("calibrate", "auto", drive, "--fov", 50, "--out", image.with_suffix(".toml"))
+    assert f"{image}: expected no picture there" in complaint(*words)
+    assert image.read_bytes() == before
+
+
 def test_every_one_of_several_inputs_counts(tmp_path: Path) -> None:
     scenes = [tmp_path / "out" / "scenes.jsonl", tmp_path / "other.toml"]
     scenes[0].parent.mkdir()
@@ -262,6 +349,23 @@ def test_a_part_of_a_result_that_is_not_read(tmp_path: Path) -> None:
         check_outputs({}, {"--json": folder / "results.json", "--out": folder / "report.html"}, {})
 
 
+@pytest.mark.parametrize("name", ["overlay.mp4", "frames.jsonl", "beam.png", "report.html"])
+def test_a_run_leaves_files_that_only_have_the_name_of_a_result(name: str, image: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text("mine")
+    refused = f"{out / name}: expected nothing there but earlier results of this command"
+    assert refused in complaint("run", image, "--out", out)
+    assert {path.name: path.read_text() for path in out.iterdir()} == {name: "mine"}
+
+
+def test_a_training_leaves_a_model_that_is_not_of_it(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "model.onnx").write_text("mine")
+    assert "model.onnx: expected nothing there" in complaint("train", tmp_path / "data", "--out", out)
+
+
 @pytest.mark.parametrize("name", ["config.toml", "summary.json"])
 def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
     """Such as the files of a training, or those of another program."""
@@ -286,7 +390,8 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
 
 
 def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
-    (tmp_path / "report.html").touch()
+    for name in ("frames.jsonl", "config.toml", "report.html"):
+        (tmp_path / name).touch()
     with OutputFolder(tmp_path) as folder:
         folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
     assert not (tmp_path / "report.html").exists()

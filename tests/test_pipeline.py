@@ -44,6 +44,21 @@ def test_same_results_twice_and_in_any_company() -> None:
     assert any(boxes for _, _, boxes, *_ in first)
 
 
+def test_frame_by_frame_is_as_a_run() -> None:
+    """Also where another sequence begins, of which nobody told the pipeline, and whose times go on."""
+    drive = shipped_frames(0, 40)
+    other = [replace(frame, sequence="other", timestamp_ns=frame.timestamp_ns + 40 * 10**9 // 18) for frame in drive]
+    config = preset("foreglow").commanding(policy="high")
+    stepping, running = Pipeline(config), Pipeline(config)
+    stepped = [stepping.step(frame) for frame in [*drive, *other]]
+    assert [identity(result) for result in stepped] == [identity(result) for result in running.run([*drive, *other])]
+    before, first = stepped[39].beam, stepped[40].beam
+    assert before is not None
+    assert first is not None
+    assert before.levels.max() > 0.0
+    assert first.levels.max() == 0.0
+
+
 def test_plain_array_equals_its_frame() -> None:
     image = night_image(3)
     assert identity(Pipeline(REFERENCE).step(image)) == identity(Pipeline(REFERENCE).step(Frame(image, 0)))

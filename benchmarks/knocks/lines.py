@@ -32,7 +32,11 @@ live @images --speed 0 --out out --save out/summary.json
 evaluate @night/val --predictions @predictions.jsonl --out out --json out/results.json
 evaluate @night/val --predictions @of_split/frames.jsonl --json @of_split/summary.json
 evaluate @night/val --predictions @of_split/frames.jsonl --json @of_split/config.toml
-calibrate convert @camera.toml --out @results/config.toml --mount-forward 1 --mount-height 1"""
+calibrate convert @camera.toml --out @results/config.toml --mount-forward 1 --mount-height 1
+calibrate convert @camera.toml --out @night.mp4 --mount-forward 1 --mount-height 1
+report @results --out @night.mp4
+beam @results --out out --save @night.mp4
+evaluate @night/val --predictions @predictions.jsonl --json @night.png"""
 """Command lines of which an output is an input, holds one or lies in one."""
 
 OWN_TRACKER = "class Own:\n    def __init__(self, *_): {}\n    def reset(self): {}\n    def update(self, *_): {}\n"

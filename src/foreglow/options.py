@@ -14,7 +14,6 @@ hello there
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import inspect
@@ -31,7 +30,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from typer.models import OptionInfo
 
-from foreglow.outputs import check_outputs, exists, locked, running
+from foreglow.inputs import named_by
+from foreglow.outputs import check_kinds, check_outputs, exists, locked, running
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -83,9 +83,14 @@ def file(text: str, *names: str, metavar: str = "FILE") -> Any:
     return option(metavar, text, *names, readable=False)
 
 
-def output_file(text: str, *names: str, metavar: str = "FILE", **settings: Any) -> Any:
-    """An option with a file to write, and its help: the command may not read the same file."""
-    return _with_role(option(metavar, text, *names, readable=False, **settings), "output file")
+def output_file(text: str, suffixes: tuple[str, ...], *names: str, metavar: str = "FILE", **settings: Any) -> Any:
+    """An option with a file to write, and its help: the command may not read the same file.
+
+    A file that is there already is overwritten only if its name ends with one of `suffixes`.
+    """
+    made = _with_role(option(metavar, text, *names, readable=False, **settings), "output file")
+    made.suffixes = suffixes
+    return made
 
 
 def folder(text: str, *names: str) -> Any:
@@ -131,9 +136,13 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             _labelled((_label(name, infos[name][0]), path) for name, path in _paths(values, roles, role))
             for role in ("input", "output file", "output folder")
         )
-        inputs |= _named_in(inputs)
-        with running(_command_of(function)):
+        inputs |= named_by(inputs)
+        suffixes = {
+            _label(name, info[0]): info[0].suffixes for name, info in infos.items() if roles[name] == "output file"
+        }
+        with running(_command_of(function), inputs):
             check_outputs(inputs, files, folders)
+            check_kinds(files, suffixes)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
             with locked(folders):
@@ -158,7 +167,7 @@ def _paths(values: dict[str, Any], roles: dict[str, str], role: str) -> Iterator
             continue
         for path in value if isinstance(value, list | tuple) else [value]:
             if isinstance(path, str) and role == "input":
-                path = Path(path)
+                path = Path(path.removeprefix("simulate:"))
             if isinstance(path, Path) and (role != "input" or exists(path)):
                 yield name, path
 
@@ -171,32 +180,6 @@ def _labelled(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
         counts[label] += 1
         found[label if counts[label] == 1 else f"{label} ({counts[label]})"] = path
     return found
-
-
-def _named_in(inputs: Mapping[str, Path]) -> dict[str, Path]:
-    """The files that TOML files among the inputs name, such as the model of a configuration; they are read, too."""
-    found: dict[str, Path] = {}
-    for label, path in inputs.items():
-        if path.suffix.lower() == ".toml" and path.is_file():
-            from foreglow.files import read_toml
-
-            with contextlib.suppress(ValueError, OSError):  # its reader will say what is wrong
-                for text in _texts(read_toml(path)):
-                    named = {f"{text!r} of {label}": Path(text), f"{text!r} beside {label}": path.parent / text}
-                    found |= {name: each for name, each in named.items() if exists(each) and each.is_file()}
-    return found
-
-
-def _texts(value: object) -> Iterator[str]:
-    """All texts in what a TOML file holds."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for part in value.values():
-            yield from _texts(part)
-    elif isinstance(value, list):
-        for part in value:
-            yield from _texts(part)
 
 
 def _label(name: str, info: Any) -> str:
@@ -238,8 +221,9 @@ AUTO = Path("auto")
 
 LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
+RECORDING_SUFFIXES = (".mcap",)
 RECORD_HELP = "Also record everything as MCAP, for replay and for Foxglove."
-RecordOption = Annotated[Path | None, output_file(RECORD_HELP)]
+RecordOption = Annotated[Path | None, output_file(RECORD_HELP, RECORDING_SUFFIXES)]
 SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
 PaperModelOption = Annotated[
     Path | None,
@@ -409,7 +393,7 @@ class ViewOptions:
 
     view: Annotated[bool, flag("--view", "Show the run in a window of the Rerun viewer.")] = False
     save: Annotated[
-        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.")
+        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.", (".rrd",))
     ] = None
 
 

@@ -50,6 +50,13 @@ PARTS_OF = {
 }
 """By such a file, the files beside it that are lost if another command writes them."""
 
+BEGUN = {
+    RUN: ("times.jsonl", "config.toml", "summary.json"),
+    TRAINING: (TRAINING, "checkpoint.pt"),
+    TUNING: (TUNING, "study.journal"),
+}
+"""By such a file, the files by which an earlier one is known that may not be complete; of a run, beside the first."""
+
 WRITERS = {
     RUN: ("run", "beam", "live", "demo"),
     TRAINING: ("train",),
@@ -70,8 +77,8 @@ MAX_RECORD_BYTES = 64 << 20
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
 
-_COMMANDS: list[str] = []
-"""The command that this process runs."""
+_COMMANDS: list[tuple[str, Mapping[str, Path]]] = []
+"""The command that this process runs, and what it reads."""
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -156,9 +163,9 @@ class FolderLock:
 
 
 @contextlib.contextmanager
-def running(command: str) -> Iterator[None]:
-    """While the block lasts, this process runs `command`, such as `experiment glare`."""
-    _COMMANDS.append(command)
+def running(command: str, inputs: Mapping[str, Path] | None = None) -> Iterator[None]:
+    """While the block lasts, this process runs `command`, such as `experiment glare`, which reads `inputs`."""
+    _COMMANDS.append((command, inputs or {}))
     try:
         yield
     finally:
@@ -167,7 +174,7 @@ def running(command: str) -> Iterator[None]:
 
 def running_command() -> str | None:
     """The command that this process runs; None where it is a program of the user's own."""
-    return _COMMANDS[-1] if _COMMANDS else None
+    return _COMMANDS[-1][0] if _COMMANDS else None
 
 
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
@@ -218,6 +225,29 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, second in written[:index]:
             if _is_same(path, second):
                 raise ValueError(f"{name} {path}: expected another file than that of {other}")
+
+
+def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
+    """Checks that what is to be overwritten is a file of the kind that is written, by the end of its name.
+
+    So a video or an image that no command names is safe, too.
+
+    Args:
+        files: By option, files to write.
+        suffixes: By option, how the names of such files end.
+
+    Raises:
+        ValueError: If a file is there whose name ends otherwise.
+    """
+    for name, path in files.items():
+        if path.is_file() and path.suffix.lower() not in suffixes[name]:
+            ends = " or ".join(suffixes[name])
+            raise ValueError(f"{name} {path}: expected a new file, or an earlier one whose name ends with {ends}")
+
+
+def check_unnamed_outputs(files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
+    """As `check_outputs`, for outputs of the running command to which it gave names itself."""
+    check_outputs(_COMMANDS[-1][1] if _COMMANDS else {}, files, folders)
 
 
 @contextlib.contextmanager
@@ -310,20 +340,31 @@ def check_replaceable(path: Path) -> None:
 
 
 def check_own(folder: Path, mark: str) -> None:
-    """Checks that a folder has no `config.toml` or `summary.json` but those of an earlier run, training or search.
+    """Checks that a folder has no file with the name of a result but those of an earlier run, training or search.
 
     Args:
-        folder: The folder, in which they are to be written.
+        folder: The folder, in which the results are to be written.
         mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
         ValueError: If it has one that something else wrote, which would be lost.
     """
-    for path in (folder / "config.toml", folder / "summary.json"):
-        if path.is_file() and not (folder / mark).exists():
+    if _has_earlier(folder, mark):
+        return
+    for path in (folder / name for name in (*PARTS_OF[mark], "config.toml", "summary.json")):
+        if path.is_file():
             raise ValueError(
                 f"{path}: expected nothing there but earlier results of this command; choose another folder"
             )
+
+
+def _has_earlier(folder: Path, mark: str) -> bool:
+    """Whether a folder has an earlier run, training or search, also one that was interrupted."""
+    if mark != RUN:
+        return any((folder / name).is_file() for name in BEGUN[mark])
+    is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
+    has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in BEGUN[RUN])
+    return is_begun or has_results or (folder / "results.json").is_file()
 
 
 def partial_path(path: Path) -> Path:

@@ -39,6 +39,7 @@ NAMES = {
     "black": {GuardFault.BLACK},
     "white": {GuardFault.SATURATED},
     "half stuck": {GuardFault.DAMAGED, GuardFault.FROZEN},
+    "quarter dark": {GuardFault.DAMAGED},
     "rows repeated": {GuardFault.DAMAGED},
     "cut JPEG": {GuardFault.DAMAGED},
 }
@@ -67,6 +68,17 @@ def test_low_beam_with_the_second_wrong_image(drive: list[Image], fault: str, co
     assert not any(faults[:NUM_GOOD])
     assert set(faults[NUM_GOOD + 1]) & NAMES[fault]
     assert all(faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("value", [0, 8, 128])
+@pytest.mark.parametrize("width", [0.25, 0.5])
+def test_a_part_filled_with_one_value(drive: list[Image], width: float, value: int) -> None:
+    good, later = drive[:NUM_GOOD], [image.copy() for image in drive[NUM_GOOD:]]
+    for image in later:
+        image[: image.shape[0] // 2, : round(width * image.shape[1])] = value
+    faults = faults_of([*good, *later])
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
 
 
 @pytest.fixture(scope="module")

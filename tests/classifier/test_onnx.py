@@ -24,6 +24,15 @@ IMAGE = np.random.default_rng(0).integers(0, 256, (120, 160)).astype(np.uint8)
 SIZE_PX = 16
 
 
+def test_a_model_whose_names_are_no_text(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "model.onnx")
+    data = path.read_bytes()
+    assert data.count(b"crops") > 1
+    path.write_bytes(data.replace(b"crops", b"\x8arops"))
+    with pytest.raises(ValueError, match=r"model\.onnx: expected an ONNX model that can be run: .*decode"):
+        OnnxClassifier(ClassifierConfig(model=path))
+
+
 def proposals(count: int) -> Proposals:
     random = np.random.default_rng(count)
     corners = random.integers(0, 100, (count, 2))

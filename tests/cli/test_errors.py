@@ -217,12 +217,14 @@ def test_our_own_cameras_are_no_plug_ins() -> None:
 def test_a_plug_in_that_lacks_a_method(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     importlib.invalidate_caches()
-    Path("silent_tracker.py").write_text("class Silent:\n    def __init__(self, config): pass\n", encoding="utf-8")
+    Path("silent_tracker.py").write_text(
+        "class Silent:\n    def __init__(self, config): self.update = print\n", encoding="utf-8"
+    )
     Path("own.toml").write_text('[tracker]\nmethod = "silent_tracker:Silent"\n', encoding="utf-8")
     cv2.imwrite("image.png", np.zeros((64, 96), np.uint8))
     result = foreglow_command("run", "image.png", "--out", "out", "--config", "own.toml")
     assert result.exit_code == 2
-    assert "silent_tracker:Silent: the plug-in raised AttributeError: 'Silent' object has no" in result.stderr
+    assert "silent_tracker:Silent: expected a class, or what makes an object, with the methods" in result.stderr
 
 
 def test_a_plug_in_that_ends_the_program_when_it_is_imported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

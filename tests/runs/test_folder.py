@@ -34,7 +34,8 @@ def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
 
 
 def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None:
-    (tmp_path / "frames.jsonl").write_text("old")
+    for name in ("frames.jsonl", "config.toml"):
+        (tmp_path / name).write_text("old")
     folder = OutputFolder(tmp_path)
     folder.partial("frames.jsonl").unlink()
     with pytest.raises(FileNotFoundError, match=r"frames\.jsonl: expected what was written so far, it was removed"):

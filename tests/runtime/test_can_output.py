@@ -45,6 +45,18 @@ def read(path: Path, suffix: str) -> list[Any]:
         return list(log)
 
 
+@pytest.mark.parametrize("suffix", [".blf", ".log"])
+def test_times_that_are_no_dates(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"beam{suffix}"
+    sink = CanLogSink(path)
+    for number in range(2):
+        sink.write(*result_at(10_000 * 10**9 + number * PERIOD))
+    sink.close()
+    found = read(path, suffix)
+    assert found[0].timestamp == pytest.approx(10_000.0, abs=1e-3)
+    assert found[-1].timestamp == pytest.approx(10_000.0 + PERIOD / 1e9, abs=1e-3)
+
+
 @pytest.mark.parametrize("suffix", LOG_SUFFIXES)
 def test_log_comes_back(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"beam{suffix}"

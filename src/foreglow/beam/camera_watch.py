@@ -63,6 +63,11 @@ FLAT_SHARE = 0.25
 """Damage: so many more rows of a single value than in any of the recent images. Measured: 0 in moving images, but where
 it suddenly becomes dark in one of 320x240 at 0.045 bits a pixel, which may be taken for damage; missing halves .4."""
 
+FLAT_PIECES_SHARE, NOISY_FLAT_SHARE = 0.04, 0.02
+"""Damage: in two images in a row more pieces of rows of a single value than this, where no recent image had more than
+the second number: each had noise. Measured: such streams rise by .006 at most in one image when moving; where noise is
+not transmitted, dark areas are flat without any damage."""
+
 PAIR_SHARES = np.array([[0.85], [0.5]])
 """Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
 Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
@@ -220,6 +225,8 @@ class _Damage:
     def _forget(self) -> None:
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat_pieces: deque[float] = deque(maxlen=NUM_RECENT)
+        self._has_flat_pieces = False
         self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._has_pairs = False
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
@@ -235,6 +242,10 @@ class _Damage:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
+        had_flat_pieces, self._has_flat_pieces = self._has_flat_pieces, False
+        if len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE:
+            self._has_flat_pieces = change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
+            is_unusual |= had_flat_pieces and self._has_flat_pieces
         had_pairs, self._has_pairs = self._has_pairs, False
         if len(self._pair_ratios) == NUM_RECENT:
             are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
@@ -249,6 +260,8 @@ class _Damage:
             self._repeated.append(change.share_repeated)
             self._flat.append(change.share_flat_rows)
             self._one_value.append(one_value)
+            if not self._has_flat_pieces:
+                self._flat_pieces.append(change.share_flat_pieces)
             if not self._has_pairs:
                 self._pair_ratios.append(change.pair_ratios)
             if self._latest_shares is not None:  # one image later, as the first one with a stuck part is not usual

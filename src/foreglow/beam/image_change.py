@@ -20,6 +20,9 @@ from foreglow.types import Image
 GRID_PX = 16
 """Video encoders code squares of this size (H.264's macroblock; H.265's and MJPEG's units are multiples or halves)."""
 
+NUM_PIECES = 8
+"""Into so many pieces a row is cut, to see whether one is flat."""
+
 NUM_COLUMNS = 160
 """About so many columns are compared from row to row."""
 
@@ -35,6 +38,7 @@ class ImageChange:
         share_repeated: Share of the rows, every eighth of them, that are the same as the row below. Noise makes no two
             rows of a camera alike, but where all is black.
         share_flat_rows: Share of the same rows in which all pixels have one value, as where a decoder fills in black.
+        share_flat_pieces: The same, of eighths of these rows.
         pair_ratios: Shape (2, 2), how much the rows of a pair differ over how much neighbouring pairs do: by absolute
             and by squared differences, for pairs that begin with an even and with an odd row. Near 1 for any camera; a
             row that repeats the one above stays like it behind an encoder.
@@ -48,6 +52,7 @@ class ImageChange:
     tile_shares: NDArray[np.float64]
     share_repeated: float
     share_flat_rows: float
+    share_flat_pieces: float
     pair_ratios: NDArray[np.float64]
     share_new_edges: float
     edge_deviations: float
@@ -69,22 +74,30 @@ class ImageComparer:
         change = self._comparer.compare(adjacent)
         if change is None:
             return None
+        share_flat_rows, share_flat_pieces = _flat_shares(adjacent)
         num_new = change.num_edges - change.num_other_edges
         return ImageChange(
             strongest=change.strongest,
             share_changed=change.num_changed / change.num_samples,
             tile_shares=change.tiles,
             share_repeated=change.num_repeated_rows / max(1, change.num_rows),
-            share_flat_rows=_share_flat_rows(adjacent),
+            share_flat_rows=share_flat_rows,
+            share_flat_pieces=share_flat_pieces,
             pair_ratios=_pair_ratios(adjacent),
             share_new_edges=num_new / max(1, image.size // GRID_PX**2),
             edge_deviations=num_new / math.sqrt(max(1, change.num_edges + change.num_other_edges)),
         )
 
 
-def _share_flat_rows(image: Image) -> float:
-    rows = image[4::8]
-    return float(np.mean(rows.max(axis=1) == rows.min(axis=1))) if len(rows) else 0.0
+def _flat_shares(image: Image) -> tuple[float, float]:
+    """Shares of every eighth row, and of eighths of these rows, in which all pixels have one value."""
+    rows, width = image[4::8], image.shape[1]
+    if not len(rows):
+        return 0.0, 0.0
+    starts = np.arange(NUM_PIECES if width >= NUM_PIECES else 1) * width // NUM_PIECES
+    greatest, least = np.maximum.reduceat(rows, starts, axis=1), np.minimum.reduceat(rows, starts, axis=1)
+    is_flat_row = greatest.max(axis=1) == least.min(axis=1)
+    return float(np.mean(is_flat_row)), float(np.mean(greatest == least))
 
 
 def _pair_ratios(image: Image) -> NDArray[np.float64]:

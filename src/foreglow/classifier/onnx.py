@@ -52,8 +52,11 @@ class OnnxClassifier:
         self.config = config
         self._path = model_path(config.model)
         self._session = open_session(self._path, config.num_threads, config.device)
-        self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
-        self._outputs = [_checked_output(self._path, self._session)]
+        try:
+            self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
+            self._outputs = [_checked_output(self._path, self._session)]
+        except model_errors() as error:
+            raise unusable(self._path, error) from error
         self._maker = InputMaker(self.spec)
 
     def reset(self) -> None:

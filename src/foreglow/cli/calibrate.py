@@ -20,7 +20,7 @@ from foreglow.options import (
     size_from,
     with_options,
 )
-from foreglow.outputs import check_outputs
+from foreglow.outputs import check_unnamed_outputs
 
 calibrate = typer.Typer(
     no_args_is_help=True, help="Check a calibration file on an image, convert one, or make one from a drive."
@@ -33,7 +33,7 @@ app.add_typer(calibrate, name="calibrate")
 def check(
     camera: Annotated[Path, argument("CAMERA", "Calibration (TOML).")],
     image: Annotated[Path, argument("IMAGE", "An image that the camera took.")],
-    out: Annotated[Path, output_file("PNG file to write.")],
+    out: Annotated[Path, output_file("PNG file to write.", (".png",))],
 ) -> None:
     """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and print the calibration in words."""
     from foreglow.calibration import read_calibration
@@ -49,10 +49,12 @@ def check(
 @with_options
 def auto(
     source: SourceArgument,
-    out: Annotated[Path, output_file("TOML file to write.")],
+    out: Annotated[Path, output_file("TOML file to write.", (".toml",))],
     lens: LensOptions,
     reading: SourceOptions,
-    picture: Annotated[Path | None, output_file("PNG file to write (default: beside the TOML file).")] = None,
+    picture: Annotated[
+        Path | None, output_file("PNG file to write (default: beside the TOML file).", (".png",))
+    ] = None,
 ) -> None:
     """Calibrate a camera from a drive: where lanes and lights vanish, with standard deviations, and what stands still.
 
@@ -60,7 +62,9 @@ def auto(
     """
     if picture is None:
         picture = out.with_suffix(".png")
-        check_outputs({"SOURCE": source}, {"--picture": picture}, {})
+        check_unnamed_outputs({"--picture": picture}, {})
+        if picture.exists() and not out.exists():
+            raise ValueError(f"{picture}: expected no picture there, as there is no {out} yet; name one with --picture")
     found = calibrate_source(source, reading, lens)
     write_calibration(found, out, picture)
     typer.echo("\n".join([*calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]))
@@ -70,7 +74,7 @@ def auto(
 @with_options
 def convert(
     source: Annotated[Path, argument("FILE", "Calibration in the format of KITTI (.txt) or ROS (.yaml), or TOML.")],
-    out: Annotated[Path, output_file("TOML file to write.")],
+    out: Annotated[Path, output_file("TOML file to write.", (".toml",))],
     mount_forward: Annotated[
         float, option("M", "Position of the camera: metres in front of the rear axle.", min=-20.0, max=20.0)
     ],

@@ -50,7 +50,7 @@ def evaluate(
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
     json_file: Annotated[
         Path | None,
-        output_file("Also write the figures of the table, and those by whose light, as JSON.", "--json"),
+        output_file("Also write the figures of the table, and those by whose light, as JSON.", (".json",), "--json"),
     ] = None,
     robustness: Annotated[
         bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")

@@ -22,7 +22,7 @@ app.add_typer(labels, name="labels")
 @with_options
 def export(
     source: Annotated[Path, argument("SOURCE", "Labelled images; with --run, what the run was made from.")],
-    out: Annotated[Path, output_file("File to write: .xml for CVAT, else .json.")],
+    out: Annotated[Path, output_file("File to write: .xml for CVAT, else .json.", (".xml", ".json"))],
     name: Annotated[str, option("cvat|cvat-video|coco|label-studio", "Format of the file.", "--format")] = "cvat",
     run: Annotated[
         Path | None, file("Write what this run found instead of labels, to be corrected.", metavar="RUN")

@@ -14,6 +14,7 @@ from foreglow.cli.beam import lamp_bus
 from foreglow.cli.shared_run import recording_sinks, viewer_sinks
 from foreglow.options import (
     RECORD_HELP,
+    RECORDING_SUFFIXES,
     BeamOptions,
     CaptureOptions,
     LimitOption,
@@ -65,7 +66,7 @@ def live(
         str | None, option("CHANNEL", "With a camera: CAN bus with the motion of the car and the road.")
     ] = None,
     out: Annotated[Path | None, folder("Also write results, summary and faults to this folder.")] = None,
-    record: Annotated[Path | None, output_file(RECORD_HELP, callback=_dated)] = None,
+    record: Annotated[Path | None, output_file(RECORD_HELP, RECORDING_SUFFIXES, callback=_dated)] = None,
     topic: TopicOption = None,
     limit: LimitOption = None,
     speed: Annotated[

@@ -16,7 +16,9 @@ from foreglow.options import argument, output_file, with_options
 @with_options
 def report(
     run: Annotated[Path, argument("RUN", "Folder of `run`, `beam` or `live`.")],
-    out: Annotated[Path | None, output_file("File to write (default: RUN/report.html).", metavar="FILE.html")] = None,
+    out: Annotated[
+        Path | None, output_file("File to write (default: RUN/report.html).", (".html",), metavar="FILE.html")
+    ] = None,
 ) -> None:
     """Write an HTML page about RUN: tracks, ranges, beam and faults over time, key moments, run-times."""
     from foreglow.lab.reports.figures import require_matplotlib

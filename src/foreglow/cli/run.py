@@ -24,6 +24,7 @@ from foreglow.cli.shared_run import (
 )
 from foreglow.options import (
     AUTO,
+    RECORDING_SUFFIXES,
     LensOptions,
     PipelineOptions,
     RecordOption,
@@ -37,7 +38,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
-from foreglow.outputs import check_outputs
+from foreglow.outputs import check_unnamed_outputs
 
 if TYPE_CHECKING:
     from foreglow.runtime import OutputFolder, ResultSink
@@ -70,7 +71,7 @@ def run(
     if out is None:
         out = folder_beside(source)
         files = {"--record": record, "--save": viewer.save}
-        check_outputs({}, {name: path for name, path in files.items() if path is not None}, {"the folder": out})
+        check_unnamed_outputs({name: path for name, path in files.items() if path is not None}, {"the folder": out})
     if vehicle.calibration == AUTO:
         vehicle = calibrated(source, out, reading, vehicle, lens)
     elif lens != LensOptions():
@@ -102,7 +103,7 @@ def run(
 @with_options
 def record(
     source: SourceArgument,
-    out: Annotated[Path, output_file("The recording: FILE.mcap.")],
+    out: Annotated[Path, output_file("The recording: FILE.mcap.", RECORDING_SUFFIXES)],
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,

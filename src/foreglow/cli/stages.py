@@ -25,7 +25,7 @@ from foreglow.options import (
 @with_options
 def stages(
     source: SourceArgument,
-    out: Annotated[Path, output_file("PNG file to write.")],
+    out: Annotated[Path, output_file("PNG file to write.", (".png",))],
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,

@@ -71,7 +71,7 @@ def yolo_train(
 def yolo_predict(
     trained: Annotated[Path, argument("RUN", "Folder of a finished `yolo train`.")],
     split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
-    out: Annotated[Path, output_file("The predictions to write, JSON for `evaluate --predictions`.")],
+    out: Annotated[Path, output_file("The predictions to write, JSON for `evaluate --predictions`.", (".json",))],
 ) -> None:
     """Write what a trained YOLO finds in a split."""
     from foreglow.datasets import open_labelled

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
+from foreglow.datasets.vehicle_logs.can_writing import keep_times
 from foreglow.files import naming, open_atomic
 from foreglow.plugins import words_of
 from foreglow.runtime.time_axis import TimeAxis
@@ -52,7 +53,7 @@ class CanLogSink:
         if kind not in LOG_SUFFIXES:
             raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {kind!r}")
         self._path = path
-        self._axis = TimeAxis()
+        self._axis, self._has_frames = TimeAxis(), False
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
         self._closing = contextlib.ExitStack()
         file: Any = self._closing.enter_context(open_atomic(path))
@@ -73,6 +74,9 @@ class CanLogSink:
             time_ns = self._axis.time_ns(frame)
             beam = dataclasses.replace(result.beam, timestamp_ns=time_ns)
             with naming(self._path):
+                if not self._has_frames:
+                    keep_times(self._log, time_ns / 1e9)
+                    self._has_frames = True
                 for message in _messages(self._encoder.frames(beam), time_ns):
                     self._log(message)
 

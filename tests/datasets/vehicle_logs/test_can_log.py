@@ -60,6 +60,16 @@ def test_times_since_1970(tmp_path: Path, suffix: str) -> None:
     assert read_can_log(path).first_ns == pytest.approx(begin_ns, abs=MS)
 
 
+@pytest.mark.parametrize("suffix", [".blf", ".log"])
+@pytest.mark.parametrize("begin_s", [0.3, 10_000.0, 631_151_999.0, 631_152_000.0])
+def test_times_that_are_no_dates(tmp_path: Path, suffix: str, begin_s: float) -> None:
+    """Such as seconds since the car was started: a log that seems to begin at 0 belongs to other frames."""
+    path, begin_ns = tmp_path / f"drive{suffix}", round(begin_s * 1e9)
+    write_can_log(path, [], [(begin_ns + k * TENTH, EgoMotion(10.0 + k, 0.0)) for k in range(5)])
+    log = read_can_log(path)
+    assert (log.first_ns, log.last_ns) == pytest.approx((begin_ns, begin_ns + 4 * TENTH), abs=MS)
+
+
 def test_a_message_grows_stale(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     write_can_log(path, [(0, message()), (TENTH, message(2))], [(0, EgoMotion(10.0, 0.1))])

@@ -246,6 +246,27 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
     assert first.road is not None
 
 
+def test_an_unreadable_image_of_a_folder_is_left_out(tmp_path: Path) -> None:
+    for number, frame in zip(range(1, 4), open_source(shipped_drive()), strict=False):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame.image)
+    (tmp_path / "2.png").write_bytes(b"no image")
+    source = open_live(str(tmp_path), CameraOptions(), speed=math.inf)
+    assert [frame.frame for frame in source] == [1, 3]
+    assert "2.png" in source.skipped[0]
+    for name in ("1.png", "3.png"):
+        (tmp_path / name).write_bytes(b"no image")
+    with pytest.raises(ValueError, match=r"expected a readable frame; .*1\.png"):
+        list(open_live(str(tmp_path), CameraOptions(), speed=math.inf))
+    with pytest.raises(ValueError, match=r"2\.png"):
+        list(open_live(str(tmp_path / "2.png"), CameraOptions(), speed=math.inf))
+
+
+def test_the_clock_of_a_replay_before_its_first_frame() -> None:
+    """A fault may be noticed then; the machine's clock says nothing of the frames' times."""
+    source = Paced(ListSource([]))
+    assert 0 <= source.now_ns() < 60 * 10**9
+
+
 def damaged_clip(path: Path) -> Path:
     """A stream of the drive that ships that has lost some packets after a second, and is whole again at the end."""
     coding = CODINGS["H.264, 0.36 bits a pixel"]

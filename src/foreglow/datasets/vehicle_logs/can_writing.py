@@ -16,6 +16,9 @@ from foreglow.types import EgoMotion
 if TYPE_CHECKING:
     import can
 
+FIRST_DATE_S = 631_152_000
+"""The first of January 1990; python-can takes earlier times for no dates."""
+
 
 def write_can_log(
     path: Path | str,
@@ -50,9 +53,26 @@ def write_can_log(
     with tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"log{path.suffix.lower()}"
         with can.Logger(temporary) as log:
+            keep_times(log, ordered[0].timestamp)
             for frame in ordered:
                 log(frame)
         write_atomic(path, temporary.read_bytes())
+
+
+def keep_times(log: Any, first_s: float) -> None:
+    """Has a new log of python-can, where it is a .blf, keep times that are no dates as they are.
+
+    Its header has the date of its beginning, from which all times count; for earlier ones it has none, and times from
+    the first frame on would be taken for times from 0 on.
+
+    Args:
+        log: The log, into which nothing was written yet.
+        first_s: Time of its first frame.
+    """
+    import can
+
+    if isinstance(log, can.BLFWriter) and 0 <= first_s < FIRST_DATE_S:
+        log.start_timestamp = 0.0
 
 
 class _Encoder:

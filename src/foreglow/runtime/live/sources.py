@@ -83,7 +83,7 @@ class Paced:
         self._source = source
         self.name, self.rate_hz, self.num_frames = source.name, source.rate_hz, source.num_frames
         self.speed, self.is_lossless = speed, math.isinf(speed)
-        self._first_ns = self._start_ns = 0
+        self._first_ns, self._start_ns = 0, time.monotonic_ns()
         if self.is_lossless:
             self.max_silence_s = START_S
 
@@ -116,3 +116,5 @@ class Paced:
             yield frame
             if not self.is_lossless:
                 time.sleep(READ_AFTER * self._wait_s)
+        if sequence is None and self.skipped:
+            raise ValueError(f"{self.name}: expected a readable frame; {self.skipped[0]}")
