@@ -41,8 +41,8 @@ from foreglow.lab.simulation.scenes.draw import Draw
 from foreglow.lab.studies.distance.lights import SimulatedLights
 
 PROFILES = ("dashcam", "town_dashcam", "phone", "action_cam", "webcam")
-SEED = 4024
-"""Of drives that nothing was set by; the least standard deviations were set by those of seeds 4021 and 4022."""
+SEED = 4026
+"""Of drives that nothing was set by; the standard deviations were set by those of seeds 4021, 4022, 4024 and 4025."""
 
 SPLIT: Literal["test"] = "test"
 SIZE_PX = (640, 480)
