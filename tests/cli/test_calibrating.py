@@ -32,7 +32,7 @@ def test_convert_and_check(tmp_path: Path) -> None:
     cv2.imwrite(str(image), night_image(0, 960, 1280))
     result = foreglow_command("calibrate", "check", camera, image, "--out", picture)
     assert result.exit_code == 0, result.output
-    assert "1.30 m above the road, pitch -1.00" in result.stdout
+    assert "1.30 m above the road, points 1.00 degrees down" in result.stdout
     assert cv2.imread(str(picture)) is not None
     cv2.imwrite(str(image), night_image(0, 480, 640))
     said = complaint("calibrate", "check", camera, image, "--out", picture)

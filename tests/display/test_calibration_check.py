@@ -51,7 +51,7 @@ def test_a_pitch_moves_the_vanishing_point() -> None:
 
 def test_the_lines_say_the_figures() -> None:
     text = "\n".join(check_lines(turned(pitch_deg=-1.0)))
-    assert "1.30 m above the road, pitch -1.00 (up)" in text
+    assert "1.30 m above the road, points 1.00 degrees down and " in text
     assert "m of flat road at 50 m" in text
     assert "m of flat road at 100 m" in text
     assert "warning" not in text

@@ -63,6 +63,9 @@ def import_(
     dataset = exchange.LabelFile(source, images)
     exchange.write_split(dataset, out)
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.labels.lost)]
+    num_empty = sum(not image.marks for image in dataset.labels.images)
+    if num_empty:
+        lines.append(f"{num_empty} of the images have no point: they teach that nothing in them is light of a vehicle")
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
 
 
@@ -75,6 +78,7 @@ def _counted(found: LabelSet) -> str:
     lights = counted(counts[Kind.LIGHT], "light")
     outside = sum(map(num_outside, found.images))
     words = f"{counted(len(found.images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
+    words += f", {counts[Kind.DOUBTFUL]} doubtful" if counts[Kind.DOUBTFUL] else ""
     return f"{words}; {counted(outside, 'point')} outside the image" if outside else words
 
 

@@ -249,6 +249,10 @@ def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
         raise ValueError(f"train: expected {wanted} with --from {model}, which knows the boxes of these proposals only")
 
 
+MAX_WORSE = 0.01
+"""A loss of average precision on a user's held-out drives that is said."""
+
+
 def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Sequence[Judged], folder: Path) -> None:
     """What came of a fine-tuning: a table of before and after, and a picture."""
     import rich
@@ -279,6 +283,13 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
             table.add_row(name, count, when, *(number(value, 3) for value in dataclasses.astuple(figures)))
         table.add_section()
     rich.print(table)
+    for each in judged[:-1]:
+        before, after = each.figures()
+        if after.average_precision < before.average_precision - MAX_WORSE:
+            typer.echo(
+                f"worse on {each.name}, which it has not learnt from: keep the model that you had, and look for "
+                "missing and wrong points in both sets"
+            )
     if len(judged) == 1:
         typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")
     picture = draw_changes(judged, folder)

@@ -88,14 +88,18 @@ class CameraFigures:
         )
 
 
+def _turn(angle_deg: float, positive: str, negative: str) -> str:
+    return f"{abs(angle_deg):.2f} degrees {positive if angle_deg >= 0 else negative}"
+
+
 def check_lines(camera: Camera) -> list[str]:
     """What the calibration says, a line each, and a line for each warning."""
     figures = CameraFigures.of(camera)
     lines = [
         f"image          {camera.width_px}x{camera.height_px} px, field of view "
         f"{figures.horizontal_fov_deg:.1f} x {figures.vertical_fov_deg:.1f} degrees",
-        f"camera         {figures.height_m:.2f} m above the road, pitch {figures.pitch_deg:+.2f} (up), "
-        f"yaw {figures.yaw_deg:+.2f} (left), roll {figures.roll_deg:+.2f} (right) degrees",
+        f"camera         {figures.height_m:.2f} m above the road, points {_turn(figures.pitch_deg, 'up', 'down')} and "
+        f"{_turn(figures.yaw_deg, 'to the left', 'to the right')}, rolled {_turn(figures.roll_deg, 'right', 'left')}",
         "vanishing at   ({:.1f}, {:.1f}) px".format(*figures.vanishing_px),
     ]
     lines += [
