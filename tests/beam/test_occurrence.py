@@ -22,6 +22,7 @@ from foreglow.beam.occurrence import (
     occurrence,
 )
 from foreglow.types import RoadAhead
+from foreglow.types.frame import MAX_SPEED_MPS
 
 
 def road(
@@ -63,6 +64,14 @@ def test_it_is_a_distribution(curvature: float, range_m: float) -> None:
     assert found.azimuths_rad.min() <= quantiles[0]
     assert quantiles[-1] <= found.azimuths_rad.max()
     assert found.azimuth_rad == quantiles[3]
+
+
+@pytest.mark.parametrize("speed_mps", [1e3, 1e6, 1e9])
+def test_a_speed_that_no_car_has_counts_as_the_greatest(speed_mps: float) -> None:
+    found, greatest = occurrence(road(), 80.0, speed_mps), occurrence(road(), 80.0, MAX_SPEED_MPS)
+    assert (found is None) == (greatest is None)
+    if found is not None and greatest is not None:
+        assert found.azimuth_rad == greatest.azimuth_rad
 
 
 @given(RANGES)

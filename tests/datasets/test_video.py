@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -341,23 +342,29 @@ def test_what_cannot_be_decoded_at_the_end_is_an_error(tmp_path: Path) -> None:
     assert len(list(Video(path, on_error="mark"))) == NUM_FRAMES - 1
 
 
+MAX_PICTURES = 4
+"""Of a video at a time: one that is looked at, and a few that the decoder gives at once."""
+
+
+def test_pictures_go_as_soon_as_the_next_one_comes(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "clip.mp4")
+    gc.collect()
+    gc.disable()  # what refers to itself would stay
+    try:
+        for _ in Video(path):
+            assert sum(isinstance(each, av.VideoFrame) for each in gc.get_objects()) <= MAX_PICTURES
+    finally:
+        gc.enable()
+
+
 def test_frames_without_a_time_follow_at_the_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = make_video(tmp_path / "clip.mp4")
 
-    class Untimed:
-        """A picture that has lost its time."""
-
-        pts = None
-
-        def __init__(self, picture: Any) -> None:
-            self._picture = picture
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._picture, name)
-
     def untimed(container: Any, stream: Any) -> Any:
         for number, (picture, is_damaged) in enumerate(decoded(container, stream)):
-            yield (Untimed(picture) if number in (5, 6) else picture), is_damaged
+            if picture is not None and number in (5, 6):
+                picture.pts = None
+            yield picture, is_damaged
 
     monkeypatch.setattr("foreglow.datasets.video.decoded", untimed)
     assert [frame.timestamp_ns for frame in Video(path)] == [40_000_000 * index for index in range(NUM_FRAMES)]

@@ -60,6 +60,16 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert (run.summary.source, run.summary.num_frames, run.summary.live) == ("images", 3, None)
 
 
+def test_a_table_never_lies_over_the_run(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", [made_up(1, "A")])
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for write in (read_run(folder).write_coco, read_run(folder).write_parquet):
+        for name in ("frames.jsonl", "../run/summary.json"):
+            with pytest.raises(ValueError, match="expected a file that does not overwrite a part of the run"):
+                write(folder / name)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 def test_a_run_without_tracks_and_beam(tmp_path: Path) -> None:
     frame = Frame(night_image(), 0, 5)
     run = read_run(write_run(tmp_path, [(frame, result_of(frame, [(1, 2, 3, 4)]))]))

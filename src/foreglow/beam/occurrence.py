@@ -48,6 +48,7 @@ from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
 from foreglow.types import RoadAhead
+from foreglow.types.frame import MAX_SPEED_MPS
 
 PLACES_M = np.arange(10.0, 321.0, 10.0)
 """Arc lengths from us at which a hidden vehicle may come into sight."""
@@ -122,9 +123,9 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
     Args:
         road: The road ahead.
         light_range_m: Least range of the farthest light; NaN where unknown.
-        speed_mps: Ours; 0 where unknown.
+        speed_mps: Ours; 0 where unknown. More than any car drives counts as the greatest: there is low beam then.
     """
-    ahead_m = max(speed_mps, 0.0) * AHEAD_S
+    ahead_m = min(max(speed_mps, 0.0), MAX_SPEED_MPS) * AHEAD_S
     places_m, azimuths, ranges_m, in_view = _views(road, ahead_m)
     lead_m = light_range_m + MIN_LEAD_M - ahead_m - OTHER_MPS * AHEAD_S  # (5)
     is_beyond = places_m >= (-math.inf if math.isnan(lead_m) else lead_m)

@@ -80,9 +80,12 @@ def grey_image(picture: Any) -> Image:
     Raises:
         ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
     """
+    from av.sidedata.sidedata import SideDataContainer
+
     deep = max(component.bits for component in picture.format.components) > 8
     image: Any = picture.to_ndarray(format="gray16le" if deep else "gray")
-    matrix = picture.side_data.get("DISPLAYMATRIX")
+    # Not `picture.side_data`, by which the two hold each other: pictures would pile up until Python looks for cycles.
+    matrix = SideDataContainer(picture).get("DISPLAYMATRIX")
     if matrix is not None:
         # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
         a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()

@@ -17,7 +17,7 @@ import numpy as np
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.files import atomic_path, write_atomic
-from foreglow.outputs import exists
+from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.summary import SummaryFile, lack_of_run, read_summary
@@ -138,9 +138,10 @@ class RecordedRun:
 
         Raises:
             ModuleNotFoundError: If pyarrow is not installed (extra `parquet`).
-            ValueError: If there is no such table.
+            ValueError: If there is no such table, or the file is one of the run's own.
             OSError: If the file cannot be written.
         """
+        self._check_output(Path(path))
         try:
             import pyarrow as pa
             import pyarrow.parquet as pq
@@ -155,8 +156,10 @@ class RecordedRun:
         """Writes all scored boxes in the form of COCO's results; an image's id is its frame.
 
         Raises:
+            ValueError: If the file is one of the run's own.
             OSError: If the file cannot be written.
         """
+        self._check_output(Path(path))
         entries = [
             {"image_id": result.frame, "category_id": COCO_LIGHT, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score}
             for results in self.sequences.values()
@@ -167,6 +170,10 @@ class RecordedRun:
             )
         ]
         write_atomic(Path(path), (json.dumps(entries) + "\n").encode())
+
+    def _check_output(self, path: Path) -> None:
+        if path.name in RESULT_NAMES and path.parent.resolve() == self.folder.resolve():
+            raise ValueError(f"{path}: expected a file that does not overwrite a part of the run")
 
 
 def read_run(folder: Path | str) -> RecordedRun:

@@ -70,6 +70,11 @@ FILES = {
     "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><size>0</size>"), "frames"),
     "a frame behind the end": (".xml", video(frame="7"), "track 0: frame: expected 0 to 2, got 7"),
     "an image twice": (".xml", image().replace("</image>", '</image><image id="1" name="a.png"/>'), "is there twice"),
+    "an id twice": (
+        ".json",
+        coco(images=[{"id": 1, "file_name": f"{name}.png", "width": 96, "height": 72} for name in "ab"]),
+        "images: expected another id for each, got 1 twice",
+    ),
     "no image": (".json", coco(annotation={"image_id": 9}), "annotations.0.image_id: expected an id of images"),
     "no category": (".json", coco(annotation={"category_id": 9}), "category_id: expected an id of categories"),
     "infinity": (".json", coco().replace("1.5", "Infinity"), "keypoints.0: "),

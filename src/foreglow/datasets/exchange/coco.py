@@ -79,6 +79,9 @@ def read_coco(path: Path) -> LabelSet:
     file = read_json(path, CocoFile)
     names = {category.id: category.name for category in file.categories}
     marks: dict[int, list[Mark]] = {image.id: [] for image in file.images}
+    if len(marks) < len(file.images):
+        twice = next(image_id for image_id, num in Counter(image.id for image in file.images).items() if num > 1)
+        raise ValueError(f"{path}: images: expected another id for each, got {twice} twice")
     lost: Counter[str] = Counter()
     for index, annotation in enumerate(file.annotations):
         origin = f"{path}: annotations.{index}"
