@@ -85,7 +85,7 @@ def grey_image(picture: Any) -> Image:
     deep = max(component.bits for component in picture.format.components) > 8
     image: Any = picture.to_ndarray(format="gray16le" if deep else "gray")
     # Not `picture.side_data`, by which the two hold each other: pictures would pile up until Python looks for cycles.
-    matrix = SideDataContainer(picture).get("DISPLAYMATRIX")
+    matrix = SideDataContainer(picture).get("DISPLAYMATRIX")  # type: ignore[call-arg]
     if matrix is not None:
         # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
         a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()
