@@ -45,7 +45,7 @@ class Outcome:
         stdout: What it printed.
         stderr: What it complained of.
         seconds: Wall-clock time.
-        resident_mib: The most memory that it used.
+        resident_mib: The most memory that it used, beyond that of the process that it is a copy of.
         is_input_changed: Whether a file that was there before is another one now, or gone.
         left: Files that should not have stayed: partial and hidden ones.
         written: What is there besides the inputs.
@@ -236,8 +236,9 @@ def _run(probe: Probe, folder: Path, command: Any) -> tuple[int | None, float, f
 
 
 def _child(probe: Probe, folder: Path, command: Any, is_ready: Event) -> None:
-    """What the copied process does: limits, own streams, the command; its peak of memory goes to `.usage`."""
+    """What the copied process does: limits, own streams, the command; what its memory grew by goes to `.usage`."""
     os.setsid()
+    copied_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # of the process that this one is a copy of
     for number, name in ((1, ".stdout"), (2, ".stderr")):
         os.dup2(os.open(folder / name, os.O_WRONLY), number)
     sys.stdin = open(os.devnull)  # noqa: PTH123, SIM115
@@ -266,7 +267,7 @@ def _child(probe: Probe, folder: Path, command: Any, is_ready: Event) -> None:
         for kind, _ in probe.limits:
             resource.setrlimit(kind, 2 * (resource.getrlimit(kind)[1],))
         peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        (folder / ".usage").write_text(str(peak_kib / 1024))
+        (folder / ".usage").write_text(str((peak_kib - copied_kib) / 1024))
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)

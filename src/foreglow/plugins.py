@@ -107,8 +107,9 @@ def imported(field: str, target: str) -> Any:
     Raises:
         ValueError: If it cannot be imported, or cannot be called; the message starts with `field`.
     """
-    if not target.startswith("foreglow."):  # such as our own cameras, which are named by texts, too
-        _modules.add(target.partition(":")[0])
+    module = target.partition(":")[0]
+    if not target.startswith("foreglow.") and module != "builtins":  # our own cameras are named by texts, too
+        _modules.add(module)
     try:
         found = pkgutil.resolve_name(target)
     except (Exception, SystemExit) as error:  # whatever a foreign module raises

@@ -352,7 +352,7 @@ def test_pictures_go_as_soon_as_the_next_one_comes(tmp_path: Path) -> None:
     gc.disable()  # what refers to itself would stay
     try:
         for _ in Video(path):
-            assert sum(isinstance(each, av.VideoFrame) for each in gc.get_objects()) <= MAX_PICTURES
+            assert sum(type(each) is av.VideoFrame for each in gc.get_objects()) <= MAX_PICTURES
     finally:
         gc.enable()
 

@@ -156,7 +156,8 @@ def mount_message(header: Header, mount: Pose) -> PointCloud2:
 def read_mount(message: PointCloud2, topic: str) -> Pose:
     """The camera's pose in the vehicle."""
     _, columns = read_table(message, topic, MOUNT, num_rows=1)
-    validated(Mount, {"position_m": columns["position_m"][0].tolist()}, topic)
+    level = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg"), 0.0)
+    validated(Mount, {"position_m": columns["position_m"][0].tolist(), **level}, topic)  # its rotation is checked below
     try:
         return Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
     except ValueError as error:
