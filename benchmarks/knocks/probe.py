@@ -21,8 +21,8 @@ from typing import Any
 MAX_ADDRESSES = 8 << 30
 """Bytes of addresses that a probe's process may take; its threads and libraries alone reserve 2 to 3 GiB."""
 
-MAX_RESIDENT_MIB = 1500
-"""Memory that a probe may really use."""
+MAX_RESIDENT_MIB = 1400
+"""Memory that a probe may really use, beyond that of the process that it is a copy of."""
 
 MAX_S, MAX_WAIT_S = 60, 300.0
 """Seconds of the processor for a probe, of which a run of a few frames takes one or two; and seconds until it hangs."""

@@ -253,10 +253,6 @@ def test_an_unreadable_image_of_a_folder_is_left_out(tmp_path: Path) -> None:
     source = open_live(str(tmp_path), CameraOptions(), speed=math.inf)
     assert [frame.frame for frame in source] == [1, 3]
     assert "2.png" in source.skipped[0]
-    for name in ("1.png", "3.png"):
-        (tmp_path / name).write_bytes(b"no image")
-    with pytest.raises(ValueError, match=r"expected a readable frame; .*1\.png"):
-        list(open_live(str(tmp_path), CameraOptions(), speed=math.inf))
     with pytest.raises(ValueError, match=r"2\.png"):
         list(open_live(str(tmp_path / "2.png"), CameraOptions(), speed=math.inf))
 
