@@ -179,8 +179,10 @@ def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
     assert json.loads((out / "summary.json").read_text())["num_skipped"] == 2
     for path in images.iterdir():
         path.write_bytes(PNG[:50])
-    line = complaint("live", images, "--speed", 0, "--out", tmp_path / "nothing")
-    assert "expected a readable frame; " in line and "000.png" in line
+    for source in (images, images / "000.png"):
+        line = complaint("live", source, "--speed", 0, "--out", tmp_path / "nothing")
+        assert "expected a readable frame; " in line
+        assert "000.png" in line
 
 
 def test_a_source_that_ends_with_an_error_leaves_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
