@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import shipped_drive
-from foreglow.runs.summary import read_summary
+from foreglow.runs.summary_file import read_summary
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 

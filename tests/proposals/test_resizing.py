@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foreglow.config import ProposalConfig, preset
-from foreglow.lab.studies.detector.models import ROWS
+from foreglow.lab.studies.detector.rows import ROWS
 from foreglow.proposals import make_proposer
 from tests.stand_ins import night_image
 

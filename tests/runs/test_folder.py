@@ -10,7 +10,7 @@ import pytest
 from foreglow.config import config_to_toml, read_config
 from foreglow.outputs import RESULT_NAMES
 from foreglow.runs.folder import OutputFolder, part_sinks
-from foreglow.runs.summary import read_summary
+from foreglow.runs.summary_file import read_summary
 from foreglow.runs.tally import Tally
 from tests.stand_ins import REFERENCE, night_frames, result_of
 

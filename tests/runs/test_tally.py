@@ -13,7 +13,7 @@ from foreglow import provenance
 from foreglow.config import PipelineConfig, preset
 from foreglow.files import json_text
 from foreglow.runs import tally as tallies
-from foreglow.runs.summary import RunSummary
+from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally, run_time
 from foreglow.types import BeamCommand, BeamMode, Ranges, TrackState
 from tests.stand_ins import night_frames, result_of, tracks_of

@@ -61,7 +61,7 @@ def beam(
     """Compute the beam for each frame: the level of each LED, dark gaps, and reasons for low beam."""
     from foreglow.photometry import read_headlamps
     from foreglow.pipeline import Pipeline
-    from foreglow.runs.summary import read_summary
+    from foreglow.runs.summary_file import read_summary
 
     is_run = (source / "frames.jsonl").is_file()
     configuration = lamps.commanding(_configuration_of_run(source, pipeline) if is_run else pipeline.configuration())
@@ -122,7 +122,7 @@ def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int
     """The results of an earlier run, the path of its frames, and their number."""
     from foreglow.runs.frames_file import read_results
     from foreglow.runs.recorded_run import check_frames, source_of_run
-    from foreglow.runs.summary import read_summary
+    from foreglow.runs.summary_file import read_summary
     from foreglow.runtime.run import Replay
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)

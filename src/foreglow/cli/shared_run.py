@@ -80,7 +80,7 @@ def finish(summary: RunSummary, out: Path, *more: str, is_interrupted: bool | No
 
 def say_lack(run: Path, num_frames: int | None = None) -> bool:
     """Prints a line if the run in the folder `run` is incomplete, as `lack_of_run` has it; returns whether it is."""
-    from foreglow.runs.summary import lack_of_run
+    from foreglow.runs.summary_file import lack_of_run
 
     lack = lack_of_run(run, num_frames)
     if lack is not None:
@@ -105,7 +105,7 @@ def folder_beside(source: Path) -> Path:
     Raises:
         ValueError: If there is a folder of this name already, and it is not an earlier run on the same source.
     """
-    from foreglow.runs.summary import read_summary
+    from foreglow.runs.summary_file import read_summary
 
     path = source.resolve() if source.name in ("", "..") else source.absolute()  # a link stays one
     out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")

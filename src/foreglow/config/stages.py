@@ -190,7 +190,8 @@ class TrackerConfig(FrozenModel):
         alpha_size: Gain of the box's width and height (p).
         alpha_range: Gain of the range (p).
         alpha_confidence: Weight of the newest score in the moving mean (p).
-        range_filter: `alpha_beta` (paper), or `mean` or `median` of the last five ranges.
+        range_filter: `alpha_beta` (paper), or `mean` or `median` of the last `num_ranges` ranges.
+        num_ranges: Known ranges that `mean` and `median` use (paper: series of five frames).
         use_looming: Whether the growth of boxes also contributes to the range, if our speed is known; off in all
             presets, since glare does not grow like lamps.
         association: `greatest_iou` (paper: each detection takes its best track), or `optimal` (greatest total).
@@ -229,6 +230,7 @@ class TrackerConfig(FrozenModel):
     alpha_range: Annotated[float, Field(gt=0, le=1)] = 0.8
     alpha_confidence: Annotated[float, Field(gt=0, le=1)] = 0.33
     range_filter: Literal["alpha_beta", "mean", "median"] = "alpha_beta"
+    num_ranges: Annotated[int, Field(ge=1, le=1000)] = 5
     use_looming: bool = False
     association: Literal["greatest_iou", "optimal"] = "greatest_iou"
     enlargement: Annotated[float, Field(ge=1, le=10)] = 1.5

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from foreglow.runs.summary import BeamSummary, RunSummary
+    from foreglow.runs.summary_file import BeamSummary, RunSummary
 
 
 def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[str]:

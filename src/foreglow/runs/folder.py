@@ -14,7 +14,7 @@ from foreglow.files import json_text, naming
 from foreglow.outputs import RESULT_NAMES, RUN, FolderLock, check_own, check_replaceable, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
-from foreglow.runs.summary import LiveSummary, RunSummary
+from foreglow.runs.summary_file import LiveSummary, RunSummary
 from foreglow.runs.times_file import frame_to_times
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}

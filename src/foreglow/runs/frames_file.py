@@ -33,7 +33,7 @@ from foreglow.types import (
     TrackState,
     Vehicles,
 )
-from foreglow.types.kinds import kinds_of_direct, tells_rear
+from foreglow.types.kinds import LIGHT_KINDS, kinds_of_direct, tells_rear
 
 Box: TypeAlias = Annotated[list[float], Field(min_length=4, max_length=4)]
 """`[x1, y1, x2, y2]`, half-open, in full-frame pixels."""
@@ -42,7 +42,7 @@ StateName: TypeAlias = Literal["tentative", "confirmed", "coasting"]
 ModeName: TypeAlias = Literal["low", "glare_free", "full"]
 Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Count: TypeAlias = Annotated[Whole, Field(ge=0)]
-LightKinds: TypeAlias = Annotated[list[Probability], Field(min_length=4, max_length=4)]
+LightKinds: TypeAlias = Annotated[list[Probability], Field(min_length=len(LIGHT_KINDS), max_length=len(LIGHT_KINDS))]
 """The probabilities of `LIGHT_KINDS`."""
 
 Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]

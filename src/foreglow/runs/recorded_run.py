@@ -20,7 +20,7 @@ from foreglow.files import atomic_path, write_atomic
 from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
-from foreglow.runs.summary import SummaryFile, lack_of_run, read_summary
+from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult, TrackState
 

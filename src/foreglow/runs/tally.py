@@ -14,7 +14,7 @@ import numpy as np
 from foreglow.config import PipelineConfig
 from foreglow.outputs import exists, running_command
 from foreglow.provenance import checkout_state, processor_name
-from foreglow.runs.summary import BeamSummary, RunSummary, RunTime
+from foreglow.runs.summary_file import BeamSummary, RunSummary, RunTime
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 
 NUM_TIMES = 20_000

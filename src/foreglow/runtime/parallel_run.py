@@ -16,7 +16,7 @@ from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
 from foreglow.runs.folder import OutputFolder, part_sinks
-from foreglow.runs.summary import RunSummary
+from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
 from foreglow.types import Frame, FrameResult

@@ -19,7 +19,7 @@ from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource
 from foreglow.runs.folder import OutputFolder
-from foreglow.runs.summary import RunSummary
+from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
 

@@ -19,9 +19,6 @@ import numpy as np
 
 from foreglow.geometry import Floats
 
-NUM_RANGES = 5
-"""Number of ranges that `mean` and `median` use (paper: series of five frames)."""
-
 RANGE_RATE_SIGMA_MPS = 10.0
 """q: how fast a range is assumed to drift off its prediction without a measurement; half of the closing speed of two
 cars at a moderate 36 km/h."""

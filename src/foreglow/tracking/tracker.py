@@ -25,7 +25,6 @@ from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
 from foreglow.tracking.track_range import (
-    NUM_RANGES,
     RANGE_RATE_SIGMA_MPS,
     filtered_sigmas,
     mean_of,
@@ -59,7 +58,7 @@ class AlphaBetaTracker:
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
         self._vehicles = VehicleGroups(config) if config.vehicle_gate else None
-        self._num_ranges = 0 if config.range_filter == "alpha_beta" else NUM_RANGES
+        self._num_ranges = 0 if config.range_filter == "alpha_beta" else config.num_ranges
         # Half a frame of tolerance, since frames come somewhat early or late.
         self._max_missing_s = (config.max_misses + 0.5) / config.rate_hz
         self._max_miss_s = max(config.max_misses, 1) / config.rate_hz

@@ -281,7 +281,7 @@ prepare()
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from foreglow.runtime.ros2.messages import camera_info_message, image_message, read_camera_info, read_image
+from foreglow.runtime.ros2.input_messages import camera_info_message, image_message, read_camera_info, read_image
 from foreglow.runtime.ros2.header import Header, read_header
 from foreglow.runtime.ros2.results import detections_message, read_beam, read_detections, read_tracks
 from tests.runtime.ros2.test_messages import camera

@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
 from enum import StrEnum
 
-from foreglow.runs.summary import FaultEvent
+from foreglow.runs.summary_file import FaultEvent
 
 MAX_EVENTS = 1000
 """Events that are kept, the latest ones; `FaultBook.counts` counts all."""

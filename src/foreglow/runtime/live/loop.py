@@ -13,7 +13,7 @@ from typing import Protocol
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import words_of
-from foreglow.runs.summary import LiveSummary
+from foreglow.runs.summary_file import LiveSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.background import Background

@@ -9,8 +9,7 @@ import numpy as np
 
 from foreglow.geometry import Camera
 from foreglow.runtime.ros2 import topics
-from foreglow.runtime.ros2.join import Joined
-from foreglow.runtime.ros2.messages import (
+from foreglow.runtime.ros2.input_messages import (
     read_camera_info,
     read_damage,
     read_image,
@@ -19,6 +18,7 @@ from foreglow.runtime.ros2.messages import (
     read_reported,
     read_road,
 )
+from foreglow.runtime.ros2.join import Joined
 from foreglow.types import EgoMotion, Frame
 
 

@@ -14,13 +14,13 @@ from sensor_msgs.msg import PointCloud2
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.table import Columns, Field, read_table, table_message
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState, Vehicles
-from foreglow.types.kinds import kinds_of_direct
+from foreglow.types.kinds import LIGHT_KINDS, kinds_of_direct
 
 PROPOSALS = {"box_xyxy_px": Field("i4", 4)}
 DETECTIONS = PROPOSALS | {
     "score": Field("f4"),
     "direct_probability": Field("f4"),
-    "light_kinds": Field("f4", 4, is_optional=True),
+    "light_kinds": Field("f4", len(LIGHT_KINDS), is_optional=True),
 }
 RANGES = DETECTIONS | {
     "range_m": Field("f8", is_optional=True),
@@ -37,7 +37,7 @@ TRACKS = {
     "range_m": Field("f8"),
     "sigma_m": Field("f8"),
     "detection": Field("i4"),
-    "light_kinds": Field("f8", 4, is_optional=True),
+    "light_kinds": Field("f8", len(LIGHT_KINDS), is_optional=True),
     "direct_probability": Field("f8"),
 }
 """The fields of `Tracks` but `vehicles`, in their order, in the singular, and a property; older versions sent no

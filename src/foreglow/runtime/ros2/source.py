@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from foreglow.runtime.live import LiveSource
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.messages import (
+from foreglow.runtime.ros2.input_messages import (
     attitude_message,
     camera_info_message,
     damage_message,

@@ -12,8 +12,8 @@ from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
+from foreglow.runtime.ros2.input_messages import read_image
 from foreglow.runtime.ros2.join import Joined
-from foreglow.runtime.ros2.messages import read_image
 from foreglow.runtime.ros2.node import FrameNode, Inputs
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (

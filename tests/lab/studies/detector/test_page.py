@@ -13,7 +13,6 @@ import pytest
 
 from foreglow.datasets import PVDN
 from foreglow.lab.reports.page import DASH
-from foreglow.lab.studies.detector.models import DetectorPlan
 from foreglow.lab.studies.detector.page import (
     FOUND_BGR,
     MISSED_BGR,
@@ -27,6 +26,7 @@ from foreglow.lab.studies.detector.page import (
     whose_light_table,
     write_report,
 )
+from foreglow.lab.studies.detector.rows import DetectorPlan
 from foreglow.lab.studies.detector.run import RowResult, run_experiment
 from foreglow.types import Frame
 from tests.lab.studies.detector_data import make_data, make_model

@@ -14,7 +14,8 @@ from foreglow.config import PRESETS, preset
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
-from foreglow.lab.studies.detector.models import (
+from foreglow.lab.studies.detector.page import choose, pictures
+from foreglow.lab.studies.detector.rows import (
     ROWS,
     DetectorPlan,
     Workspace,
@@ -22,7 +23,6 @@ from foreglow.lab.studies.detector.models import (
     missing_reason,
     split_digest,
 )
-from foreglow.lab.studies.detector.page import choose, pictures
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
 from foreglow.proposals.reference import ReferenceProposer
@@ -208,9 +208,9 @@ def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = DetectorPlan(device="cpu")
-    monkeypatch.setattr("foreglow.lab.studies.detector.models.has_library", lambda: False)
+    monkeypatch.setattr("foreglow.lab.studies.detector.rows.has_library", lambda: False)
     assert missing_reason("yolo-small", plan) == "needs pip install 'foreglow[yolo]'"
-    monkeypatch.setattr("foreglow.lab.studies.detector.models.has_library", lambda: True)
+    monkeypatch.setattr("foreglow.lab.studies.detector.rows.has_library", lambda: True)
     assert missing_reason("yolo-small", plan) is None
     reason = missing_reason("yolo-large", plan)
     assert reason is not None

@@ -57,14 +57,22 @@ def command(
     from foreglow.datasets import open_labelled, split_folder
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.training_progress import TrainingBar
-    from foreglow.lab.studies.detector.models import ROWS, DetectorPlan
     from foreglow.lab.studies.detector.page import pictures, write_report
+    from foreglow.lab.studies.detector.rows import ROWS, DetectorPlan
     from foreglow.lab.studies.detector.run import run_experiment
     from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.models import model_path
 
-    models = (baseline_small_model, baseline_model, paper_model, published, compact_model, our_model)
-    given = dict(zip(ROWS, (*models, yolo_small, yolo_large), strict=True))
+    given = {
+        "baseline-small": baseline_small_model,
+        "baseline": baseline_model,
+        "paper": paper_model,
+        "published": published,
+        "compact": compact_model,
+        "ours": our_model,
+        "yolo-small": yolo_small,
+        "yolo-large": yolo_large,
+    }
     epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
     plan = DetectorPlan(
         rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),

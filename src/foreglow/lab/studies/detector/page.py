@@ -18,7 +18,7 @@ from foreglow.lab.evaluation import Predictions, SplitLabels, match_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table
-from foreglow.lab.studies.detector.models import ROWS, THRESHOLD
+from foreglow.lab.studies.detector.rows import ROWS, THRESHOLD
 from foreglow.lab.studies.detector.run import DetectorResults, RowResult
 from foreglow.types import Detections, Frame, FrameResult, Proposals
 

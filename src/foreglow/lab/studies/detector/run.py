@@ -28,7 +28,7 @@ from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
-from foreglow.lab.studies.detector.models import (
+from foreglow.lab.studies.detector.rows import (
     COMPARISONS,
     ROWS,
     THRESHOLD,

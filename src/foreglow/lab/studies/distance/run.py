@@ -84,8 +84,8 @@ DEFAULT_HEURISTIC = DistanceConfig().heuristic
 TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
     {
         "alpha-beta filter": OUR_TRACKER,
-        "mean of the last five": OUR_TRACKER.model_copy(update={"range_filter": "mean"}),
-        "median of the last five": OUR_TRACKER.model_copy(update={"range_filter": "median"}),
+        "mean of the last five": OUR_TRACKER.model_copy(update={"range_filter": "mean", "num_ranges": NUM_FRAMES}),
+        "median of the last five": OUR_TRACKER.model_copy(update={"range_filter": "median", "num_ranges": NUM_FRAMES}),
         "alpha-beta filter and looming": OUR_TRACKER.model_copy(update={"use_looming": True}),
     }
 )

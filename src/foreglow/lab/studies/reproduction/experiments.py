@@ -22,7 +22,7 @@ from foreglow.datasets.pvdn import is_split
 from foreglow.display.summary_lines import counted as counted_words
 from foreglow.files import to_json, write_atomic, write_json_results
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
-from foreglow.lab.studies.detector.models import ROWS
+from foreglow.lab.studies.detector.rows import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.plan import TRAINED, ReproductionPlan
@@ -124,8 +124,8 @@ def _tune(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Prog
 
 
 def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
-    from foreglow.lab.studies.detector.models import DetectorPlan
     from foreglow.lab.studies.detector.page import pictures, write_report
+    from foreglow.lab.studies.detector.rows import DetectorPlan
     from foreglow.lab.studies.detector.run import run_experiment
 
     asked = DetectorPlan(

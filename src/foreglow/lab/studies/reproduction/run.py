@@ -15,7 +15,7 @@ from typing import Any
 
 from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.files import read_plain_json, write_json_results
-from foreglow.lab.studies.detector.models import check_given, file_digest, split_digest
+from foreglow.lab.studies.detector.rows import check_given, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan

@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.config import preset
 from foreglow.files import json_text
-from foreglow.runs.summary import FaultEvent, LiveSummary, RunSummary, read_summary
+from foreglow.runs.summary_file import FaultEvent, LiveSummary, RunSummary, read_summary
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode
 from tests.stand_ins import night_frames, result_of

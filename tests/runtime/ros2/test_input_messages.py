@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 from foreglow.calibration import Mount
 from foreglow.geometry import Camera, Pose
 from foreglow.runtime.ros2.header import Header, header_message, read_header
-from foreglow.runtime.ros2.messages import (
+from foreglow.runtime.ros2.input_messages import (
     attitude_message,
     camera_info_message,
     image_message,
