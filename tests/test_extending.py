@@ -7,6 +7,8 @@ import importlib
 import importlib.util
 import itertools
 import re
+import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 
 import foreglow
+import foreglow._native as native
 from foreglow.beam import policy_class
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.pipeline import Pipeline
@@ -136,3 +139,34 @@ def test_the_files_of_the_page_are_there() -> None:
         folders = {package, *((package / file).parent for file in files)}
         for file in (file for file in files if "NAME" not in file):
             assert any((folder / file).exists() for folder in folders), f"{row}: {file}"
+
+
+@pytest.mark.parametrize(
+    ("room", "base", "module"),
+    [
+        ("beam", "BeamPolicy", "dimmed_beam"),
+        ("tracking", "Tracker", "one_frame"),
+        ("distance", "RangeEstimator", "fixed_range"),
+    ],
+)
+def test_the_examples_as_part_of_the_package(tmp_path: Path, room: str, base: str, module: str) -> None:
+    """A copy of the package has the page's module, and the table's file imports it before all else."""
+    copied = shutil.copytree(
+        Path(foreglow.__file__).parent, tmp_path / "foreglow", ignore=shutil.ignore_patterns("lab", "shipped_drives")
+    )
+    text = block("python", f"# {module}.py")
+    names = re.findall(r"^from foreglow import (.*)$", text, re.MULTILINE)[0].split(", ")
+    others = ", ".join(name for name in names if name != base)
+    own = f"from foreglow.{room}.interface import {base}\nfrom foreglow.types import {others}"
+    (copied / room / f"{module}.py").write_text(re.sub(r"^from foreglow import .*$", own, text, flags=re.MULTILINE))
+    table = copied / room / ("policy.py" if room == "beam" else "__init__.py")
+    line = f"import foreglow.{room}.{module}"
+    table.write_text(table.read_text().replace("\nfrom foreglow.", f"\n{line}\nfrom foreglow.", 1))
+    shutil.copy(native.__file__, copied)
+    code = (
+        "import sys; from importlib.machinery import BuiltinImporter, FrozenImporter, PathFinder; "
+        "sys.meta_path[:] = [BuiltinImporter, FrozenImporter, PathFinder]; "  # no finder of an editable installation
+        f"import foreglow.{room}; print(foreglow.__file__, 'foreglow.{room}.{module}' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == [str(copied / "__init__.py"), "True"], done.stderr

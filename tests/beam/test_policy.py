@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from foreglow.beam import POLICIES, Gap, make_policy, occurrence
-from foreglow.beam.policy import BeamPolicy, ForeglowPolicy, PaperPolicy, brightness
+from foreglow.beam.interface import BeamPolicy
+from foreglow.beam.policy import ForeglowPolicy, PaperPolicy, brightness
 from foreglow.config import BeamConfig
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles

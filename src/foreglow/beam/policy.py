@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 
 from foreglow.beam.bearings import Bearing, Bearings
-from foreglow.beam.dimming import Dimmer, Ramp
-from foreglow.beam.gaps import Gap, merged
+from foreglow.beam.gap_writer import GapWriter
+from foreglow.beam.gaps import Gap
+from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.occurrence import Occurrence, occurrence
-from foreglow.beam.questions import DIP, Questions
+from foreglow.beam.questions import Questions
 from foreglow.config import BeamConfig
 from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
@@ -49,24 +49,6 @@ HIDDEN = -1
 """The key of a hidden vehicle's gap is this less the id of the vehicle, or of the track whose light the gap is at."""
 
 
-class BeamPolicy(Protocol):
-    """Decides what our headlamps shine."""
-
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None: ...
-
-    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
-        """The command that follows from `frame` and its tracks."""
-        ...
-
-    def shone(self, command: BeamCommand) -> None:  # noqa: ARG002
-        """Told what the guard let pass of the command for the latest frame."""
-        return
-
-    def reset(self) -> None:
-        """Forgets earlier frames, as at the start of a sequence."""
-        return
-
-
 class SteadyBeam(BeamPolicy):
     """What the beams that never change have in common: they need to know how many LEDs a lamp has, and nothing else."""
 
@@ -88,29 +70,6 @@ class HighBeam(SteadyBeam):
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
         """As `BeamPolicy.command`."""
         return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
-
-
-class GapWriter:
-    """Turns gaps into commands, frame by frame: dims the LEDs at once and lets them return slowly."""
-
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
-        self._dimmer = Dimmer(headlamps, config.led_limit_lx)
-        self._ramp = Ramp(config.hold_s, config.restore_s)
-
-    def reset(self) -> None:
-        """Forgets earlier levels."""
-        self._ramp.reset()
-
-    def command(self, timestamp_ns: int, gaps: Sequence[Gap], dips: Sequence[Gap] = ()) -> BeamCommand:
-        """High beam with `gaps`, and with shallow `dips`, which end at once."""
-        apart = merged(list(gaps))
-        levels = self._ramp.step(self._dimmer.levels(apart), timestamp_ns)
-        if dips:
-            levels = np.minimum(levels, np.maximum(self._dimmer.levels(dips), 1.0 - DIP))
-        mode = BeamMode.FULL if not apart and levels.min() >= 1.0 else BeamMode.GLARE_FREE
-        borders = np.array([gap[:2] for gap in apart], np.float64).reshape(-1, 2)
-        ranges_m = np.array([gap.near_m if math.isfinite(gap.near_m) else math.nan for gap in apart], np.float64)
-        return BeamCommand(timestamp_ns, mode, levels, borders, ranges_m)
 
 
 class PaperPolicy(BeamPolicy):

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from foreglow.beam.guard import Guard
+from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.lit_street import ROAD_LIT, LitStreet
-from foreglow.beam.policy import BeamPolicy, make_policy
+from foreglow.beam.policy import make_policy
 from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked

@@ -6,14 +6,12 @@ from the camera along the viewing ray, to the lamp or to the surface that it lig
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from foreglow.config import DistanceConfig
 from foreglow.distance.ground_plane import GroundPlane
+from foreglow.distance.interface import RangeEstimator
 from foreglow.distance.psd import PSD2D, PSD3D, PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
 from foreglow.plugins import METHODS, make
-from foreglow.types import Detections, Frame, Ranges
 
 __all__ = [
     "ESTIMATORS",
@@ -25,21 +23,6 @@ __all__ = [
     "RoadSurface",
     "make_estimator",
 ]
-
-
-class RangeEstimator(Protocol):
-    """Estimates the range of every box of a frame, and its standard deviation."""
-
-    def __init__(self, config: DistanceConfig) -> None: ...
-
-    def estimate(self, frame: Frame, detections: Detections) -> Ranges:
-        """The ranges of `detections` in `frame`, which must have a camera; NaN and infinity where unknown."""
-        ...
-
-    def reset(self) -> None:
-        """Forgets earlier frames, as at the start of a sequence."""
-        return
-
 
 ESTIMATORS: dict[str, type[RangeEstimator]] = {
     "gp": GroundPlane,

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import numpy as np
 
 from foreglow.config import DistanceConfig
 from foreglow.distance.heuristics import HEURISTICS, all_pixels
+from foreglow.distance.interface import RangeEstimator
 from foreglow.distance.pitch import make_pitch_source
 from foreglow.geometry import Floats
 from foreglow.rays import RayCaster, Rays, calibrated
 from foreglow.types import Detections, Frame, Ranges
 
 
-class PixelwiseEstimator(ABC):
+class PixelwiseEstimator(RangeEstimator):
     """An estimator that gives each sampled pixel a range; a heuristic makes them the range of the box."""
 
     def __init__(self, config: DistanceConfig) -> None:

@@ -19,6 +19,7 @@ from foreglow.distance.hypotheses import (
     parameters_of,
     read_hypotheses,
 )
+from foreglow.distance.interface import RangeEstimator
 from foreglow.distance.lamp_pairs import SPACING_M, pair_spacings_rad
 from foreglow.distance.pitch import MarkingsPitch, make_pitch_source
 from foreglow.distance.ribbon import Ribbon, ribbon
@@ -67,7 +68,7 @@ class View(NamedTuple):
     boxes: BoxEvidence
 
 
-class RoadSurface:
+class RoadSurface(RangeEstimator):
     """Weighs the hypotheses of all kinds of light along the road for each box; their weighted median is its range.
 
     Without a road, beyond the map's end, and for light that no line of the map explains, the kinds that are tied to no

@@ -4,28 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Protocol
 
 from foreglow.config import TrackerConfig
 from foreglow.plugins import METHODS, make
+from foreglow.tracking.interface import Tracker
 from foreglow.tracking.published import PublishedTracker
 from foreglow.tracking.tracker import AlphaBetaTracker
-from foreglow.types import Detections, Frame, Ranges, Tracks
 
-
-class Tracker(Protocol):
-    """Tracks the boxes from frame to frame."""
-
-    def __init__(self, config: TrackerConfig) -> None: ...
-
-    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
-        """The tracks after `frame`; of the frame only its time, size, camera and motion are used, never the pixels."""
-        ...
-
-    def reset(self) -> None:
-        """Forgets all tracks, as at the start of a sequence; ids begin again."""
-        return
-
+__all__ = ["TRACKERS", "AlphaBetaTracker", "PublishedTracker", "Tracker", "make_tracker"]
 
 TRACKERS: Mapping[str, type[Tracker]] = MappingProxyType(
     {"alpha_beta": AlphaBetaTracker, "published": PublishedTracker}

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from foreglow.config import TrackerConfig
+from foreglow.tracking.interface import Tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
 
 Box: TypeAlias = tuple[float, float, float, float]
@@ -70,7 +71,7 @@ class PublishedObject:
     detection: int = -1
 
 
-class PublishedTracker:
+class PublishedTracker(Tracker):
     """The tracker of the published code with all its quirks; it counts frames, not time.
 
     It uses the configuration fields that `TrackerConfig` marks with p, and the frame's size and time. Ids and ages are

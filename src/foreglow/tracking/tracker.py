@@ -21,6 +21,7 @@ from foreglow.tracking.association import (
     overlaps,
 )
 from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_with_ranges
+from foreglow.tracking.interface import Tracker
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
@@ -41,7 +42,7 @@ MAX_TRACKS = 512
 """More are not followed: those with the fewest detections end, tentative ones first."""
 
 
-class AlphaBetaTracker:
+class AlphaBetaTracker(Tracker):
     """The paper's tracker, with the further options that `TrackerConfig` names.
 
     With the clock `time`, a frame with the time and the boxes of the previous frame counts as a repetition, and the

@@ -13,7 +13,7 @@ from foreglow.datasets import PVDN, Selection
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.datasets.simulated import BoxShares
 from foreglow.datasets.simulated.shares import write_shares
-from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light
+from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light
 from foreglow.lab.learning import sample_cache
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import (
@@ -108,10 +108,10 @@ def test_whose_light_it_is_where_that_is_stored(own: PVDN) -> None:
 def test_groups_are_kind_and_sight(data: Path) -> None:
     found = collect_samples(PVDN(data / "day/train"), PLAIN)
     lights = {image_id: found.groups[(found.image_ids == image_id) & (found.labels == 1)] for image_id in (100, 101)}
-    assert lights[100].tolist() == [2 * LIGHT_KINDS.index("indirect") + 1]  # hidden: no lamp yet
-    assert lights[101].tolist() == [2 * LIGHT_KINDS.index("lamp")]
+    assert lights[100].tolist() == [2 * SEEN_ON.index("indirect") + 1]  # hidden: no lamp yet
+    assert lights[101].tolist() == [2 * SEEN_ON.index("lamp")]
     assert (found.groups[found.labels == 0] == -1).all()
-    assert set(SIMULATED_KINDS) <= set(LIGHT_KINDS)
+    assert set(SIMULATED_KINDS) <= set(SEEN_ON)
 
 
 def test_the_strongest_light_names_the_group() -> None:
@@ -121,7 +121,7 @@ def test_the_strongest_light_names_the_group() -> None:
     boxes = np.array([[0, 0, 10, 10], [20, 0, 30, 10], [40, 0, 50, 10]], np.int32)
     lights = (light("rail", 1, 5.0), light("road", 0, 6.0), light("lamp", -1, 21.0), light("road", 0, 22.0))
     groups = box_groups(strongest_lights(boxes, lights))
-    assert groups.tolist() == [2 * LIGHT_KINDS.index("road") + 1, 2 * LIGHT_KINDS.index("lamp"), -1]
+    assert groups.tolist() == [2 * SEEN_ON.index("road") + 1, 2 * SEEN_ON.index("lamp"), -1]
 
 
 def test_jittered_copies_follow_their_boxes(data: Path) -> None:

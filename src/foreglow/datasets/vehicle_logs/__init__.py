@@ -2,6 +2,6 @@
 
 from foreglow.datasets.vehicle_logs.can_log import CanDecoder, CanLog, read_can_log
 from foreglow.datasets.vehicle_logs.can_writing import write_can_log
-from foreglow.datasets.vehicle_logs.opening import VehicleFiles, open_vehicle_data
+from foreglow.datasets.vehicle_logs.vehicle_files import VehicleFiles, open_vehicle_data
 
 __all__ = ["CanDecoder", "CanLog", "VehicleFiles", "open_vehicle_data", "read_can_log", "write_can_log"]

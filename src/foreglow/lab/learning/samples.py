@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.lab.evaluation.boxes.lights import LIGHT_KINDS, Light, SplitShares, read_lights, read_split_shares
+from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light, SplitShares, read_lights, read_split_shares
 from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE, label_boxes, label_image
 from foreglow.proposals import make_proposer
@@ -97,7 +97,7 @@ class Samples:
         features: Shape (N, F), float32.
         labels: Shape (N,), int8: 1 light artifact, 0 none, -1 not used for training.
         kinds: Shape (N, 5), float32: shares of the kinds of light in `KINDS`, which sum to one; NaN where unknown.
-        groups: Shape (N,), int8: for the strongest light in the box, 2 times the index of its kind in `LIGHT_KINDS`,
+        groups: Shape (N,), int8: for the strongest light in the box, 2 times the index of its kind in `SEEN_ON`,
             plus 1 if its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
         image_ids: Shape (N,), int64, unique within a data set.
@@ -262,7 +262,7 @@ def strongest_lights(boxes_xyxy_px: Boxes, lights: Sequence[Light]) -> list[Ligh
 def box_groups(strongest: Sequence[Light | None]) -> NDArray[np.int8]:
     """The group of each box as in `Samples.groups`, shape (N,), by the strongest light in it."""
     return np.array(
-        [NO_GROUP if light is None else 2 * LIGHT_KINDS.index(light.kind) + light.is_hidden for light in strongest],
+        [NO_GROUP if light is None else 2 * SEEN_ON.index(light.kind) + light.is_hidden for light in strongest],
         np.int8,
     )
 

@@ -16,7 +16,7 @@ from foreglow.lab.studies.distance.run import (
     BOX_ALONE,
     OWN_RULE,
     TILTS_DEG,
-    TRACKERS,
+    TRACKER_ROWS,
     DistancePlan,
     DistanceResults,
     Method,
@@ -167,7 +167,7 @@ def test_tracks_have_the_ranges_of_their_boxes(data: Path) -> None:
     """Without a model all boxes have the score 1: from its first image on, a plausible track follows each light."""
     config = preset("foreglow").model_copy(update={"classifier": ClassifierConfig()})
     results = run_experiment(data, DistancePlan(estimators=("gp",), config=config))
-    assert {name for name, _ in results.tracked} == {*TRACKERS, BOX_ALONE}
+    assert {name for name, _ in results.tracked} == {*TRACKER_ROWS, BOX_ALONE}
     ranges_m, sigmas_m = results.tracked[BOX_ALONE, CENTRE_GP]
     is_followed = ~np.isnan(ranges_m)
     assert is_followed.any()

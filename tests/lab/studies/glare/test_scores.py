@@ -10,7 +10,7 @@ import pytest
 from foreglow.files import to_json
 from foreglow.lab.studies.glare.drive import GlareDrive
 from foreglow.lab.studies.glare.pooled import Interval, Moments
-from foreglow.lab.studies.glare.scores import POLICIES, GlareResults, SensitivityPoint, score_glare, typical_drives
+from foreglow.lab.studies.glare.scores import POLICY_ROWS, GlareResults, SensitivityPoint, score_glare, typical_drives
 from tests.lab.studies.glare_drives import approach, empty_drive
 
 DRIVES = (*(approach(seed) for seed in range(4)), approach(9, is_oncoming=False), empty_drive(0), empty_drive(1))
@@ -22,7 +22,7 @@ def results() -> GlareResults:
 
 
 def test_rows_come_in_their_order(results: GlareResults) -> None:
-    assert [policy.name for policy in results.policies] == list(POLICIES)
+    assert [policy.name for policy in results.policies] == list(POLICY_ROWS)
     assert results.limits == "FMVSS 108"
     assert results.seconds == pytest.approx(5 * 14.0 + 2 * 10.0)
     renamed = [with_runs(drive, {"b": "paper", "oracle": "oracle", "a": "low"}) for drive in DRIVES]

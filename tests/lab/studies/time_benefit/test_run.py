@@ -20,7 +20,7 @@ from foreglow.lab.studies.time_benefit.page import benefit_figure, summary_lines
 from foreglow.lab.studies.time_benefit.run import (
     FIVE_FRAMES,
     RULES,
-    TRACKERS,
+    TRACKER_ROWS,
     TimeBenefitResults,
     run_experiment,
 )
@@ -40,7 +40,7 @@ def fixture_results() -> TimeBenefitResults:
 def test_every_method_has_a_row(results: TimeBenefitResults) -> None:
     (encounter,) = results.encounters
     assert [each.benefit.name for each in results.methods] == [
-        "single frame", *TRACKERS, "human", "first lamp in sight", "production system",
+        "single frame", *TRACKER_ROWS, "human", "first lamp in sight", "production system",
     ]  # fmt: skip
     detected = {each.benefit.name: each.benefit.detected_s[0] for each in results.methods}
     assert detected["human"] == encounter.light_s + 0.8

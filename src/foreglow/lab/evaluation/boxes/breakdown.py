@@ -18,8 +18,8 @@ from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.lab.evaluation.boxes.lights import (
-    LIGHT_KINDS,
     NUM_STRONGEST,
+    SEEN_ON,
     Light,
     SplitShares,
     empty_images,
@@ -342,11 +342,11 @@ def _members(lights: Sequence[Light]) -> dict[str, dict[str, NDArray[np.bool_]]]
     range_m = np.array([light.range_m for light in lights], np.float64)
     rank = np.array([light.rank for light in lights], np.int64)
     return {
-        "kind": {name: kind == name for name in LIGHT_KINDS},
+        "kind": {name: kind == name for name in SEEN_ON},
         "source": {"direct": is_direct, "indirect": ~is_direct},
         "sight": {"hidden": is_hidden, "in sight": ~is_hidden},
         "strength": {"strongest three reflections": (rank >= 0) & (rank < NUM_STRONGEST)},
-        "hidden kind": {name: is_hidden & (kind == name) for name in LIGHT_KINDS},
+        "hidden kind": {name: is_hidden & (kind == name) for name in SEEN_ON},
         "distance": range_bins(range_m),
     }
 

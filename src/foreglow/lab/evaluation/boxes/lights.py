@@ -14,7 +14,7 @@ from foreglow.datasets.simulated import KINDS, BoxShares, has_truth, read_shares
 LAMP, INDIRECT = "lamp", "indirect"
 """The kinds in the labels themselves; the truth of simulated sets says what indirect light is seen on."""
 
-LIGHT_KINDS: tuple[str, ...] = (*KINDS, INDIRECT)
+SEEN_ON: tuple[str, ...] = (*KINDS, INDIRECT)
 """All kinds, in the order of tables."""
 
 NUM_STRONGEST = 3
@@ -35,7 +35,7 @@ class Light:
     Attributes:
         vehicle_id: The vehicle whose light it is (PVDN: oid).
         position_px: Full-frame pixels x, y.
-        kind: A name in `LIGHT_KINDS`: `lamp` for the lamp itself; of other light what it is seen on, or `indirect` if
+        kind: A name in `SEEN_ON`: `lamp` for the lamp itself; of other light what it is seen on, or `indirect` if
             the set is not simulated.
         is_hidden: Whether no lamp of its vehicle is labelled in this or an earlier image of the sequence.
         range_m: From the camera to the vehicle; NaN where unknown.

@@ -81,7 +81,7 @@ OWN_RULE = "own rule"
 
 DEFAULT_HEURISTIC = DistanceConfig().heuristic
 
-TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
+TRACKER_ROWS: Mapping[str, TrackerConfig] = MappingProxyType(
     {
         "alpha-beta filter": OUR_TRACKER,
         "mean of the last five": OUR_TRACKER.model_copy(update={"range_filter": "mean", "num_ranges": NUM_FRAMES}),
@@ -160,8 +160,8 @@ class DistanceResults:
         ranges_m: By method, shape (N,); NaN without estimate.
         sigmas_m: By method, shape (N,); infinite without estimate.
         series_m: By name of the series and method, shape (N,): the ranges of a light's latest five frames as one.
-        tracked: By name of `TRACKERS`, or `box alone`, and method, the estimates of the plausible track that follows
-            a light's box; none where no track does.
+        tracked: By name of `TRACKER_ROWS`, or `box alone`, and method, the estimates of the plausible track that
+            follows a light's box; none where no track does.
         example: The image with a LiDAR's depth that has the most lights; None without a LiDAR.
     """
 
@@ -207,7 +207,7 @@ def run_experiment(source: Path | LidarLights, plan: DistancePlan, progress: Pro
     samples = source if isinstance(source, LidarLights) else SimulatedLights(split_in(source, plan.split), plan.config)
     methods = {method: method.make(plan.config) for method in _methods(plan.estimators)}
     main = [method for method in methods if method.is_default and not method.tilt_deg]
-    trackers = {(name, method): make_tracker(config) for method in main for name, config in TRACKERS.items()}
+    trackers = {(name, method): make_tracker(config) for method in main for name, config in TRACKER_ROWS.items()}
     stages: list[Any] = [*methods.values(), *trackers.values()]
     lights: list[RangedLight] = []
     found: dict[Method, list[Estimates]] = {method: [] for method in methods}
@@ -229,7 +229,7 @@ def run_experiment(source: Path | LidarLights, plan: DistancePlan, progress: Pro
             found[method].append(of_boxes)
             if method not in main:
                 continue
-            for name in TRACKERS:
+            for name in TRACKER_ROWS:
                 tracks = trackers[name, method].update(frame, detections, ranges)
                 rows = _tracks_of(boxes, tracks)
                 # -1 as an index is what is put behind them.

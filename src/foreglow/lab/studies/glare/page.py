@@ -26,7 +26,7 @@ from foreglow.lab.studies.glare.figures import (
 from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.road import AHEAD_S, FULL_LEVEL, JUMP, SWITCH_S
 from foreglow.lab.studies.glare.run import GlareExperiment
-from foreglow.lab.studies.glare.scores import POLICIES, PRODUCTION, GlareResults, PolicyScore, typical_drives
+from foreglow.lab.studies.glare.scores import POLICY_ROWS, PRODUCTION, GlareResults, PolicyScore, typical_drives
 from foreglow.lab.studies.occurrence.run import REMARK, occurrence_table
 
 Columns: TypeAlias = Mapping[str, Callable[[PolicyScore], str]]
@@ -114,7 +114,7 @@ def write_experiment(experiment: GlareExperiment) -> Path:
 
 def own_policy(results: GlareResults) -> str:
     """The row of our pipeline: `foreglow`, or the one that a user has chosen in its place."""
-    return next((policy.name for policy in results.policies if policy.name not in POLICIES), "foreglow")
+    return next((policy.name for policy in results.policies if policy.name not in POLICY_ROWS), "foreglow")
 
 
 def summary_lines(results: GlareResults) -> list[str]:

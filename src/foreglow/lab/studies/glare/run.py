@@ -23,7 +23,7 @@ from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
-from foreglow.lab.studies.glare.scores import POLICIES, GlareResults, SensitivityPoint, score_glare
+from foreglow.lab.studies.glare.scores import POLICY_ROWS, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.parallel import Local, Parent, Workers
@@ -78,7 +78,7 @@ class GlarePlan(FrozenModel):
         """
         names = [path.stem for path in self.also]
         for path in self.also:
-            if path.stem in POLICIES or names.count(path.stem) > 1:
+            if path.stem in POLICY_ROWS or names.count(path.stem) > 1:
                 raise ValueError(f"{path}: expected a file that is called unlike any other row, got {path.stem!r}")
         return {path.stem: self.delays.known_to(read_config(path, config)) for path in self.also}
 

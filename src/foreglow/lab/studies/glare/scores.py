@@ -18,7 +18,7 @@ from foreglow.lab.studies.glare.pooled import (
 )
 from foreglow.lab.studies.glare.road import RESTORE_S
 
-POLICIES = ("low", "high", "production", "paper", "foreglow", "oracle")
+POLICY_ROWS = ("low", "high", "production", "paper", "foreglow", "oracle")
 """The order of the rows; other names come after, as they are found."""
 
 PRODUCTION = "production"
@@ -104,7 +104,7 @@ class GlareResults:
     Attributes:
         restore_s: Time that light had to return after a vehicle.
         seconds: Of all drives.
-        policies: The rows, in the order of `POLICIES`.
+        policies: The rows, in the order of `POLICY_ROWS`.
         sensitivity: How figures move with parameters; may be empty.
     """
 
@@ -143,7 +143,7 @@ def score_glare(
     seconds = 0.0
     for drive in drives:
         if not scores:
-            known = [policy for policy in POLICIES if policy in drive.runs]
+            known = [policy for policy in POLICY_ROWS if policy in drive.runs]
             scores = {policy: [] for policy in dict.fromkeys([*known, *drive.runs])}
         if drive.runs.keys() != scores.keys():
             raise ValueError(f"drive {drive.name}: expected runs of {', '.join(scores)}, got {', '.join(drive.runs)}")

@@ -34,7 +34,7 @@ from foreglow.lab.studies.glare.loop import (
     both,
     closed_loops,
 )
-from foreglow.lab.studies.glare.scores import POLICIES
+from foreglow.lab.studies.glare.scores import POLICY_ROWS
 from foreglow.photometry import NUM_LEDS, Headlamp, Headlamps, read_headlamps, street_lamp
 from foreglow.tracking import make_tracker
 from foreglow.types import Frame, FrameResult, Tracks
@@ -221,7 +221,7 @@ def settings_of(delays: Delays) -> tuple[Setting, ...]:
 def own_name(config: PipelineConfig) -> str:
     """What the row of our pipeline is called: by its policy, and never like a row that is there anyway."""
     policy = config.beam.policy
-    return f"our pipeline, {policy}" if policy in POLICIES and policy != "foreglow" else policy
+    return f"our pipeline, {policy}" if policy in POLICY_ROWS and policy != "foreglow" else policy
 
 
 class Drives:

@@ -30,7 +30,7 @@ from foreglow.runs.predictions import Predictions
 from foreglow.tracking import make_tracker
 from foreglow.types import Tracks
 
-TRACKERS: Mapping[str, TrackerConfig] = MappingProxyType(
+TRACKER_ROWS: Mapping[str, TrackerConfig] = MappingProxyType(
     {
         "tracker, published code": PUBLISHED_TRACKER,
         "tracker, paper": TrackerConfig(),
@@ -134,7 +134,7 @@ def run_experiment(
 
     Args:
         datasets: Splits with labels; their sequences are pooled.
-        config: Detector and distance; its tracker has a row of its own where it is none of `TRACKERS`.
+        config: Detector and distance; its tracker has a row of its own where it is none of `TRACKER_ROWS`.
         categories: Which image category marks the production system's report, where the set is not simulated.
         progress: Called after each image.
         paper: The paper's whole chain, whose detector and tracker have rows of their own; None for none.
@@ -145,7 +145,7 @@ def run_experiment(
     """
     if config.classifier.model is None:
         raise ValueError("experiment time-benefit: classifier.model: expected one, the configuration has none")
-    trackers = dict(TRACKERS)
+    trackers = dict(TRACKER_ROWS)
     if config.tracker.method != "none" and config.tracker not in trackers.values():
         trackers[CONFIGURED] = config.tracker
     settings = {name: tracker for curve in RULES.values() for name, tracker in curve.items()} | trackers

@@ -1,0 +1,38 @@
+"""From gaps to commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from foreglow.beam.dimming import Dimmer, Ramp
+from foreglow.beam.gaps import Gap, merged
+from foreglow.beam.questions import DIP
+from foreglow.config import BeamConfig
+from foreglow.photometry import Headlamps
+from foreglow.types import BeamCommand, BeamMode
+
+
+class GapWriter:
+    """Turns gaps into commands, frame by frame: dims the LEDs at once and lets them return slowly."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        self._dimmer = Dimmer(headlamps, config.led_limit_lx)
+        self._ramp = Ramp(config.hold_s, config.restore_s)
+
+    def reset(self) -> None:
+        """Forgets earlier levels."""
+        self._ramp.reset()
+
+    def command(self, timestamp_ns: int, gaps: Sequence[Gap], dips: Sequence[Gap] = ()) -> BeamCommand:
+        """High beam with `gaps`, and with shallow `dips`, which end at once."""
+        apart = merged(list(gaps))
+        levels = self._ramp.step(self._dimmer.levels(apart), timestamp_ns)
+        if dips:
+            levels = np.minimum(levels, np.maximum(self._dimmer.levels(dips), 1.0 - DIP))
+        mode = BeamMode.FULL if not apart and levels.min() >= 1.0 else BeamMode.GLARE_FREE
+        borders = np.array([gap[:2] for gap in apart], np.float64).reshape(-1, 2)
+        ranges_m = np.array([gap.near_m if math.isfinite(gap.near_m) else math.nan for gap in apart], np.float64)
+        return BeamCommand(timestamp_ns, mode, levels, borders, ranges_m)
