@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -155,7 +156,8 @@ def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: 
     for number, path in enumerate(sorted((shipped_drive() / "images").rglob("*.jpg"))[60:64], start=1):
         cv2.imwrite(str(images / names.format(number)), np.asarray(cv2.imread(str(path)))[::2, ::2])
     listed = tmp_path / "frames.csv"
-    assert foreglow_command("run", images, "--out", run).exit_code == 0
+    result = foreglow_command("run", images, "--out", run)
+    assert result.exit_code == 0, result.output
     frames = [result.frame for results in read_run(run).sequences.values() for result in results]
     listed.write_text(f"frame\n{frames[1]}\n{frames[3]}\n")
     export = ("labels", "export", images, "--run", run, "--frames", listed, "--out", guess)
@@ -206,3 +208,29 @@ def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_
     (tmp_path / "alone.jsonl").write_text("".join(lines))
     said = foreglow_command("evaluate", shipped_drive(), "--predictions", tmp_path / "alone.jsonl")
     assert "incomplete" not in said.stdout
+
+
+def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
+    """One line, or it works; the file of a text cannot hold such a name."""
+    images = tmp_path / os.fsdecode(b"night\xff")
+    images.mkdir()
+    for number, path in enumerate(sorted((shipped_drive() / "images").glob("*/*"))[:2]):
+        shutil.copy(path, images / f"{number}{os.fsdecode(bytes([255]))}{path.suffix}")
+    run = tmp_path / "run"
+    result = foreglow_command("run", images, "--out", run)
+    assert result.exit_code == 0, result.output
+    for name in ("cvat", "coco", "label-studio"):
+        out = tmp_path / f"guess.{'xml' if name == 'cvat' else 'json'}"
+        said = complaint("labels", "export", images, "--run", run, "--format", name, "--out", out)
+        assert "name of an image: expected a path" in said
+        assert "0\\udcff.jpg" in said
+        assert not out.exists()
+    video = tmp_path / "video.xml"  # names no images
+    result = foreglow_command("labels", "export", images, "--run", run, "--format", "cvat-video", "--out", video)
+    assert result.exit_code == 0, result.output
+    own = tmp_path / "own"
+    result = foreglow_command("labels", "import", video, "--images", images, "--out", own)
+    assert result.exit_code == 0, result.output
+    assert len(open_labelled(own)) == 2
+    assert foreglow_command("suggest", run, "--frames", 1).exit_code == 0
+    assert "source: expected the run's frames" in complaint("beam", run, "--out", tmp_path / "beam")

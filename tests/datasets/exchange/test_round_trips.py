@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,15 @@ import pytest
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.datasets import PVDN, Video, open_labelled, open_source, write_pvdn
-from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
+from foreglow.datasets.exchange import (
+    LABEL_FORMATS,
+    LabelFile,
+    Mark,
+    labels_of,
+    read_labels_file,
+    write_labels_file,
+    write_split,
+)
 from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory
@@ -75,6 +84,26 @@ def test_a_round_trip_loses_nothing_that_both_know(name: str, split: Path, tmp_p
 def test_a_drive_of_several_sequences_is_no_video(split: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the images of one sequence, got 2 sequences"):
         exported(split, tmp_path / "labels.xml", "cvat-video")
+
+
+@pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
+@pytest.mark.parametrize("name", ["a+b & c#d.png", "100%25?d=x;y.png", "S1/10.00\u202fPM.png", '<Nacht> "1".png'])
+def test_names_of_all_kinds_come_back(form: str, name: str, tmp_path: Path) -> None:
+    path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
+    write_labels_file(path, LabelSet(images), form)
+    assert [image.name for image in read_labels_file(path).images] == [name]
+
+
+@pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
+@pytest.mark.parametrize(
+    "name", ["a\tb.png", "a\nb.png", "a\x01.png", "a\\b.png", "C:a.png", os.fsdecode(b"a\xff.png")]
+)
+def test_names_that_could_not_be_read_again_are_not_written(form: str, name: str, tmp_path: Path) -> None:
+    path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
+    with pytest.raises(ValueError, match="name of an image: expected a path below") as caught:
+        write_labels_file(path, LabelSet(images), form)
+    assert str(caught.value).isprintable()
+    assert not path.exists()
 
 
 @pytest.mark.parametrize("name", ["cvat", "coco", "label-studio"])

@@ -24,6 +24,7 @@ from foreglow.datasets.exchange.marks import (
     pixel,
     plain_path,
     truth,
+    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import shortened
@@ -140,7 +141,7 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     annotations: list[dict[str, Any]] = []
     for image_id, image in enumerate(labels.images, start=1):
         width_px, height_px = image.size_px or (1, 1)
-        images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})
+        images.append({"id": image_id, "file_name": writable_name(image), "width": width_px, "height": height_px})
         lost["category of an image"] += len(image.categories)
         for mark in image.marks:
             x, y = mark.position_px
