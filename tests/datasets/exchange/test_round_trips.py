@@ -167,6 +167,39 @@ def test_a_video_s_labels_follow_its_tracks(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_frames_that_nobody_has_labelled_are_not_empty(tmp_path: Path) -> None:
+    """Those that a task left out by its step, were deleted, or are for interpolation teach nothing."""
+    meta = "<meta><task><size>5</size><start_frame>10</start_frame><stop_frame>30</stop_frame>{}</task></meta>"
+    every = meta.format("<frame_filter>step=5</frame_filter>")
+    shapes = {10: 0, 20: 0, 25: 1, 30: 0}
+    points = "".join(f'<points frame="{at}" outside="{is_out}" points="5,5"/>' for at, is_out in shapes.items())
+    path = tmp_path / "labels.xml"
+    path.write_text(f'<annotations>{every}<track id="6" label="light">{points}</track></annotations>')
+    found = read_labels_file(path)
+    assert [(image.name, len(image.marks)) for image in found.images] == [("10", 1), ("20", 1), ("25", 0), ("30", 1)]
+    assert dict(found.lost) == {"frame in which a track goes on, but has no shape": 1}
+    path.write_text(path.read_text().replace('frame="20"', 'frame="21"'))
+    with pytest.raises(ValueError, match="track 0: frame: expected 10 to 30 in steps of 5, got 21"):
+        read_labels_file(path)
+    path.write_text(path.read_text().replace("step=5", "step=0"))
+    with pytest.raises(ValueError, match="frame_filter: expected step=N, got 'step=0'"):
+        read_labels_file(path)
+
+
+def test_points_beyond_the_first_of_an_annotation_are_counted(split: Path, tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    write_labels_file(path, labels_of(open_labelled(split)), "coco")
+    file = json.loads(path.read_text())
+    file["annotations"][0]["keypoints"] += [3, 4, 2, 0, 0, 0]
+    path.write_text(json.dumps(file))
+    assert read_labels_file(path).lost == {"further key point of an annotation": 1}
+
+
+def test_no_image_is_no_set(split: Path) -> None:
+    with pytest.raises(ValueError, match="frames: expected at least one image"):
+        labels_of(open_labelled(split), ())
+
+
 def test_predictions_of_label_studio_are_no_labels(split: Path, tmp_path: Path) -> None:
     path = tmp_path / "labels.json"
     write_labels_file(path, labels_of(open_labelled(split)), "label-studio", is_guess=True)

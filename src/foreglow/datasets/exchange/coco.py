@@ -95,6 +95,7 @@ def read_coco(path: Path) -> LabelSet:
             lost[f"annotation of the category {shortened(name)}"] += 1
             continue
         point = _point(annotation)
+        lost["further key point of an annotation"] += max(0, sum(each > 0 for each in annotation.keypoints[2::3]) - 1)
         if point is None:
             lost["annotation without a key point or a box"] += 1
         else:
@@ -108,7 +109,7 @@ def read_coco(path: Path) -> LabelSet:
         )
         for index, image in enumerate(file.images)
     )
-    return LabelSet(checked_images(images, path), lost)
+    return LabelSet(checked_images(images, path), +lost)
 
 
 def _point(annotation: CocoAnnotation) -> tuple[float, float] | None:

@@ -51,6 +51,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
         size_px = record.width_px, record.height_px
         images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
+    if not images:
+        raise ValueError(f"{dataset.root}: frames: expected at least one image, got none")
     ordinary = _attributes(Sequence.plain(0))
     lost["sequence with attributes (weather, road, driver, times, ...)"] = sum(
         _attributes(sequence) != ordinary for sequence in dataset.sequences
