@@ -78,7 +78,7 @@ class Video(FileSource):
         with self._opened() as (container, stream):
             self._is_raw = container.format.name in RAW_STREAMS
             stated: Fraction | None = stream.codec_context.framerate if self._is_raw else None
-            is_stated = bool(stated) and 1 <= stated <= MAX_RATE_HZ
+            is_stated = stated is not None and 1 <= stated <= MAX_RATE_HZ
             rate: Fraction | None = stated if is_stated else stream.average_rate
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
