@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
@@ -116,6 +118,48 @@ def test_unwritable_video_names_its_path(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file") as caught:
         write_video(tmp_path / "absent" / "overlay.mp4", night_frames(1))
     assert caught.value.filename == str(tmp_path / "absent" / "overlay.mp4")
+
+
+FILLING = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from foreglow.display.video import VideoSink
+from foreglow.types import Frame
+from tests.stand_ins import result_of
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does itself
+path, hard = Path(sys.argv[1]), resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+noise = np.random.default_rng(0).integers(0, 255, (8, 64, 96), np.uint8)
+for limit in [*range(0, 20_000, 300), *range(20_000, 200_000, 20_000), 5_000_000]:
+    sink = VideoSink(path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        for number, image in enumerate(noise):
+            frame = Frame(image, 50_000_000 * number)
+            sink.write(frame, result_of(frame, []))
+        sink.close()
+    except OSError as error:
+        assert error.filename == str(path)
+        print("refused", limit)
+    else:
+        print("whole", limit)
+    for _ in range(2):
+        sink.discard()
+"""
+"""Writes a film under many limits of a file's size; pictures wait in the sink when the first one fails."""
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_disk_that_fills_at_any_byte_is_an_error_and_no_signal(tmp_path: Path) -> None:
+    program = [sys.executable, "-c", FILLING, str(tmp_path / "overlay.mp4")]
+    ended = subprocess.run(program, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2])
+    assert ended.returncode == 0, (ended.returncode, ended.stdout, ended.stderr)
+    assert ended.stderr == ""
+    words = [line.split()[0] for line in ended.stdout.splitlines()]
+    assert words == sorted(words)
+    assert set(words) == {"refused", "whole"}
 
 
 @needs_full_disk

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -40,7 +41,11 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     Damaged are the pictures from a packet that is cut, incomplete or undecodable on, because each is coded as what
     differs from those before, until the next key frame. A demultiplexer may tell of a loss one packet early, hence a
     key frame counts only if the packet before it was whole, too. A stream without further key frames (intra refresh)
-    stays damaged. A packet that cannot be decoded does not end the stream.
+    stays damaged. A packet that cannot be decoded does not end the stream. So is a picture of FFV1 with a wrong
+    checksum, and one of MJPEG that only a lenient decoder takes; FFmpeg tells of neither but in its log.
+
+    One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
+    wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
 
     Raises:
         FFmpegError: If the container cannot be read any further.
@@ -49,11 +54,14 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     from av.error import EOFError as StreamEnd
     from av.error import FFmpegError
 
-    stream.codec_context.flags |= Flags.copy_opaque  # pictures carry the number of their packet
+    codec = stream.codec_context
+    codec.thread_type = "NONE"
+    codec.flags |= Flags.copy_opaque  # pictures carry the number of their packet
+    checksums = _Ffv1Checksums() if codec.name == "ffv1" else None
     damaged, key, latest = -math.inf, -1, -1  # numbers of packets
     for number, packet in enumerate(container.demux(stream)):
         packet.opaque = number
-        if packet.is_corrupt:
+        if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
             damaged = number
         try:
             pictures = packet.decode()
@@ -61,7 +69,7 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             break
         except FFmpegError:
             damaged = number
-            continue
+            pictures = _leniently_decoded(codec, packet)
         for picture in pictures:
             origin = number if picture.opaque is None else picture.opaque
             if picture.is_corrupt:
@@ -72,6 +80,60 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             yield picture, damaged >= key - 1
     if damaged > latest:
         yield None, True
+
+
+def _leniently_decoded(codec: Any, packet: Any) -> list[Any]:
+    """The picture of a packet that `codec`, which may be strict, has refused; only MJPEG has it in one packet."""
+    from av import CodecContext
+    from av.error import FFmpegError
+
+    if codec.name != "mjpeg":
+        return []
+    lenient: Any = CodecContext.create("mjpeg", "r")
+    lenient.options = {name: value for name, value in codec.options.items() if name != "err_detect"}
+    lenient.flags |= codec.flags
+    try:
+        return list(lenient.decode(packet))
+    except FFmpegError:
+        return []
+
+
+class _Ffv1Checksums:
+    """The checksums of slices of FFV1, which its decoder notes in its log only: it fills the slice from before.
+
+    Each slice ends in its size without this end (24 bits), an error status and a checksum, with which the checksum of
+    the whole slice is what it began with. Streams without checksums end in the size alone.
+    Source: RFC 9043, sections 4.9.1 to 4.9.3; a later version begins with another value.
+    """
+
+    _END = 8
+    _BEGINNINGS = (0, 0x7A8C4079)
+    _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+
+    def __init__(self) -> None:
+        self._have_been_seen = False
+
+    def are_wrong(self, data: bytes) -> bool:
+        """Whether a slice of this packet is wrong; never before a packet has had slices with checksums."""
+        slices, end = [], len(data)
+        while end >= self._END:
+            start = end - self._END - int.from_bytes(data[end - self._END : end - self._END + 3], "big")
+            if start < 0:
+                break
+            slices.append(data[start:end])
+            end = start
+        if end:
+            return self._have_been_seen
+        self._have_been_seen = True
+        return not all(self._is_right(each.translate(self._MIRRORED)) for each in slices)
+
+    def _is_right(self, mirrored: bytes) -> bool:
+        """By zlib's checksum, which takes bits in the other order and inverts them before and after."""
+        for beginning in self._BEGINNINGS:
+            value = int(f"{beginning:032b}"[::-1], 2)
+            if zlib.crc32(mirrored, value ^ 0xFFFFFFFF) ^ 0xFFFFFFFF == value:
+                return True
+        return False
 
 
 def grey_image(picture: Any) -> Image:

@@ -18,6 +18,9 @@ from foreglow.types import Frame
 _LEAST_SHARE = 0.95
 """An MP4 that yields less than this share of its stated number of frames counts as damaged."""
 
+_FEW_FRAMES = 4
+"""A Matroska file may end so many frames' times before its stated end."""
+
 _MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
@@ -44,11 +47,18 @@ class Video(FileSource):
 
     A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
+<<<<<<< HEAD
     stream's own presentation times; a frame without one follows the frame before at the stream's rate, and so does each
     of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
     that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
     `mark` they are marked.
+=======
+    stream's own presentation times; a frame without one follows the frame before at the stream's rate. Where they
+    begin anew, as in files that were appended to each other, so does a sequence, which is named after its first frame.
+    A cut file is an error, and so are a Matroska file that ends before its stated time, and frames that are `damaged`
+    (see `decoding`): with `skip` they are left out, with `mark` they are marked.
+>>>>>>> vid
 
     Attributes:
         path: The file.
@@ -83,6 +93,7 @@ class Video(FileSource):
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name
+            self._stated_end_ns = _stated_end_ns(container)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
@@ -108,11 +119,14 @@ class Video(FileSource):
         """All frames, up to where the container cannot be read."""
         from av.error import FFmpegError
 
-        index, latest, sequence = -1, (0, 0), ""
+        index, latest, sequence, reached_ns = -1, (0, 0), "", 0
         try:
             with self._opened() as (container, stream):
                 for picture, is_damaged in decoded(container, stream):
                     index += 1
+                    if picture is not None and picture.pts is not None and picture.time_base:
+                        end = (int(picture.pts) + (picture.duration or 0)) * Fraction(picture.time_base)
+                        reached_ns = max(reached_ns, round(end * 1_000_000_000))
                     if is_damaged and (picture is None or self._on_error != "mark"):
                         self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
                         continue
@@ -124,6 +138,7 @@ class Video(FileSource):
                     yield dataclasses.replace(frame, sequence=sequence)
         except FFmpegError as error:
             self._refuse(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
+        self._check_end(reached_ns, index + 1)
         if self.skipped:
             return
         if index < 0:
@@ -131,6 +146,15 @@ class Video(FileSource):
         # An MP4's sample table is exact; if it is damaged, the demuxer ends early and silently.
         elif self._is_counted and self.num_frames and index + 1 < _LEAST_SHARE * self.num_frames - 2:
             self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
+
+    def _check_end(self, reached_ns: int, num_frames: int) -> None:
+        """Refuses a file whose frames end long before the time that it states; its demultiplexer gave up silently."""
+        period_ns = max(1_000_000_000 / self._rate if self._rate else 0, reached_ns / max(num_frames, 1))
+        if num_frames and not self._truncation and self._stated_end_ns - reached_ns > _FEW_FRAMES * period_ns:
+            stated_s, reached_s = self._stated_end_ns / 1e9, reached_ns / 1e9
+            self._refuse(
+                f"{self.path}: expected frames until {stated_s:.2f} s, the stream ends after {reached_s:.2f} s"
+            )
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
         try:
@@ -168,9 +192,15 @@ class Video(FileSource):
             stream = streams[0]
             if stream.codec_context is None:
                 raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
-            stream.thread_type = "AUTO"
-            stream.codec_context.options = _CODEC_OPTIONS
+            strict = {"err_detect": "explode"} if stream.codec_context.name == "mjpeg" else {}
+            stream.codec_context.options = _CODEC_OPTIONS | strict
             yield container, stream
+
+
+def _stated_end_ns(container: Any) -> int:
+    """When a Matroska file ends that holds nothing but a video, by its header; 0 if unknown."""
+    is_stated = "matroska" in container.format.name and len(container.streams) == 1
+    return int(container.duration) * 1000 if is_stated and container.duration else 0
 
 
 def _num_frames(stream: Any) -> int | None:

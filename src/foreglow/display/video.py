@@ -78,7 +78,8 @@ class Movie:
     """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other, at the times of `FilmTimes`.
 
     A picture of another size than the first is fitted into the first one's. The file is a valid video once `close` has
-    returned; without a picture there is none.
+    returned; without a picture there is none. The first error, such as a full disk, is the last: FFmpeg writes a header
+    that failed once more, from memory that it has given back, so it is never called again.
     """
 
     def __init__(self, path: Path, fps: float | None = None) -> None:
@@ -99,14 +100,15 @@ class Movie:
         self._times = FilmTimes(float(1_000_000_000 / self._rate))
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
+        self._failure: OSError | None = None
 
     def add(self, picture: Picture, timestamp_ns: int, sequence: str = "") -> None:
         """Appends `picture`, which was taken at `timestamp_ns`; sequences share no time axis.
 
         Raises:
-            OSError: If the file cannot be written; the message names the path.
+            OSError: If the file cannot be written, now or earlier; the message names the path.
         """
-        with _naming(self._path):
+        with self._writing():
             if self._container is None or self._stream is None:
                 self._open(picture)
             assert self._container is not None
@@ -123,11 +125,11 @@ class Movie:
         """Completes the video.
 
         Raises:
-            OSError: If the file cannot be written; the message names the path.
+            OSError: If the file cannot be written, now or earlier; the message names the path.
         """
-        if self._container is None or self._stream is None:
-            return
-        with _naming(self._path):
+        with self._writing():
+            if self._container is None or self._stream is None:
+                return
             for packet in self._stream.encode(None):
                 self._container.mux(packet)
             self._container.close()
@@ -139,6 +141,18 @@ class Movie:
             with contextlib.suppress(av.error.FFmpegError):
                 self._container.close()
             self._container = None
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Keeps the first error, after which the file is closed and nothing is done any more but raise it again."""
+        if self._failure is not None:
+            raise self._failure
+        try:
+            yield
+        except (av.error.FFmpegError, OSError) as error:
+            self._failure = OSError(error.errno, error.strerror, str(self._path))
+            Movie.discard(self)
+            raise self._failure from error
 
     def _open(self, picture: Picture) -> None:
         self._container = av.open(str(self._path), "w", format="mp4", options={"movflags": "+faststart"})
@@ -233,11 +247,3 @@ def _fitted(picture: Picture, width_px: int, height_px: int) -> Picture:
     smaller = cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
     canvas[top_px : top_px + size_px[1], left_px : left_px + size_px[0]] = smaller
     return canvas
-
-
-@contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (av.error.FFmpegError, OSError) as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
