@@ -47,18 +47,11 @@ class Video(FileSource):
 
     A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
-<<<<<<< HEAD
     stream's own presentation times; a frame without one follows the frame before at the stream's rate, and so does each
     of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
     that were appended to each other, so does a sequence, which is named after its first frame.
-    A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
-    `mark` they are marked.
-=======
-    stream's own presentation times; a frame without one follows the frame before at the stream's rate. Where they
-    begin anew, as in files that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so are a Matroska file that ends before its stated time, and frames that are `damaged`
     (see `decoding`): with `skip` they are left out, with `mark` they are marked.
->>>>>>> vid
 
     Attributes:
         path: The file.
