@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -43,36 +43,41 @@ RESULT_FILES = (
 RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
 """The files by which the folders of a run, of a training and of a search are known."""
 
-PARTS_OF = {
-    RUN: RESULT_NAMES,
-    TRAINING: (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
-    TUNING: (TUNING, "study.journal", "summary.json"),
+
+@dataclass(frozen=True, slots=True)
+class FolderKind:
+    """A kind of folder that commands write, which is known by one file, its mark.
+
+    Attributes:
+        commands: Those that may have written it, where nothing there says which one did.
+        parts: The files beside the mark that are lost if another command writes them.
+        begun: Those by which an earlier one is known that may not be complete; of a run, beside the mark.
+        command_keys: Where the mark, as JSON, says which command wrote it; empty if it does not.
+    """
+
+    commands: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+    begun: tuple[str, ...] = ()
+    command_keys: tuple[str, ...] = ()
+
+
+KINDS = {
+    RUN: FolderKind(("run", "beam", "live", "demo"), RESULT_NAMES, ("times.jsonl", "config.toml", "summary.json")),
+    TRAINING: FolderKind(
+        ("train",),
+        (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+        (TRAINING, "checkpoint.pt"),
+    ),
+    TUNING: FolderKind(("tune",), (TUNING, "study.journal", "summary.json"), (TUNING, "study.journal")),
+    "study.journal": FolderKind(("tune",)),
+    "plan.json": FolderKind(("experiment glare",)),
+    "experiments.json": FolderKind(("reproduce",)),
+    "summary.json": FolderKind(command_keys=("command",)),
+    "results.json": FolderKind(
+        ("experiment", "evaluate", "reproduce", "yolo-train"), command_keys=("made_with", "command")
+    ),
 }
-"""By such a file, the files beside it that are lost if another command writes them."""
-
-BEGUN = {
-    RUN: ("times.jsonl", "config.toml", "summary.json"),
-    TRAINING: (TRAINING, "checkpoint.pt"),
-    TUNING: (TUNING, "study.journal"),
-}
-"""By such a file, the files by which an earlier one is known that may not be complete; of a run, beside the first."""
-
-WRITERS = {
-    RUN: ("run", "beam", "live", "demo"),
-    TRAINING: ("train",),
-    TUNING: ("tune",),
-    "study.journal": ("tune",),
-    "plan.json": ("experiment glare",),
-    "experiments.json": ("reproduce",),
-    "results.json": ("experiment", "evaluate", "reproduce", "yolo-train"),
-}
-"""By such a file, the commands that may have written the folder, where nothing there says which one did."""
-
-RECORDS = {"summary.json": ("command",), "results.json": ("made_with", "command")}
-"""By file, where it says which command wrote it."""
-
-MAX_RECORD_BYTES = 64 << 20
-"""A longer record is not read: then the folder is known by its `WRITERS` alone."""
+"""By mark; a record of which command wrote the folder goes before the marks."""
 
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
@@ -217,8 +222,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, paths in results.items():
             if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
                 raise ValueError(f"{name} {path}: expected another file than the results in {other}")
-        for mark, parts in PARTS_OF.items():
-            if path.is_file() and path.suffix != ".html" and path.name in parts and path.with_name(mark).is_file():
+        for mark, kind in KINDS.items():
+            if path.is_file() and path.suffix != ".html" and path.name in kind.parts and path.with_name(mark).is_file():
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {path.parent}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
@@ -293,15 +298,15 @@ def _check_writer(name: str, folder: Path) -> None:
     command = running_command()
     if command is None:
         return
-    for record, keys in RECORDS.items():
-        writer = _said_in(folder / record, keys)
+    for record, kind in KINDS.items():
+        writer = _said_in(folder / record, kind.command_keys) if kind.command_keys else None
         if writer is not None and writer != command:
             raise ValueError(_words_on_writer(name, folder, writer, record))
         if writer is not None:
             return
-    for mark, writers in WRITERS.items():
-        if (folder / mark).is_file() and not command.startswith(writers):
-            raise ValueError(_words_on_writer(name, folder, writers[0], mark))
+    for mark, kind in KINDS.items():
+        if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
+            raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
 
 
 def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:
@@ -310,12 +315,13 @@ def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:
 
 def _said_in(path: Path, keys: Sequence[str]) -> str | None:
     """The text under these keys in a JSON file; None if there is none."""
-    with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
-        if path.is_file() and path.stat().st_size <= MAX_RECORD_BYTES:
-            value = json.loads(path.read_bytes())
-            for key in keys:
-                value = value[key]
-            return value if isinstance(value, str) else None
+    from foreglow.files import read_plain_json  # only here: the help comes without NumPy and pydantic
+
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # the file may be anything
+        value = read_plain_json(path)
+        for key in keys:
+            value = value[key]
+        return value if isinstance(value, str) else None
     return None
 
 
@@ -351,7 +357,7 @@ def check_own(folder: Path, mark: str) -> None:
     """
     if _has_earlier(folder, mark):
         return
-    for path in (folder / name for name in (*PARTS_OF[mark], "config.toml", "summary.json")):
+    for path in (folder / name for name in (*KINDS[mark].parts, "config.toml", "summary.json")):
         if path.is_file():
             raise ValueError(
                 f"{path}: expected nothing there but earlier results of this command; choose another folder"
@@ -361,9 +367,9 @@ def check_own(folder: Path, mark: str) -> None:
 def _has_earlier(folder: Path, mark: str) -> bool:
     """Whether a folder has an earlier run, training or search, also one that was interrupted."""
     if mark != RUN:
-        return any((folder / name).is_file() for name in BEGUN[mark])
+        return any((folder / name).is_file() for name in KINDS[mark].begun)
     is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
-    has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in BEGUN[RUN])
+    has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in KINDS[RUN].begun)
     return is_begun or has_results or (folder / "results.json").is_file()
 
 

@@ -39,6 +39,16 @@ def test_convert_and_check(tmp_path: Path) -> None:
     assert "image.png: size: expected 1280x960 px as the calibration has it, got 640x480 px" in said
 
 
+def test_a_calibration_of_another_size_is_told(tmp_path: Path) -> None:
+    """Its principal point is at the edge: the matrix is that of images twice as wide."""
+    source, mount = tmp_path / "front.yaml", ("--mount-forward", 1.9, "--mount-height", 1.3)
+    for text, is_told in ((ROS, False), (ROS.replace("image_width: 1280", "image_width: 640"), True)):
+        source.write_text(text)
+        result = foreglow_command("calibrate", "convert", source, "--out", tmp_path / "camera.toml", *mount)
+        assert result.exit_code == 0, result.output
+        assert ("warning: the principal point is far off the middle: cx" in result.stdout) == is_told
+
+
 @pytest.mark.parametrize(
     ("text", "options", "size_px"),
     [

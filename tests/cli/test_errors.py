@@ -235,3 +235,11 @@ def test_a_plug_in_that_ends_the_program_when_it_is_imported(monkeypatch: pytest
     result = foreglow_command("beam", "image.png", "--out", "out", "--policy", "ending_policy:Ending")
     assert result.exit_code == 2
     assert "--policy: ending_policy:Ending cannot be imported: SystemExit: 0" in result.stderr
+
+
+def test_a_name_that_no_text_can_hold() -> None:
+    with pytest.raises(UnicodeEncodeError) as caught:
+        f"model = '/models/{os.fsdecode(bytes([255]))}.onnx'".encode()
+    line, code = errors.one_line(caught.value)
+    assert code == 2
+    assert "/models/\\udcff.onnx" in line

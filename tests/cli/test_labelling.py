@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -155,7 +156,8 @@ def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: 
     for number, path in enumerate(sorted((shipped_drive() / "images").rglob("*.jpg"))[60:64], start=1):
         cv2.imwrite(str(images / names.format(number)), np.asarray(cv2.imread(str(path)))[::2, ::2])
     listed = tmp_path / "frames.csv"
-    assert foreglow_command("run", images, "--out", run).exit_code == 0
+    result = foreglow_command("run", images, "--out", run)
+    assert result.exit_code == 0, result.output
     frames = [result.frame for results in read_run(run).sequences.values() for result in results]
     listed.write_text(f"frame\n{frames[1]}\n{frames[3]}\n")
     export = ("labels", "export", images, "--run", run, "--frames", listed, "--out", guess)
@@ -172,7 +174,7 @@ def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: 
 
 def test_every_reader_of_an_interrupted_run_says_so(run: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut"
-    shutil.copytree(run, cut)
+    shutil.copytree(run, cut, ignore=shutil.ignore_patterns("suggestions.csv"))
     summary = json.loads((cut / "summary.json").read_text())
     (cut / "summary.json").write_text(json.dumps(summary | {"is_complete": False}))
     lack = f"{cut}: the run was interrupted after 30 frames, what is made from it is incomplete"
@@ -206,3 +208,68 @@ def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_
     (tmp_path / "alone.jsonl").write_text("".join(lines))
     said = foreglow_command("evaluate", shipped_drive(), "--predictions", tmp_path / "alone.jsonl")
     assert "incomplete" not in said.stdout
+
+
+def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
+    """One line, or it works; the file of a text cannot hold such a name."""
+    images = tmp_path / os.fsdecode(b"night\xff")
+    images.mkdir()
+    for number, path in enumerate(sorted((shipped_drive() / "images").glob("*/*"))[:2]):
+        shutil.copy(path, images / f"{number}{os.fsdecode(bytes([255]))}{path.suffix}")
+    run = tmp_path / "run"
+    result = foreglow_command("run", images, "--out", run)
+    assert result.exit_code == 0, result.output
+    for name in ("cvat", "coco", "label-studio"):
+        out = tmp_path / f"guess.{'xml' if name == 'cvat' else 'json'}"
+        said = complaint("labels", "export", images, "--run", run, "--format", name, "--out", out)
+        assert "name of an image: expected a path" in said
+        assert "0\\udcff.jpg" in said
+        assert not out.exists()
+    video = tmp_path / "video.xml"  # names no images
+    result = foreglow_command("labels", "export", images, "--run", run, "--format", "cvat-video", "--out", video)
+    assert result.exit_code == 0, result.output
+    own = tmp_path / "own"
+    result = foreglow_command("labels", "import", video, "--images", images, "--out", own)
+    assert result.exit_code == 0, result.output
+    assert len(open_labelled(own)) == 2
+    assert foreglow_command("suggest", run, "--frames", 1).exit_code == 0
+    assert "source: expected the run's frames" in complaint("beam", run, "--out", tmp_path / "beam")
+
+
+def test_suggestions_that_somebody_has_edited_stay(run: Path, tmp_path: Path) -> None:
+    runs = [tmp_path / name for name in "ab"]
+    for path in runs:
+        shutil.copytree(run, path, ignore=shutil.ignore_patterns("suggestions.csv"))
+    for _ in range(2):  # the same again is no loss
+        assert foreglow_command("suggest", *runs, "--frames", 6).exit_code == 0
+    first, second = (path / "suggestions.csv" for path in runs)
+    first.unlink()
+    lines = second.read_text().splitlines(keepends=True)
+    second.write_text("".join(lines[:-1]))
+    said = foreglow_command("suggest", *runs, "--frames", 6)
+    assert said.exit_code == 2
+    assert f"foreglow: {second}: expected nothing there, or the same suggestions" in said.stderr
+    assert second.read_text() == "".join(lines[:-1])
+    assert not first.exists()
+
+
+def test_images_without_points_and_doubtful_light_are_counted(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    for name in "abc":
+        cv2.imwrite(str(images / f"{name}.png"), np.zeros((72, 96), np.uint8))
+    point = '<points label="{}" points="5,5"/>'
+    for empty, doubtful in ((1, 1), (2, 0), (0, 2)):
+        marked = ["", *[point.format("light")] * 2] if empty == 1 else ["", "", point.format("light")]
+        marked = [point.format("light")] * 3 if empty == 0 else marked
+        marked[-1] += doubtful * point.format("doubtful")
+        parts = (
+            f'<image id="0" name="{name}.png">{inside}</image>' for name, inside in zip("abc", marked, strict=True)
+        )
+        (tmp_path / "labels.xml").write_text(f"<annotations>{''.join(parts)}</annotations>")
+        result = foreglow_command("labels", "import", tmp_path / "labels.xml", "--out", tmp_path / f"own{empty}")
+        assert result.exit_code == 0, result.output
+        words = {1: "1 of the images has no point: it teaches", 2: "2 of the images have no point: they teach"}
+        assert [word in result.stdout for word in words.values()] == [empty == 1, empty == 2]
+        lights = f"{3 - empty} light{'s' if empty < 2 else ''}"
+        assert f", {lights}{f', {doubtful} doubtful' if doubtful else ''}\n" in result.stdout

@@ -14,6 +14,7 @@ from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
+from tests.datasets.test_video import make_video
 from tests.shared_data import shared_file
 
 
@@ -194,3 +195,13 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
         result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
         assert result.exit_code == 0, result.output
         assert (told in result.stdout) == is_told
+
+
+def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
+    path = make_video(tmp_path / "drive.h264", codec="libx264", num_frames=4, rate_hz=50)
+    for command in (("run", path), ("run", path, "--jobs", "2"), ("demo", path)):
+        given = ("--config", config) if command[0] == "run" else ()
+        result = foreglow_command(*command, *given, "--out", tmp_path / "out")
+        assert result.exit_code == 0, result.output
+        assert f"{path}: a raw stream has no times: taken for 50 frames a second" in result.stdout
+        shutil.rmtree(tmp_path / "out")

@@ -9,21 +9,26 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from foreglow.cli.learning import _worse_lines
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import evaluate_boxes
 from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
+from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
+from foreglow.lab.learning.fine_tuning import Judged
 from foreglow.lab.learning.recipes import RECIPES, read_recipe
 from foreglow.lab.learning.training_run import train_model
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
+from tests.lab.learning.tiny_training import make_samples
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
@@ -164,3 +169,26 @@ def test_the_paper_recipe_exports_its_network(data: Path, tmp_path: Path) -> Non
     summary = train_model([data], recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
     assert summary["num_parameters"] == 942_209
     assert summary["largest_difference_of_export"] < 1e-4
+
+
+def held_out(*after: float) -> Judged:
+    """A box with light, found before at .9, and one without at .5; now they have the scores `after`."""
+    samples = make_samples(2, 0, labels=np.array([POSITIVE, NEGATIVE], np.int8), groups=np.full(2, -1, np.int8))
+    return Judged("mine/val", None, samples, np.array([0.9, 0.5]), np.array(after), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("after", "is_worse"),
+    [((0.8, 0.7), False), ((0.4, 0.7), True)],
+)
+def test_a_model_that_got_worse_on_the_drives_of_the_user(after: tuple[float, float], is_worse: bool) -> None:
+    lines = _worse_lines([held_out(*after), held_out(0.1, 0.9)])  # the last is what is held out of the old samples
+    assert [line.partition(",")[0] for line in lines] == (["worse on mine/val"] if is_worse else [])
+    assert all("keep the model that you had" in line for line in lines)
+
+
+def test_a_loss_below_the_threshold_is_not_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foreglow.cli.learning.MAX_WORSE", 0.5)  # of an average precision of 1 before and 0.5 after
+    assert not _worse_lines([held_out(0.4, 0.7)] * 2)
+    monkeypatch.setattr("foreglow.cli.learning.MAX_WORSE", 0.49)
+    assert len(_worse_lines([held_out(0.4, 0.7)] * 2)) == 1

@@ -17,11 +17,13 @@ from tests.shared_data import shared_file
 NUM_FRAMES = 24
 
 
-def make_video(path: Path, *, codec: str = "mpeg4", pixels: str = "yuv420p", num_frames: int = NUM_FRAMES) -> Path:
-    """A grey ramp that brightens by 8 levels a frame, 96x72, 25 Hz; the header lies at the front of an MP4."""
+def make_video(
+    path: Path, *, codec: str = "mpeg4", pixels: str = "yuv420p", num_frames: int = NUM_FRAMES, rate_hz: int = 25
+) -> Path:
+    """A grey ramp that brightens by 8 levels a frame, 96x72; the header lies at the front of an MP4."""
     options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=options) as container:
-        stream: Any = container.add_stream(codec, rate=25)
+        stream: Any = container.add_stream(codec, rate=rate_hz)
         stream.width, stream.height, stream.pix_fmt = 96, 72, pixels
         stream.bit_rate = 2_000_000
         for index in range(num_frames):
@@ -29,7 +31,7 @@ def make_video(path: Path, *, codec: str = "mpeg4", pixels: str = "yuv420p", num
             image[:, :48] += 16
             picture = av.VideoFrame.from_ndarray(image, format="rgb24")
             picture.pts = index
-            picture.time_base = Fraction(1, 25)
+            picture.time_base = Fraction(1, rate_hz)
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
     return path
@@ -59,6 +61,29 @@ def test_other_containers(tmp_path: Path, suffix: str) -> None:
     frames = list(Video(make_video(tmp_path / f"clip{suffix}")))
     assert len(frames) == NUM_FRAMES
     assert frames[-1].timestamp_ns - frames[0].timestamp_ns == 40_000_000 * (NUM_FRAMES - 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels", "rate_hz", "why"),
+    [
+        ("clip.h264", "libx264", "yuv420p", 50, "as the stream says itself"),
+        ("clip.h265", "libx265", "yuv420p", 50, "as the stream says itself"),
+        ("clip.m2v", "mpeg2video", "yuv420p", 50, "as the stream says itself"),
+        ("clip.mjpeg", "mjpeg", "yuvj420p", 25, "as nothing says another rate"),
+    ],
+)
+def test_raw_streams_say_what_rate_they_are_taken_for(
+    name: str, codec: str, pixels: str, rate_hz: int, why: str, tmp_path: Path
+) -> None:
+    path = make_video(tmp_path / name, codec=codec, pixels=pixels, num_frames=8, rate_hz=50)
+    video = Video(path)
+    assert video.rate_hz == rate_hz
+    assert video.note.startswith(f"{path}: a raw stream has no times: taken for {rate_hz} frames a second, {why}")
+    assert [frame.timestamp_ns for frame in video] == [index * 1_000_000_000 // rate_hz for index in range(8)]
+
+
+def test_a_container_has_times_of_its_own(clip: Path) -> None:
+    assert not Video(clip).note
 
 
 def test_more_than_eight_bits_become_sixteen(tmp_path: Path) -> None:

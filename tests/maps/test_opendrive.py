@@ -121,6 +121,15 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
             road(geometry(0, "nan", 0, 0, 40, "<line/>"), 40),
             "road 7: <geometry> x: expected a finite number, got 'nan'",
         ),
+        (
+            road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="wide")),
+            "road 7: <width> a: expected a finite number, got 'wide'",
+        ),
+        (
+            road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="1e4")),
+            "road 7: lanes: expected a width above 0 and up to 200 m, got 10003",
+        ),
+        (road(geometry(0, "1e11", 0, 0, 40, "<line/>"), 40), r"road 7: x, y: expected up to 1e\+08 m"),
         (road(geometry(0, 0, 0, 0, 40, "<line/>"), "long"), "road 7: <road> length: .* got 'long'"),
     ],
 )

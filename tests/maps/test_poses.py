@@ -92,6 +92,7 @@ def test_tum(tmp_path: Path) -> None:
         (METRIC[METRIC.index("\n") + 1 :], "", "expected at least two poses, got 0"),
         ("1700000000.2,", "1e400,", "line 3: timestamp_s: expected a finite number, got inf"),
         ("1700000000.2,", "1e300,", "line 3: timestamp_s: expected a time, got '1e300'"),
+        ("1700000000.2,2", "1700000000.2,1e11", r"x, y: expected up to 1e\+08 m from the origin, got 1e\+11"),
         (METRIC, "", "expected a header line, the file is empty"),
     ],
 )

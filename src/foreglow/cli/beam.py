@@ -15,6 +15,7 @@ from foreglow.cli.shared_run import (
     recorded_lux,
     run_frames,
     say_lack,
+    source_notes,
     unused_lines,
     viewer_sinks,
 )
@@ -92,7 +93,8 @@ def beam(
 
     summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
     is_interrupted = not summary.is_complete and (origin is None or summary.num_frames < (reading.limit or 0))
-    finish(summary, out, *unused_lines(vehicle, summary), is_interrupted=is_interrupted)
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
+    finish(summary, out, *notes, is_interrupted=is_interrupted)
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:

@@ -96,6 +96,7 @@ def convert(
     """Convert the calibration of another program to TOML, with the position of the camera in the car."""
     from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_intrinsics
     from foreglow.config import validated
+    from foreglow.display.calibration_check import warnings_of
     from foreglow.files import write_atomic
 
     position_m = (mount_forward, mount_left, mount_height)
@@ -103,5 +104,8 @@ def convert(
     mount = validated(Mount, {"position_m": position_m, **angles}, "mount")
     size_px = None if size is None else size_from(size)
     choice = validated(ImageChoice, {"camera": camera, "is_rectified": rectified, "size_px": size_px}, "images")
-    write_atomic(out, calibration_to_toml(read_intrinsics(source, choice).camera(mount)).encode())
+    calibrated = read_intrinsics(source, choice).camera(mount)
+    write_atomic(out, calibration_to_toml(calibrated).encode())
+    for warning in warnings_of(calibrated):
+        typer.echo(f"warning: {warning}")
     typer.echo(f"calibration in {out}; look at it with: foreglow calibrate check {out} IMAGE --out FILE.png")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.shared_run import beam_sink, finish, open_frames, picture_sink, run_frames
+from foreglow.cli.shared_run import beam_sink, finish, open_frames, picture_sink, run_frames, source_notes
 from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions, argument, folder, with_options
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def demo(
     name = frames.name if source is None else str(source)
     summary = run_frames(frames, name, out, Pipeline(configuration), make_sinks=make_sinks)
     stories = _stories(frames, out, configuration, has_beam=has_beam) if summary.is_complete else ()
-    finish(summary, out)
+    finish(summary, out, *source_notes(frames))
     _print_stories(stories, is_classified=summary.is_classified)
 
 

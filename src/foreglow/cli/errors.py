@@ -183,6 +183,9 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, OSError) and _is_printing(error):
         return shortened(f"standard output: {error.strerror or words_of(error)}"), 2
+    if isinstance(error, UnicodeEncodeError):
+        around = error.object[max(0, error.start - 80) : error.start + 80]
+        return f"expected names in UTF-8, which a file of text can hold, got {shortened(repr(around), 200)}", 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(words_of(error) or type(error).__name__), 2
     words = shortened(f"{type(error).__name__}: {words_of(error)}", 200)

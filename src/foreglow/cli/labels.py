@@ -65,8 +65,18 @@ def import_(
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.labels.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
-        lines.append(f"{num_empty} of the images have no point: they teach that nothing in them is light of a vehicle")
+        lines.append(_empty_line(num_empty))
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
+
+
+def _empty_line(num_empty: int) -> str:
+    """What images without points mean.
+
+    >>> _empty_line(1)
+    '1 of the images has no point: it teaches that nothing in it is light of a vehicle'
+    """
+    has, teach, them = ("has", "it teaches", "it") if num_empty == 1 else ("have", "they teach", "them")
+    return f"{num_empty} of the images {has} no point: {teach} that nothing in {them} is light of a vehicle"
 
 
 def _counted(found: LabelSet) -> str:
@@ -108,7 +118,11 @@ def suggest(
         drives += rated
         folders += [folder_] * len(rated)
     chosen = suggestion.suggested(drives, frames)
+    texts, lines = {}, []
     for folder_ in runs:
         found = [each for drive, home in zip(chosen, folders, strict=True) if home == folder_ for each in drive]
-        suggestion.write_suggestions(folder_ / suggestion.FILE_NAME, found)
-        typer.echo(f"{counted(len(found), 'frame')}: look at {folder_ / suggestion.FILE_NAME}")
+        path = folder_ / suggestion.FILE_NAME
+        texts[path] = suggestion.suggestions_text(found)
+        lines.append(f"{counted(len(found), 'frame')}: look at {path}")
+    suggestion.write_suggestions(texts)
+    typer.echo("\n".join(lines))

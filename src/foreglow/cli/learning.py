@@ -283,13 +283,8 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
             table.add_row(name, count, when, *(number(value, 3) for value in dataclasses.astuple(figures)))
         table.add_section()
     rich.print(table)
-    for each in judged[:-1]:
-        before, after = each.figures()
-        if after.average_precision < before.average_precision - MAX_WORSE:
-            typer.echo(
-                f"worse on {each.name}, which it has not learnt from: keep the model that you had, and look for "
-                "missing and wrong points in both sets"
-            )
+    for line in _worse_lines(judged):
+        typer.echo(line)
     if len(judged) == 1:
         typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")
     picture = draw_changes(judged, folder)
@@ -303,6 +298,19 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     if start.tells_direct:
         typer.echo(f"the new model does not tell lamps from their light, as {start.name} does")
     typer.echo(f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml")
+
+
+def _worse_lines(judged: Sequence[Judged]) -> list[str]:
+    """A line for each of the user's held-out sets, all but the last, on which the new model is worse."""
+    lines = []
+    for each in judged[:-1]:
+        before, after = each.figures()
+        if after.average_precision < before.average_precision - MAX_WORSE:
+            lines.append(
+                f"worse on {each.name}, which it has not learnt from: keep the model that you had, and look for "
+                "missing and wrong points in both sets"
+            )
+    return lines
 
 
 def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:

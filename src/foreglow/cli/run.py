@@ -19,6 +19,7 @@ from foreglow.cli.shared_run import (
     recording_sinks,
     run_frames,
     run_in_parallel,
+    source_notes,
     unused_lines,
     viewer_sinks,
 )
@@ -84,7 +85,7 @@ def run(
                 "frame by frame"
             )
         summary = run_in_parallel(opening, str(source), out, configuration, workers)
-        finish(summary, out, *unused_lines(vehicle, summary))
+        finish(summary, out, *source_notes(opening()), *unused_lines(vehicle, summary))
         return
     frames = opening()
     looks = look_sink(frames, reading.limit)
@@ -96,7 +97,8 @@ def run(
 
     stepper = Pipeline(configuration)
     summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)
-    finish(summary, out, *unused_lines(vehicle, summary), expectation(looks.profile, configuration))
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
+    finish(summary, out, *notes, expectation(looks.profile, configuration))
 
 
 @app.command()
@@ -123,4 +125,4 @@ def record(
     else:
         sinks += recording_sinks(out, source, stepper.config)
     summary = runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source))
-    finish(summary, out, *unused_lines(vehicle, summary))
+    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))

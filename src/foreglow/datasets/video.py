@@ -21,6 +21,12 @@ _LEAST_SHARE = 0.95
 _MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
+RAW_STREAMS = frozenset({"h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu", "av1"})
+"""FFmpeg's names of streams without a container: they have no times, and FFmpeg takes them all for 25 Hz."""
+
+MAX_RATE_HZ = 1000
+"""A raw stream that says more of itself has no rate that a camera has."""
+
 _RESTART_NS = 1_000_000_000
 """Where times go back by more than this, another recording begins; by less, a frame is late."""
 
@@ -38,8 +44,9 @@ class Video(FileSource):
 
     A cover picture is no video stream. A display matrix, with which a camera says how it was held, is applied.
     Streams of up to 8 bits give uint8, deeper ones uint16 (10 or 12 bits stretched to 16). Timestamps are the
-    stream's own presentation times; a frame without one follows the frame before at the stream's rate. Where they
-    begin anew, as in files that were appended to each other, so does a sequence, which is named after its first frame.
+    stream's own presentation times; a frame without one follows the frame before at the stream's rate, and so does each
+    of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
+    that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
     `mark` they are marked.
 
@@ -47,6 +54,7 @@ class Video(FileSource):
         path: The file.
         rate_hz: Average frames a second by the container; None if unknown.
         num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
+        note: What is assumed of the times, as a line for people; empty if the file has times.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -68,12 +76,22 @@ class Video(FileSource):
         missing = _missing_bytes(self.path)
         self._truncation = f"{self.path}: truncated video, {missing} bytes are missing at the end" if missing else ""
         with self._opened() as (container, stream):
-            rate: Fraction | None = stream.average_rate
+            self._is_raw = container.format.name in RAW_STREAMS
+            stated: Fraction | None = stream.codec_context.framerate if self._is_raw else None
+            is_stated = stated is not None and 1 <= stated <= MAX_RATE_HZ
+            rate: Fraction | None = stated if is_stated else stream.average_rate
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
+        self.note = ""
+        if self._is_raw and self._rate is not None:
+            why = "as the stream says itself" if is_stated else "as nothing says another rate"
+            self.note = (
+                f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
+                "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
+            )
         if self._truncation and on_error == "stop":
             raise ValueError(self._truncation)
 
@@ -124,7 +142,7 @@ class Video(FileSource):
 
     def _timestamp_ns(self, index: int, picture: Any, latest: tuple[int, int]) -> int:
         """The picture's own time; without one, what the rate makes of number and time of the `latest` frame."""
-        if picture.pts is not None and picture.time_base:
+        if picture.pts is not None and not self._is_raw and picture.time_base:
             return round(int(picture.pts) * Fraction(picture.time_base) * 1_000_000_000)
         if self._rate is None:
             raise ValueError(f"{self.path}: frame {index}: expected a timestamp, the file has neither times nor a rate")

@@ -33,7 +33,8 @@ class LiveStatus:
     def write_health(self, health: Health) -> None:
         """Shows the present state."""
         now = (health.faults, health.details)
-        if now != self._said:
+        is_well = not health.faults and not (health.beam and health.beam.faults)
+        if now != self._said and (health.faults or is_well):
             self._said = now
             what = ", ".join(health.faults) or "all is well again"
             why = f" ({health.details})" if health.details else ""
@@ -75,8 +76,6 @@ def live_lines(summary: LiveSummary) -> list[str]:
             lines.append(f"from exposure to command, ms ({name}): {shares}")
     if run.beam is not None:
         lines += beam_lines(run.beam, run.num_frames)
-    if run.num_skipped:
-        lines.append(f"{counted(run.num_skipped, 'unreadable frame')} left out, the first: {run.skipped[0]}")
     lines += [_event_line(event) for event in summary.faults]
     if run.num_skipped:
         lines.append(f"{counted(run.num_skipped, 'unreadable frame')} skipped, the first: {run.skipped[0]}")

@@ -28,6 +28,15 @@ MAX_LINE_M = 100_000.0
 MAX_POINTS = 2_000_000
 """Points of a map, one a metre, which take 40 bytes each: 2,000 km of road."""
 
+MAX_WIDTH_M = 200.0
+"""The widest carriageway of a map: a square, or the booths of a toll road."""
+
+MAX_COORDINATE_M = 1e8
+"""The largest x and y of a map in metres; projections of the earth have up to 2e7."""
+
+MAX_HEIGHT_M = 10_000.0
+"""The largest height of a road, above or below zero."""
+
 _AXLES_M = 1.4
 """Half the distance between the axles, between which the slope under the vehicle is measured."""
 
@@ -183,6 +192,31 @@ class PointCount:
         self._num += max(num_given, 2 + math.ceil(length_m / STEP_M))
         if self._num > MAX_POINTS:
             raise ValueError(f"{origin}: expected a map of at most {MAX_POINTS} points, one a metre, got more")
+
+
+def check_width(width_m: float, origin: str) -> None:
+    """Passes the width of a carriageway.
+
+    Raises:
+        ValueError: If no road is so wide, or it is NaN; the message begins with `origin`.
+    """
+    if not 0 < width_m <= MAX_WIDTH_M:
+        raise ValueError(f"{origin}: expected a width above 0 and up to {MAX_WIDTH_M:g} m, got {width_m:g}")
+
+
+def check_points(points_m: Floats, origin: str) -> None:
+    """Passes points, shape (N, 2) or (N, 3).
+
+    Raises:
+        ValueError: If one lies beyond any map, or is NaN; the message begins with `origin`.
+    """
+    sizes_m = np.abs(points_m)
+    if not (sizes_m[:, :2] <= MAX_COORDINATE_M).all():
+        worst_m = float(sizes_m[:, :2].max())
+        raise ValueError(f"{origin}: x, y: expected up to {MAX_COORDINATE_M:g} m from the origin, got {worst_m:g}")
+    if not (sizes_m[:, 2:] <= MAX_HEIGHT_M).all():
+        worst_m = float(sizes_m[:, 2:].max())
+        raise ValueError(f"{origin}: height: expected up to {MAX_HEIGHT_M:g} m above or below zero, got {worst_m:g}")
 
 
 def without_repeats(points_m: Floats) -> Floats:

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.files import read_plain_json
+from foreglow.files import read_plain_json, shortened
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import CentreLine, without_repeats
+from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_points, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.street import LANE_WIDTH_M
@@ -33,7 +33,7 @@ def read_geojson(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not GeoJSON, has no line, a coordinate is not a number or out of range, only some points
-            have heights, or a width is not positive; the message names path and feature.
+            have heights, or a width is not that of a road; the message names path and feature.
     """
     document = read_plain_json(path)
     found = [line for line in _lines(document, str(path)) if len(line[1]) > 1]
@@ -50,6 +50,7 @@ def read_geojson(path: Path) -> RoadMap:
         points = without_repeats(np.hstack([earth.local(coordinates[:, 1], coordinates[:, 0]), z_m]))
         if len(points) < 2:
             raise ValueError(f"{origin}: coordinates: expected points that differ")
+        check_points(points, f"{origin}: coordinates")
         lines.append(CentreLine(points, width_m / 2))
     return RoadMap(lines, earth, has_heights=heights == {3})
 
@@ -83,7 +84,7 @@ def _coordinates(values: Any, origin: str) -> Floats:
     """The coordinates as an array, shape (N, 2) or (N, 3)."""
     try:
         coordinates = np.array(values, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         coordinates = np.zeros(0)
     if coordinates.ndim != 2 or coordinates.shape[1] not in (2, 3) or not np.isfinite(coordinates).all():
         raise ValueError(f"{origin}: coordinates: expected a list of [longitude, latitude] or [.., .., height]")
@@ -95,9 +96,10 @@ def _coordinates(values: Any, origin: str) -> Floats:
 def _width_m(value: Any, origin: str) -> float:
     """The width in a property; OpenStreetMap writes it as a text."""
     try:
-        width_m = 2 * LANE_WIDTH_M if value is None else float(value)
-    except (TypeError, ValueError):
+        width_m = 2 * LANE_WIDTH_M if value is None else math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
         width_m = math.nan
-    if not (math.isfinite(width_m) and width_m > 0):
-        raise ValueError(f"{origin}: width: expected a positive number of metres, got {value!r}")
+    if not 0 < width_m <= MAX_WIDTH_M:
+        wanted = f"a number of metres above 0 and up to {MAX_WIDTH_M:g}"
+        raise ValueError(f"{origin}: width: expected {wanted}, got {shortened(value)}")
     return width_m

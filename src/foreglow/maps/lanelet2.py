@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, without_repeats
+from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, check_points, check_width, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
@@ -45,6 +45,8 @@ def read_lanelet2(path: Path) -> RoadMap:
         if not is_missing.all():
             raise ValueError(f"{path}: ele: expected a height at all nodes of borders, or at none")
         borders = {way: np.nan_to_num(border) for way, border in borders.items()}
+    for way, border in borders.items():
+        check_points(border, f"{path}: way {way}")
     count = PointCount()
     lines = [_line(first, second, count, str(path)) for first, second in _carriageways(lanelets, borders)]
     return RoadMap(lines, earth, has_heights=not is_missing.any())
@@ -121,7 +123,8 @@ def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> Cent
     if np.linalg.norm(first[0] - second[0]) > np.linalg.norm(first[0] - second[-1]):
         second = second[::-1]
     length_m = float(max(_ways_m(first)[-1], _ways_m(second)[-1]))
-    count.add(length_m, f"{origin}: lanelet near {first[0, :2].round().tolist()} m", max(len(first), len(second)))
+    origin = f"{origin}: lanelet near {first[0, :2].round().tolist()} m"
+    count.add(length_m, origin, max(len(first), len(second)))
     num = 1 + math.ceil(length_m / STEP_M)
     first, second = _spread(first, num), _spread(second, num)
     points = (first + second) / 2
@@ -132,6 +135,7 @@ def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> Cent
     )  # the second border, in the direction of the points
     cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
     whole = without_repeats(np.column_stack([points, cross_slopes]))
+    check_width(float(widths_m.mean()), f"{origin}: borders")
     return CentreLine(whole[:, :3], float(widths_m.mean()) / 2, whole[:, 3])
 
 

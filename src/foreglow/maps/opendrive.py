@@ -15,10 +15,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, without_repeats
+from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, check_points, check_width, without_repeats
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 from foreglow.street import LANE_WIDTH_M
+
+MAX_ROLL_RAD = 1.0
+"""The largest superelevation of a road; the steepest of a race track has .6 rad."""
 
 DRIVEN_LANES = frozenset({"driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp"})
 _COEFFICIENTS = ("a", "b", "c", "d")
@@ -54,6 +57,9 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     left_m, right_m = widths
     middle_m = _cubics(road.findall("lanes/laneOffset"), ways_m, "s", origin) + (left_m - right_m) / 2
     roll_rad = _cubics(road.findall("lateralProfile/superelevation"), ways_m, "s", origin)
+    if not (np.abs(roll_rad) <= MAX_ROLL_RAD).all():
+        worst_rad = float(np.abs(roll_rad).max())
+        raise ValueError(f"{origin}: superelevation: expected up to {MAX_ROLL_RAD:g} rad, got {worst_rad:g}")
     level_m = middle_m * np.cos(roll_rad)
     points = np.stack(
         [
@@ -67,6 +73,8 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     whole = without_repeats(np.column_stack([points, np.tan(roll_rad)]))
     if len(whole) < 2:
         return None
+    check_points(whole[:, :3], origin)
+    check_width(float(np.mean(left_m + right_m)), f"{origin}: lanes")
     return CentreLine(whole[:, :3], float(np.mean(left_m + right_m)) / 2, whole[:, 3])
 
 

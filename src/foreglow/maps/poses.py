@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from foreglow.files import bounded_lines, read_text
 from foreglow.geometry import Floats, Pose
+from foreglow.maps.centre_line import check_points
 from foreglow.maps.geographic import GeographicOrigin, check_position
 
 if TYPE_CHECKING:
@@ -219,7 +220,9 @@ def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Fl
             f"{path}: line {lines[row]}: qx, qy, qz, qw: expected a quaternion of length 1, got "
             f"{quaternions[row].tolist()}"
         )
-    return np.stack([values[name] for name in ("x_m", "y_m", "z_m")], -1), Rotation.from_quat(quaternions)
+    positions_m = np.stack([values[name] for name in ("x_m", "y_m", "z_m")], -1)
+    check_points(positions_m, str(path))
+    return positions_m, Rotation.from_quat(quaternions)
 
 
 def _on_earth(
@@ -232,6 +235,7 @@ def _on_earth(
         check_position(latitudes[row], longitudes[row], f"{path}: line {lines[row]}")
     level = np.zeros(len(lines))
     heights_m = values.get("height_m", level)
+    check_points(np.column_stack([level, level, heights_m]), str(path))
     pitches_rad, rolls_rad = (np.radians(values.get(name, level)) for name in ("pitch_deg", "roll_deg"))
     yaws_rad = origin.yaw_rad(latitudes, longitudes, values["heading_deg"])
     # As `geometry.rotation`, whose pitch is upwards: a negative turn about y.

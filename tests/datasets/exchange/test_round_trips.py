@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,15 @@ import pytest
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.datasets import PVDN, Video, open_labelled, open_source, write_pvdn
-from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
+from foreglow.datasets.exchange import (
+    LABEL_FORMATS,
+    LabelFile,
+    Mark,
+    labels_of,
+    read_labels_file,
+    write_labels_file,
+    write_split,
+)
 from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory
@@ -77,6 +86,26 @@ def test_a_drive_of_several_sequences_is_no_video(split: Path, tmp_path: Path) -
         exported(split, tmp_path / "labels.xml", "cvat-video")
 
 
+@pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
+@pytest.mark.parametrize("name", ["a+b & c#d.png", "100%25?d=x;y.png", "S1/10.00\u202fPM.png", '<Nacht> "1".png'])
+def test_names_of_all_kinds_come_back(form: str, name: str, tmp_path: Path) -> None:
+    path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
+    write_labels_file(path, LabelSet(images), form)
+    assert [image.name for image in read_labels_file(path).images] == [name]
+
+
+@pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
+@pytest.mark.parametrize(
+    "name", ["a\tb.png", "a\nb.png", "a\x01.png", "a\\b.png", "C:a.png", os.fsdecode(b"a\xff.png")]
+)
+def test_names_that_could_not_be_read_again_are_not_written(form: str, name: str, tmp_path: Path) -> None:
+    path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
+    with pytest.raises(ValueError, match="name of an image: expected a path below") as caught:
+        write_labels_file(path, LabelSet(images), form)
+    assert str(caught.value).isprintable()
+    assert not path.exists()
+
+
 @pytest.mark.parametrize("name", ["cvat", "coco", "label-studio"])
 def test_a_file_beside_its_images_is_a_data_set(name: str, split: Path) -> None:
     path = split / f"labels{LABEL_FORMATS[name].suffix}"
@@ -136,6 +165,39 @@ def test_a_video_s_labels_follow_its_tracks(tmp_path: Path) -> None:
     assert [[(light.iid, *light.position_px) for light in each] for each in lights] == [
         [], [(6, 10, 20)], [(6, 11, 20)], [],
     ]  # fmt: skip
+
+
+def test_frames_that_nobody_has_labelled_are_not_empty(tmp_path: Path) -> None:
+    """Those that a task left out by its step, were deleted, or are for interpolation teach nothing."""
+    meta = "<meta><task><size>5</size><start_frame>10</start_frame><stop_frame>30</stop_frame>{}</task></meta>"
+    every = meta.format("<frame_filter>step=5</frame_filter>")
+    shapes = {10: 0, 20: 0, 25: 1, 30: 0}
+    points = "".join(f'<points frame="{at}" outside="{is_out}" points="5,5"/>' for at, is_out in shapes.items())
+    path = tmp_path / "labels.xml"
+    path.write_text(f'<annotations>{every}<track id="6" label="light">{points}</track></annotations>')
+    found = read_labels_file(path)
+    assert [(image.name, len(image.marks)) for image in found.images] == [("10", 1), ("20", 1), ("25", 0), ("30", 1)]
+    assert dict(found.lost) == {"frame in which a track goes on, but has no shape": 1}
+    path.write_text(path.read_text().replace('frame="20"', 'frame="21"'))
+    with pytest.raises(ValueError, match="track 0: frame: expected 10 to 30 in steps of 5, got 21"):
+        read_labels_file(path)
+    path.write_text(path.read_text().replace("step=5", "step=0"))
+    with pytest.raises(ValueError, match="frame_filter: expected step=N, got 'step=0'"):
+        read_labels_file(path)
+
+
+def test_points_beyond_the_first_of_an_annotation_are_counted(split: Path, tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    write_labels_file(path, labels_of(open_labelled(split)), "coco")
+    file = json.loads(path.read_text())
+    file["annotations"][0]["keypoints"] += [3, 4, 2, 0, 0, 0]
+    path.write_text(json.dumps(file))
+    assert read_labels_file(path).lost == {"further key point of an annotation": 1}
+
+
+def test_no_image_is_no_set(split: Path) -> None:
+    with pytest.raises(ValueError, match="frames: expected at least one image"):
+        labels_of(open_labelled(split), ())
 
 
 def test_predictions_of_label_studio_are_no_labels(split: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from foreglow.lab.learning.suggestion import (
     rated,
     read_suggestions,
     suggested,
+    suggestions_text,
     unlikeness,
     write_suggestions,
 )
@@ -96,7 +97,7 @@ def test_strange_images_are_unlike(tmp_path: Path) -> None:
 
 def test_the_file_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "suggestions.csv"
-    write_suggestions(path, drive_of("a, b", [0.25, 0.5]))
+    write_suggestions({path: suggestions_text(drive_of("a, b", [0.25, 0.5]))})
     assert read_suggestions(path) == {0, 1}
     for content, said in (
         ("", "line 1: expected a column called frame"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -92,6 +93,24 @@ def test_stage_that_raises(stage: str, error: type[BaseException], drive: list[F
     assert summary.faults[0].detail == f"{stage}: {error.__name__}: planted"
     assert summary.faults[0].until_ns is not None
     assert keeper.ends == ["close"]
+
+
+def test_a_stage_that_raises_ends_no_fault_of_the_guard(drive: list[Frame]) -> None:
+    """Nobody has judged the frames in which it raised; "all is well again" would be wrong."""
+    unknown = [dataclasses.replace(frame, motion=None) for frame in drive[:30]]
+    raising = {frame.timestamp_ns for frame in unknown[10:20:3]}
+
+    def make() -> Pipeline:
+        pipeline = Pipeline(configuration)
+        spoil(pipeline, "distance", lambda now_ns: 1 // 0 if now_ns in raising else None)
+        return pipeline
+
+    configuration, keeper = live_config(), Keeper()
+    summary, _ = run_live(ScriptedCamera(unknown), configuration, make, [keeper])
+    assert summary.fault_counts[GuardFault.NO_SPEED] == 1
+    assert summary.fault_counts[LiveFault.STAGE_FAILED] >= 1
+    begun = next(index for index, faults in enumerate(keeper.faults) if GuardFault.NO_SPEED in faults)
+    assert all(GuardFault.NO_SPEED in faults for faults in keeper.faults[begun:])
 
 
 def test_stage_that_raises_always_until_the_pipeline_is_made_anew(drive: list[Frame]) -> None:

@@ -24,6 +24,7 @@ from foreglow.datasets.exchange.marks import (
     pixel,
     plain_path,
     truth,
+    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import shortened
@@ -94,6 +95,7 @@ def read_coco(path: Path) -> LabelSet:
             lost[f"annotation of the category {shortened(name)}"] += 1
             continue
         point = _point(annotation)
+        lost["further key point of an annotation"] += max(0, sum(each > 0 for each in annotation.keypoints[2::3]) - 1)
         if point is None:
             lost["annotation without a key point or a box"] += 1
         else:
@@ -107,7 +109,7 @@ def read_coco(path: Path) -> LabelSet:
         )
         for index, image in enumerate(file.images)
     )
-    return LabelSet(checked_images(images, path), lost)
+    return LabelSet(checked_images(images, path), +lost)
 
 
 def _point(annotation: CocoAnnotation) -> tuple[float, float] | None:
@@ -140,7 +142,7 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     annotations: list[dict[str, Any]] = []
     for image_id, image in enumerate(labels.images, start=1):
         width_px, height_px = image.size_px or (1, 1)
-        images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})
+        images.append({"id": image_id, "file_name": writable_name(image), "width": width_px, "height": height_px})
         lost["category of an image"] += len(image.categories)
         for mark in image.marks:
             x, y = mark.position_px

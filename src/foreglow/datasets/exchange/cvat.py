@@ -5,6 +5,8 @@ Source: CVAT's documentation of its XML annotation format, version 1.1.
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -24,6 +26,7 @@ from foreglow.datasets.exchange.marks import (
     pixel,
     plain_path,
     truth,
+    writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import shortened
@@ -107,8 +110,11 @@ def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
 
 
 def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
-    """Each track is a vehicle or a light; every frame of the task is labelled."""
-    first, count = _frames(root, path)
+    """Each track is a vehicle or a light; every frame of the task is labelled, and no other.
+
+    Where a track goes on and has no shape, the frame is left out: it was deleted in CVAT, or is for interpolation.
+    """
+    frames = _frames(root, path)
     size = root.find("meta/task/original_size")
     size = root.find("meta/original_size") if size is None else size
     size_px = None
@@ -116,19 +122,31 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
         texts = {name: size.findtext(name) for name in ("width", "height")}
         given = Element("original_size", {name: text for name, text in texts.items() if text is not None})
         size_px = _size_px(given, "width", "height", f"{path}: original_size")
-    marks: list[list[Mark]] = [[] for _ in range(count)]
+    marks: dict[int, list[Mark]] = {frame: [] for frame in frames}
+    unknown: set[int] = set()
     for index, track in enumerate(root.findall("track")):
         origin, common = f"{path}: track {index}", _attributes(track)
         common.setdefault("iid", track.get("id") or "")
+        seen: dict[int, bool] = {}  # by frame, whether it is outside there
         for shape in track:
-            if shape.tag not in SHAPES or shape.get("outside") == "1":
+            if shape.tag not in SHAPES:
                 continue
-            frame = (number(shape.get("frame"), f"{origin}: frame") or 0) - first
-            if not 0 <= frame < count:
-                raise ValueError(f"{origin}: frame: expected {first} to {first + count - 1}, got {frame + first}")
+            frame = number(shape.get("frame"), f"{origin}: frame") or 0
+            seen[frame] = shape.get("outside") == "1"
+            if seen[frame]:
+                continue
+            if frame not in marks:
+                steps = f" in steps of {frames.step}" if frames.step > 1 else ""
+                raise ValueError(f"{origin}: frame: expected {frames[0]} to {frames[-1]}{steps}, got {frame}")
             marks[frame] += _marks(shape, track.get("label"), common, origin, lost)
-    images = (ImageLabels(str(first + frame), size_px, _ordered(marks[frame])) for frame in range(count))
-    return LabelSet(checked_images(images, path), lost, is_video=True)
+        for frame, after in itertools.pairwise(sorted(seen)):
+            if not seen[frame]:
+                unknown.update(range(frame + frames.step, min(after, frames.stop), frames.step))
+    for frame in unknown:
+        del marks[frame]
+    lost["frame in which a track goes on, but has no shape"] += len(unknown)
+    images = (ImageLabels(str(frame), size_px, _ordered(found)) for frame, found in marks.items())
+    return LabelSet(checked_images(images, path), +lost, is_video=True)
 
 
 def _ordered(marks: list[Mark]) -> tuple[Mark, ...]:
@@ -139,23 +157,32 @@ def _ordered(marks: list[Mark]) -> tuple[Mark, ...]:
     )
 
 
-def _frames(root: Element, path: Path) -> tuple[int, int]:
-    """The first frame of a video's task, and how many there are; up to the last that has a shape if it is not said."""
+def _frames(root: Element, path: Path) -> range:
+    """The frames of a video's task, perhaps every so manieth; up to the last that has a shape if it is not said."""
     task = root.find("meta/task")
     task = root.find("meta/job") if task is None else task
     texts = {name: None if task is None else task.findtext(name) for name in ("size", "start_frame", "stop_frame")}
     first = number(texts["start_frame"], f"{path}: start_frame") or 0
     stop = number(texts["stop_frame"], f"{path}: stop_frame")
     size = number(texts["size"], f"{path}: size")
+    step = _step(None if task is None else task.findtext("frame_filter"), path)
     if stop is None and size is not None:
-        stop = first + size - 1
+        stop = first + (size - 1) * step
     if stop is None:
         numbers = (number(shape.get("frame"), f"{path}: frame") or 0 for shape in root.iterfind("track/*"))
         stop = max(numbers, default=first - 1)
-    count = stop - first + 1
+    count = (stop - first) // step + 1
     if first < 0 or not 1 <= count <= MAX_IMAGES:
         raise ValueError(f"{path}: meta: expected 1 to {MAX_IMAGES} frames, got {count} from {first}")
-    return first, count
+    return range(first, stop + 1, step)
+
+
+def _step(text: str | None, path: Path) -> int:
+    """Of every so manieth frame a task was made; nobody has labelled those between."""
+    found = re.fullmatch("step=([1-9][0-9]{0,5})", (text or "step=1").replace(" ", ""))
+    if found is None:
+        raise ValueError(f"{path}: meta: frame_filter: expected step=N, got {shortened(text)}")
+    return int(found[1])
 
 
 def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
@@ -163,7 +190,7 @@ def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     root = _root(len(labels.images), "annotation", None)
     for index, image in enumerate(labels.images):
         width_px, height_px = image.size_px or (1, 1)
-        about = {"id": str(index), "name": image.name, "width": str(width_px), "height": str(height_px)}
+        about = {"id": str(index), "name": writable_name(image), "width": str(width_px), "height": str(height_px)}
         element = SubElement(root, "image", about)
         for category in image.categories:
             SubElement(element, "tag", {"label": category.name.lower(), "source": "manual"})

@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from pydantic import Field, RootModel
 
@@ -27,6 +27,7 @@ from foreglow.datasets.exchange.marks import (
     number,
     pixel,
     plain_path,
+    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import shortened
@@ -184,7 +185,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             choices = [category.name.lower() for category in image.categories]
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
-        data = {"image": f"/data/local-files/?d={image.name}"}
+        data = {"image": f"/data/local-files/?d={quote(writable_name(image))}"}
         tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 

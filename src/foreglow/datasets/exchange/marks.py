@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -230,14 +231,30 @@ def plain_path(name: str, origin: str) -> str:
     """`name`, if it is a path below a folder that stays there.
 
     Raises:
-        ValueError: If it is absolute, climbs, or has other characters than a file's name; the message begins with
-            `origin`.
+        ValueError: If it is absolute, climbs, or has characters that not every format keeps: those of control,
+            backslashes, and bytes that are no UTF-8; the message begins with `origin`.
     """
     parts = PurePosixPath(name).parts
-    is_bad = not parts or "\\" in name or not name.isprintable() or len(name) > 500 or re.match("[A-Za-z]:", name)
+    is_bad = not parts or not all(map(_is_plain, name)) or len(name) > 500 or re.match("[A-Za-z]:", name)
     if is_bad or any(part in ("/", "//", "..") or len(part) > 200 for part in parts):
-        raise ValueError(f"{origin}: expected a path below the folder of the images, got {shortened(name)}")
+        raise ValueError(
+            f"{origin}: expected a path below the folder of the images, in UTF-8 without tabs, new lines and "
+            f"backslashes, got {shortened(name)}"
+        )
     return "/".join(parts)
+
+
+def _is_plain(character: str) -> bool:
+    return character != "\\" and (character.isprintable() or unicodedata.category(character) == "Zs")
+
+
+def writable_name(image: ImageLabels) -> str:
+    """The image's name, if the readers of all formats take it again.
+
+    Raises:
+        ValueError: As in `plain_path`.
+    """
+    return plain_path(image.name, "name of an image")
 
 
 def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLabels, ...]:

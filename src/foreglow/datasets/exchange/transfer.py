@@ -11,6 +11,7 @@ from typing import Any
 from foreglow.datasets.exchange.files import LABEL_FORMATS
 from foreglow.datasets.exchange.marks import MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
 from foreglow.datasets.exchange.source import LabelFile
+from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
@@ -50,6 +51,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
         size_px = record.width_px, record.height_px
         images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
+    if not images:
+        raise ValueError(f"{dataset.root}: frames: expected at least one image, got none")
     ordinary = _attributes(Sequence.plain(0))
     lost["sequence with attributes (weather, road, driver, times, ...)"] = sum(
         _attributes(sequence) != ordinary for sequence in dataset.sequences
@@ -111,7 +114,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
 def _name_of(frame: Frame, frames: FrameSource) -> str:
     if isinstance(frames, LabelledSource):
         return f"{frame.sequence}/{frames.image(frame.frame).file_name}"
-    return f"frame_{frame.frame:06d}.png" if isinstance(frames, Video) else Path(frame.path).name
+    return Path(frame.path).name if isinstance(frames, ImageFolder) else f"frame_{frame.frame:06d}.png"
 
 
 def check_target(path: Path, name: str) -> None:

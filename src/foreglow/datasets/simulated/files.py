@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,7 +96,7 @@ class RoadFile(FrozenModel):
         points_world_m: The centre line there.
     """
 
-    lane_width_m: float
+    lane_width_m: Annotated[float, Field(gt=0, le=100.0)]
     s_m: tuple[float, ...]
     points_world_m: tuple[tuple[float, float, float], ...] = Field(repr=False)
 

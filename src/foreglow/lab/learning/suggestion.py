@@ -12,7 +12,7 @@ import numpy as np
 
 from foreglow.datasets import open_source
 from foreglow.datasets.json_files import read_lines
-from foreglow.files import shortened, write_atomic
+from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened, write_atomic
 from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
 from foreglow.runs.recorded_run import RecordedRun, source_of_run
 from foreglow.types import FrameResult
@@ -152,17 +152,30 @@ def suggested(drives: Sequence[Sequence[Suggestion]], num_frames: int) -> list[l
     return [[drive[index] for index in sorted(indices)] for drive, indices in zip(drives, chosen, strict=True)]
 
 
-def write_suggestions(path: Path, suggestions: Iterable[Suggestion]) -> None:
-    """Writes the frames as CSV, whole or not at all; `read_suggestions` reads their numbers back.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
+def suggestions_text(suggestions: Iterable[Suggestion]) -> str:
+    """The frames as CSV; `read_suggestions` reads their numbers back."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*(field.name for field in fields(Suggestion)), "value"])
     writer.writerows((*astuple(each), round(each.value, 4)) for each in suggestions)
-    write_atomic(path, text.getvalue().encode())
+    return text.getvalue()
+
+
+def write_suggestions(texts: Mapping[Path, str]) -> None:
+    """Writes each text to its file, all or, before any is written, none.
+
+    Raises:
+        ValueError: If a file is there that differs: somebody may have chosen frames in it.
+        OSError: If one cannot be written.
+    """
+    for path, text in texts.items():
+        if path.exists() and read_bytes(path, MAX_TEXT_BYTES) != text.encode():
+            raise ValueError(
+                f"{path}: expected nothing there, or the same suggestions: it has others, or was edited; rename or "
+                "remove it"
+            )
+    for path, text in texts.items():
+        write_atomic(path, text.encode())
 
 
 def read_suggestions(path: Path) -> frozenset[int]:

@@ -103,16 +103,15 @@ class FaultBook:
     @property
     def active(self) -> tuple[str, ...]:
         """All faults that are present now."""
-        with self._lock:
-            return tuple(dict.fromkeys(name for faults in self._active.values() for name in faults))
+        return self.present[0]
 
     @property
-    def details(self) -> str:
-        """What is known about the faults that are present now."""
+    def present(self) -> tuple[tuple[str, ...], str]:
+        """All faults that are present now, and what is known about them."""
         with self._lock:
-            return "; ".join(
-                {event.detail: None for faults in self._active.values() for event in faults.values() if event.detail}
-            )
+            events = [event for faults in self._active.values() for event in faults.values()]
+        names = dict.fromkeys(event.fault for event in events)
+        return tuple(names), "; ".join(dict.fromkeys(event.detail for event in events if event.detail))
 
     @property
     def unheeded(self) -> tuple[str, ...]:

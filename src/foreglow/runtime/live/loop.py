@@ -152,7 +152,7 @@ class LiveLoop:
         self._num_taken = self._num_hung = self._num_late = 0
         self._beam: BeamCommand | None = None
         self._low_s = self._health_s = -1.0
-        self._reported: tuple[tuple[str, ...], str] = ((), "")
+        self._reported: tuple[tuple[str, ...], str, bool] = ((), "", False)
         self._end = ""
 
     def run(self, limit: int | None = None) -> LiveSummary:
@@ -292,7 +292,8 @@ class LiveLoop:
             self._low_s = now_s
             self._command_low()
         self._note_sinks()
-        present = (self._book.active, self._book.details)
+        beam = self._beam  # with a fault that is over already it says so until the next frame's
+        present = (*self._book.present, beam is not None and bool(beam.faults))
         if now_s - self._health_s >= HEALTH_S or present != self._reported:
             self._health_s, self._reported = now_s, present
             self._report_health()
@@ -331,13 +332,15 @@ class LiveLoop:
                 return
             self._num_taken += 1
             beam, faults = None if result is None else result.beam, self._book.unheeded
+            if beam is not None:  # else nobody judged, and what the guard found last goes on
+                self._book.note(GUARD, [name for name in beam.faults if name not in LIVE_FAULTS])
             if beam is None or faults:  # a stage failed, or a fault appeared meanwhile
-                beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *faults)
+                found = () if beam is None else beam.faults
+                beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *dict.fromkeys([*faults, *found]))
             ready_ns = time.monotonic_ns()
             self._send(beam)
             sent_ns = time.monotonic_ns()
         age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
-        self._book.note(GUARD, [name for name in beam.faults if name not in LIVE_FAULTS])
         if result is None:
             return
         stage_ms = {

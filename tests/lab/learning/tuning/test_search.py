@@ -151,6 +151,17 @@ def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Pa
     assert drawn(again.trials) == drawn(straight.trials)[:4]
 
 
+def test_another_seed_is_not_mixed_in(data: Path, tmp_path: Path) -> None:
+    searched(data, tmp_path, 2, num_images=4)
+    before = (tmp_path / "study.journal").read_bytes()
+    with pytest.raises(
+        ValueError, match=rf"study\.journal: seed: expected .* begun here, {SEED}, got {SEED + 1}; choose"
+    ):
+        tune(data, tmp_path, TuningSettings(num_trials=3, num_images=4, seed=SEED + 1))
+    assert (tmp_path / "study.journal").read_bytes().startswith(before)
+    assert len(searched(data, tmp_path, 3, num_images=4).trials) == 3
+
+
 def test_processes_share_a_study(data: Path, tmp_path: Path) -> None:
     tuning = tune(data, tmp_path, TuningSettings(num_trials=14, seed=SEED), workers=Local(2))
     assert len(tuning.trials) == 14

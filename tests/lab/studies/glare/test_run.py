@@ -210,6 +210,11 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pyte
     other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
     with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
         run_experiment(scenes, other, plan, out, progress=lambda *_: None)
+    told.clear()
+    scenes = write_scenes_of(tmp_path / "other", scene(run_in_s + 4 / 18, seed=5))
+    with pytest.raises(ValueError, match=r"plan\.json: scenes: expected S00001 as it was here before"):
+        run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
+    assert not told
 
 
 def test_every_policy_has_a_row_of_its_own() -> None:

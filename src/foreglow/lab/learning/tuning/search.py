@@ -115,7 +115,7 @@ def tune(
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
-        ValueError: If a label or an image is broken, or the storage cannot be used.
+        ValueError: If a label or an image is broken, the storage cannot be used, or the study there has another seed.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
     import optuna  # noqa: F401  before anything is decoded

@@ -30,6 +30,10 @@ IMPORTANCE_TRIALS = 20
 """Smallest number of finished trials for which importances are meaningful."""
 
 
+_SEED = "seed"
+"""Where a study keeps its seed: its first trials do not tell it."""
+
+
 @dataclass(frozen=True, slots=True)
 class TuningSettings:
     """What is searched, and how.
@@ -157,13 +161,24 @@ def _sampler(seed: int) -> Any:
 
 
 def prepare(study: optuna.Study, plan: StudyPlan) -> None:
-    """Marks trials whose process is gone as failed, and lets a new study begin with the paper's parameters."""
+    """Marks trials whose process is gone as failed, and lets a new study begin with the paper's parameters.
+
+    Raises:
+        ValueError: If the study was begun with another seed.
+    """
     from optuna.trial import TrialState
 
+    begun, seed = study.user_attrs.get(_SEED), plan.settings.seed
+    if begun not in (None, seed):
+        raise ValueError(
+            f"{plan.storage}: seed: expected that of the search begun here, {begun}, got {seed}; choose another folder "
+            "or storage"
+        )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):
             study.tell(trial.number, state=TrialState.FAIL)
     if not study.get_trials(deepcopy=False):
+        study.set_user_attr(_SEED, seed)
         study.enqueue_trial(dict(plan.settings.searched.first))
 
 

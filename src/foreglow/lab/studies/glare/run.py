@@ -20,12 +20,14 @@ from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
+from foreglow.lab.studies.detector.models import file_digest
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.scores import POLICY_ROWS, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain
+from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 
@@ -124,13 +126,13 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If there are no scenes.
-        ValueError: If they are broken, or the folder holds an experiment with another plan.
+        ValueError: If they are broken, or the folder holds an experiment with another plan, model or scene.
         OSError: If something cannot be written; scenes that are finished stay.
     """
     config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
-    _claim(folder, config, plan)
+    _claim(folder, config, plan, wanted)
     todo: dict[str, tuple[int, NamedScene]] = {}
     for number, named in enumerate(wanted, start=1):
         if _sightings_file(folder, named.name).exists():  # written after the drive
@@ -160,14 +162,24 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
     return named + empty
 
 
-def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
-    """Writes the plan to the folder, or checks that the plan that is there is the same."""
-    about = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
+def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene]) -> None:
+    """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
+    about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
+    models = (each.classifier.model for each in (config, *plan.others(config).values()))
+    files = {str(model): file_digest(model_path(model)) for model in models if model is not None}
+    scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
     file = folder / "plan.json"
     if file.exists():
         known = read_plain_json(file)
         if known.get("digest") != about["digest"]:
             raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
+        for kind, digests in (("models", files), ("scenes", scenes)):
+            before = known.get(kind, {})
+            other = next((name for name in digests if before.get(name, digests[name]) != digests[name]), None)
+            if other is not None:
+                raise ValueError(f"{file}: {kind}: expected {other} as it was here before; choose another folder")
+            digests |= before
+    about |= {"models": files, "scenes": scenes}
     write_json_results(file, about | provenance(), indent=2)
     write_atomic(folder / "config.toml", config_to_toml(config).encode())
 

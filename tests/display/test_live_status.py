@@ -1,0 +1,26 @@
+"""What the terminal says of a live run."""
+
+from __future__ import annotations
+
+import pytest
+
+from foreglow.display.live_status import LiveStatus
+from foreglow.runtime.health import Health
+from foreglow.types import BeamCommand
+
+
+def health(time_ns: int, *faults: str, commanded: tuple[str, ...] = ()) -> Health:
+    return Health(time_ns, faults, 1, 0, 0, BeamCommand.low(time_ns, 4, *commanded))
+
+
+def test_all_is_well_only_where_the_command_says_so_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """Between the end of a fault and the next frame's command nobody knows yet whether another goes on."""
+    status = LiveStatus()
+    status.write_health(health(1, "stage_failed", commanded=("stage_failed",)))
+    status.write_health(health(2, commanded=("stage_failed",)))
+    status.write_health(health(3, "speed_unknown", commanded=("speed_unknown",)))
+    status.write_health(health(4, commanded=("speed_unknown",)))
+    status.write_health(health(5))
+    status.close()
+    said = [line.split("s  ", 1)[1] for line in capsys.readouterr().err.splitlines()]
+    assert said == ["stage_failed", "speed_unknown", "all is well again"]
